@@ -17,7 +17,6 @@ from bus.contract import (
     UnitLink,
     UnitLinkState,
     UnitState,
-    Update,
 )
 from bus.errors import UnitErrorCode
 from bus.line.statistics.unit_statistics import UnitStatistics
@@ -35,6 +34,7 @@ from bus.wire.commands import (
     StatusReply,
 )
 
+UnitUpdate = Reading | ParameterValue | UnitLink | Staged
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
 """One lost answer is asked for again at once and is nobody's business."""
@@ -118,7 +118,7 @@ class Roster:
 
     def take_response(
         self, request: Request, reply: Reply, at: float, frame: bytes, *, is_probe: bool = False
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the
         unit answers is true of it, and a parameter's number and value need not be."""
         record = self[request.unit]
@@ -137,11 +137,11 @@ class Roster:
                 updates += self._stage(record, None, at)
         return updates if self.is_configured(record.unit) else []
 
-    def unstage(self, unit: int, at: float) -> list[Update]:
+    def unstage(self, unit: int, at: float) -> list[UnitUpdate]:
         """``unit`` holds no staged speed any more."""
         return self._stage(self[unit], None, at)
 
-    def missed(self, unit: int, at: float) -> list[Update]:
+    def missed(self, unit: int, at: float) -> list[UnitUpdate]:
         """``unit`` did not answer one question."""
         record = self[unit]
         record.misses += 1
@@ -151,31 +151,31 @@ class Roster:
             return self._link(record, "stale", at, Message("response_overdue"))
         return []
 
-    def port_closed(self, at: float, cause: Message | None) -> list[Update]:
+    def port_closed(self, at: float, cause: Message | None) -> list[UnitUpdate]:
         """No unit can be asked: whoever was online is stale from now on."""
         return self._all("online", "stale", at, cause)
 
-    def port_stays_closed(self, at: float, cause: Message | None) -> list[Update]:
+    def port_stays_closed(self, at: float, cause: Message | None) -> list[UnitUpdate]:
         """It has lasted: whoever was stale counts as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(
         self, was: UnitLinkState, becomes: UnitLinkState, at: float, cause: Message | None
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def _answered(self, record: UnitRecord, at: float) -> list[Update]:
+    def _answered(self, record: UnitRecord, at: float) -> list[UnitUpdate]:
         record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
-    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[Update]:
+    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[UnitUpdate]:
         if value is None:
             return []
         record.parameters[value.number] = value
         return [value]
 
-    def _stage(self, record: UnitRecord, raw: int | None, at: float) -> list[Update]:
+    def _stage(self, record: UnitRecord, raw: int | None, at: float) -> list[UnitUpdate]:
         if record.staged == raw:
             return []
         record.staged = raw
@@ -183,7 +183,7 @@ class Roster:
 
     def _link(
         self, record: UnitRecord, link: UnitLinkState, at: float, cause: Message | None
-    ) -> list[Update]:
+    ) -> list[UnitUpdate]:
         if record.link.link == link:
             return []
         record.link = UnitLink(unit=record.unit, at=at, link=link, cause=cause)

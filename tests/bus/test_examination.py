@@ -261,14 +261,3 @@ def test_what_turns_at_speed_has_no_emergency_stop(
         return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
 
     assert found(answer).estop_healthy == healthy
-
-
-def test_what_the_app_is_told() -> None:
-    told = Found(5, 9600, "digimax", (1, 2), ("a remark",)).for_contract()
-    assert (told.unit, told.baud, told.kind, told.parameters, told.remarks) == (
-        5,
-        9600,
-        "digimax",
-        [1, 2],
-        ["a remark"],
-    )

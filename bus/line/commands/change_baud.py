@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bus.catalogue.numbers import BAUD_RATE
-from bus.contract import Outcome, Result, UnitOutcome
+from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_refused
 from bus.line.commands.procedure import (
     CommandContext,
@@ -24,6 +24,7 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import read_parameter
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message
@@ -178,8 +179,8 @@ class _Change:
         ]
 
 
-def _result(outcome: Outcome, message: Message, units: list[UnitOutcome] | None = None) -> Result:
-    return Result(id="", at=0.0, outcome=outcome, message=message, units=units or [])
+def _result(outcome: Outcome, message: Message, units: Sequence[UnitOutcome] = ()) -> ProcedureResult:
+    return ProcedureResult(outcome, message, units=tuple(units))
 
 
 def _listed(units: Sequence[int]) -> list[int | str | Message]:

@@ -1,4 +1,4 @@
-"""One command on its way through the line: a procedure, its present question, its fate. No clock, no port."""
+"""One command on its way through the line: a procedure, its request, its result. No clock, no port."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from bus.contract import Result
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, Wait
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.statistics.trace import TracedFrame
@@ -30,7 +30,7 @@ NO_UNIT: frozenset[int] = frozenset()
 
 @dataclass(eq=False)
 class CommandRun:
-    """``begin`` makes the procedure when its turn has come. ``units``: those nobody else may write to."""
+    """``begin`` makes the procedure when its turn has come. ``units``: no other command may write to them."""
 
     id: str
     priority: Priority
@@ -40,10 +40,10 @@ class CommandRun:
     context: CommandContext
     begin: Callable[[], Procedure]
     on_effect: Callable[[LineEffect], None]
-    """Hears what the procedure tells on its way."""
+    """Called with what the procedure does beside its requests."""
     frames: list[TracedFrame] = field(default_factory=list)
     resume_at: float = 0.0
-    result: Result | None = None
+    result: ProcedureResult | None = None
     attempts: SendAttempts | None = None
     _procedure: Procedure | None = None
 
@@ -74,7 +74,7 @@ class CommandRun:
         return None
 
     def settle(self, exchange: ExchangeResult, now: float) -> bool:
-        """Its exchange is over; whether it is tried again, as nobody answered."""
+        """Its exchange is over; whether it is tried again, as nothing responded."""
         assert self.attempts is not None
         again = self.attempts.settle(exchange)
         if self.attempts.result is not None:
@@ -82,7 +82,7 @@ class CommandRun:
         return again
 
     def close(self, now: float) -> None:
-        """The port is gone: every question of it ends so."""
+        """The port is gone: every request of it ends so."""
         while self.result is None:
             if self._procedure is None:
                 self._procedure = self.begin()
@@ -93,7 +93,7 @@ class CommandRun:
             else:
                 self._advance(None, now)
 
-    def end(self, result: Result) -> None:
+    def end(self, result: ProcedureResult) -> None:
         """It is over before its procedure is."""
         if self._procedure is not None:
             self._procedure.close()
@@ -106,7 +106,7 @@ class CommandRun:
         return result
 
     def _advance(self, result: SendResult | None, now: float) -> None:
-        """Run the procedure to its next question, its next pause or its end."""
+        """Run the procedure to its next request, its next pause or its end."""
         assert self._procedure is not None
         try:
             step = self._procedure.send(result)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from bus.contract import Result, UnitOutcome
+from bus.contract import UnitOutcome
 from bus.line.commands.member import Member
 from bus.line.commands.procedure import (
     CommandContext,
@@ -17,6 +17,7 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import Readback, verify_speed, verify_unchanged
+from bus.line.commands.result import ProcedureResult
 from bus.line.commands.writes import outcome_with_readback
 from bus.line.exchange.send import Send, SendResult
 from bus.line.roster import Roster
@@ -97,17 +98,15 @@ def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> Unit
     return msgspec.structs.replace(outcome, message=message, acknowledged_at=None)
 
 
-def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> Result:
+def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> ProcedureResult:
     """The fate of all whose broadcast has left."""
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
     about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
-    return Result(
-        id="",
-        at=0.0,
+    return ProcedureResult(
         outcome="unverified" if bad else "verified",
         message=joined([*(outcome.message for outcome in about), *remarks]),
-        units=sorted(outcomes, key=lambda outcome: outcome.unit),
+        units=tuple(sorted(outcomes, key=lambda outcome: outcome.unit)),
         skew_s=_skew(outcomes, broadcast),
     )
 

@@ -1,19 +1,21 @@
 """What a procedure may do: send, wait, report. A procedure is a generator, so it knows no clock and no port.
 
 ``sent = yield Send(...)`` has one request carried out with all its attempts; ``yield Wait(...)`` lets others
-use the wire; ``yield ReportProgress(...)`` reports how far it is. The poller runs it; a test runs it with
-made-up responses.
+use the wire; ``yield ReportProgress(...)`` reports how far it is. The line's loop runs it; a test runs it
+with made-up responses.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import msgspec
 
-from bus.contract import Result, Stage
+from bus.contract import Stage
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult
 from bus.settings import Dialect
 
@@ -58,7 +60,7 @@ LineEffect = ReportProgress | Unstage | Retune | ExpectBaud
 ProcedureStep = Send | Wait | LineEffect
 Subprocedure = Generator[ProcedureStep, SendResult | None, T]
 """Gets a SendResult for a Send, None for every other step."""
-Procedure = Subprocedure[Result]
+Procedure = Subprocedure[ProcedureResult]
 
 
 @dataclass(slots=True)
@@ -72,6 +74,8 @@ class CommandContext:
     """Until the deadline, as the procedure begins."""
     exchange_s: float = 0.02
     """What one write takes on this bus."""
+    overdue: Counter[int] = field(default_factory=Counter)
+    """How many responses of each unit came after their window since the command began."""
 
 
 def send(step: Send) -> Subprocedure[SendResult]:

@@ -6,9 +6,10 @@ from collections import deque
 from collections.abc import Sequence
 
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import ParameterValue, Result
+from bus.contract import ParameterValue
 from bus.errors import unit_error
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
 from bus.messages import Message, joined
@@ -52,7 +53,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             refused.append(Message.of("parameter_refused", number=number, error=error))
     if (reason := joined(refused)) is not None:
         return _partly(record, values, wanted, reason)
-    return Result(id="", at=0.0, outcome="verified", values=values)
+    return ProcedureResult("verified", values=tuple(values))
 
 
 def _partly(
@@ -62,14 +63,12 @@ def _partly(
     reason: Message,
     *,
     closed: bool = False,
-) -> Result:
+) -> ProcedureResult:
     nothing = closed and not values
-    return Result(
-        id="",
-        at=0.0,
+    return ProcedureResult(
         outcome="bus_closed" if nothing else "unverified",
         message=Message.of(
             "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason
         ),
-        values=values,
+        values=tuple(values),
     )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from bus.contract import Result
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
@@ -16,8 +15,8 @@ from bus.line.commands.procedure import (
     Wait,
     send,
 )
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
-from bus.line.roster import Roster
 from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude
 from bus.line.scan.passes import Passes, no_response_s
@@ -54,10 +53,9 @@ class _Lost(Exception):
     """There is no link to the bus any more."""
 
 
-def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
+def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
     """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
     found: list[Found] = []
-    overdue = _overdue(roster)
     passes = Passes(range(first, last + 1))
     of = last - first + 1
     for unit in passes:
@@ -73,18 +71,12 @@ def survey(roster: Roster, first: int, last: int, pace: ScanPace, context: Comma
         else:
             passes.found()
             found.append(one)
-    since = {unit: count - overdue.get(unit, 0) for unit, count in _overdue(roster).items()}
-    if sum(since.values()) >= OVERDUE:
+    if context.overdue.total() >= OVERDUE:
         found = [_doubted(one) for one in found]
         known = {one.unit for one in found}
-        late = [unit for unit in range(first, last + 1) if since.get(unit) and unit not in known]
+        late = [unit for unit in range(first, last + 1) if context.overdue[unit] and unit not in known]
         found += [Found(unit, pace.baud, "late", late=True) for unit in late]
     return _result(found, None)
-
-
-def _overdue(roster: Roster) -> dict[int, int]:
-    """How many responses of each unit came after their window."""
-    return {record.unit: record.statistics.overdue for record in roster}
 
 
 def _doubted(one: Found) -> Found:
@@ -94,14 +86,12 @@ def _doubted(one: Found) -> Found:
     return replace(one, kind="late", remarks=(), late=True)
 
 
-def _result(found: list[Found], fault: Message | None) -> Result:
+def _result(found: list[Found], fault: Message | None) -> ProcedureResult:
     found.sort(key=lambda one: one.unit)
-    return Result(
-        id="",
-        at=0.0,
+    return ProcedureResult(
         outcome="unverified" if fault else "verified",
         message=joined([*conclude(found), fault]),
-        found=[one.for_contract() for one in found],
+        found=tuple(found),
     )
 
 

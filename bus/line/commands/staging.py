@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bus.catalogue.status import status_bits
-from bus.contract import Outcome, Result
+from bus.contract import Outcome
 from bus.errors import unit_refused
 from bus.line.commands.execution import executed, unchanged, verify, verify_all
 from bus.line.commands.member import Member, member_of
@@ -28,6 +28,7 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.commands.readback import verify_unchanged
+from bus.line.commands.result import ProcedureResult
 from bus.line.commands.withdrawal import SuspendedStages, stopped, withdraw_all
 from bus.line.commands.writes import not_sent, outcome_without_readback
 from bus.line.exchange.send import Send, SendStatus
@@ -68,7 +69,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
         outcome, message = not_sent(ALL_UNITS, sent)
-        return Result(id="", at=0.0, outcome=outcome, message=message)
+        return ProcedureResult(outcome, message)
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         if member.unit in knew:
@@ -122,7 +123,7 @@ def _why_stopped(member: Member) -> tuple[Outcome, Message]:
     return "not_sent", Message("deadline_passed_staging")
 
 
-def _no_time(members: list[Member], context: CommandContext) -> Result:
+def _no_time(members: list[Member], context: CommandContext) -> ProcedureResult:
     seconds = context.exchange_s * len(members)
     message = Message.of(
         "change_too_long",
@@ -130,4 +131,4 @@ def _no_time(members: list[Member], context: CommandContext) -> Result:
         seconds=round(seconds, 1),
         allowed=round(max(context.time_left_s, 0), 1),
     )
-    return Result(id="", at=0.0, outcome="not_sent", message=message)
+    return ProcedureResult("not_sent", message)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bus.contract import Outcome, Result, UnitOutcome
+from bus.contract import Outcome, UnitOutcome
 from bus.line.commands.member import Member
 from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, send
 from bus.line.commands.readback import present_setpoint
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message
@@ -55,20 +56,18 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
     )
 
 
-def stopped(members: list[Member], outcome: Outcome, reason: Message) -> Result:
+def stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
     """The fate of a change that ended before its broadcast, and which units may hold what was staged."""
     units = [member.outcome or _untouched(member) for member in members]
     left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
     refusals = [each.unit_error for each in units if each.unit_error is not None]
-    return Result(
-        id="",
-        at=0.0,
+    return ProcedureResult(
         outcome=outcome,
         message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
         if left
         else Message.of("no_unit_changed", reason=reason),
         unit_error=refusals[0] if refusals else None,
-        units=sorted(units, key=lambda each: each.unit),
+        units=tuple(sorted(units, key=lambda each: each.unit)),
     )
 
 

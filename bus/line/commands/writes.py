@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bus.contract import Outcome, Result, UnitOutcome
+from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_error, unit_refused
 from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
 from bus.line.commands.readback import (
@@ -15,6 +15,7 @@ from bus.line.commands.readback import (
     verify_parameter,
     verify_speed,
 )
+from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message
@@ -154,14 +155,12 @@ def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | No
     )
 
 
-def result_of_one(outcome: UnitOutcome) -> Result:
-    """The result of a command to one unit; id, time and frames are the poller's to add."""
-    return Result(
-        id="",
-        at=0.0,
+def result_of_one(outcome: UnitOutcome) -> ProcedureResult:
+    """The result of a command to one unit."""
+    return ProcedureResult(
         outcome=outcome.outcome,
         message=outcome.message,
         unit_error=outcome.unit_error,
         read_back=outcome.read_back,
-        units=[outcome],
+        units=(outcome,),
     )

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import FoundUnit
 from bus.messages import Message
 
 Checksum10h = Literal["once", "twice"]
@@ -39,10 +38,6 @@ class Found:
     answered_within_s: float | None = None
     late: bool = False
     """Whether some of its responses came after their window."""
-
-    def for_contract(self) -> FoundUnit:
-        """The part of it that the app is told."""
-        return FoundUnit(self.unit, self.baud, self.kind, list(self.parameters), list(self.remarks))
 
 
 def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:

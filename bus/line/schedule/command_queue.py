@@ -1,11 +1,11 @@
-"""All commands that wait or are under way: whose turn it is, and who must not be mixed with whom. Pure."""
+"""All commands that wait or are under way: which is next, and which must not be mixed. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
-from bus.contract import Result
 from bus.line.commands.command_run import CommandRun, Priority
+from bus.line.commands.result import ProcedureResult
 from bus.messages import Message
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses
@@ -39,6 +39,12 @@ class CommandQueue:
                 run.context.cancelled = True
                 if not run.begun:
                     run.end(_never_begun(Message("canceled_before_sending")))
+
+    def note_overdue(self, units: Iterable[int]) -> None:
+        """Responses of these units came too late, while commands were under way."""
+        for run in self._all:
+            if run.begun:
+                run.context.overdue.update(units)
 
     def next_request(
         self, now: float, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
@@ -99,5 +105,5 @@ class CommandQueue:
         return True
 
 
-def _never_begun(message: Message) -> Result:
-    return Result(id="", at=0.0, outcome="not_sent", message=message)
+def _never_begun(message: Message) -> ProcedureResult:
+    return ProcedureResult("not_sent", message)

@@ -57,16 +57,12 @@ def _middle_of(place: int) -> float:
 
 
 class UnitStatistics:
-    """What became of every request to one unit since the worker started.
+    """What became of every request to one unit since the worker started."""
 
-    ``overdue``: how many responses came after their window, while another unit was asked.
-    """
-
-    __slots__ = ("counts", "overdue", "times")
+    __slots__ = ("counts", "times")
 
     def __init__(self, unit: int) -> None:
         self.counts = UnitCounts(unit)
-        self.overdue = 0
         self.times = ResponseTimes()
 
     def refused(self, code: int) -> None:

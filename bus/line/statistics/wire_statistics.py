@@ -8,7 +8,6 @@ from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
 from bus.wire.commands import Nak, ReadStatusRequest
 from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
-from bus.wire.fence import PendingByUnit
 from bus.wire.framing import Fault, Noise
 
 StrayFrame = Echo | Foreign | Doubled | Late | Unexpected
@@ -39,13 +38,13 @@ class WireStatistics:
         if noise.reason is Fault.CHECKSUM:
             self._roster[addressed].statistics.counts.checksum_errors += 1
 
-    def stray_frame(self, event: StrayFrame, addressed: int, pending: PendingByUnit) -> None:
+    def stray_frame(self, event: StrayFrame, addressed: int, *, is_overdue: bool) -> None:
         """A good frame that is not the response of ``addressed``."""
         match event:
             case Echo():
                 self.wire.echoes += 1
             case Foreign():
-                self._foreign(event, addressed, pending)
+                self._foreign(event, addressed, is_overdue=is_overdue)
             case Doubled() | Late():
                 self.late_or_duplicate(addressed)
             case Unexpected():
@@ -74,14 +73,9 @@ class WireStatistics:
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
 
-    def _foreign(self, event: Foreign, addressed: int, pending: PendingByUnit) -> None:
-        """Another unit's frame: late where that unit owes one or says its last once more, else a mistake.
-
-        It ends no doubt about that unit, for it may be of a third one that answers to a wrong address.
-        """
-        overdue = bool(pending.about(event.unit).outstanding)
-        self._roster[event.unit].statistics.overdue += overdue
-        if overdue or event.frame.wire == self._last_answer:
+    def _foreign(self, event: Foreign, addressed: int, *, is_overdue: bool) -> None:
+        """Another unit's frame: late where it is overdue or repeats the last response, else a mistake."""
+        if is_overdue or event.frame.wire == self._last_answer:
             self.late_or_duplicate(event.unit)
         elif addressed:
             self._roster[addressed].statistics.counts.foreign += 1
