@@ -1,6 +1,8 @@
-"""The exchange under way: its times, and what came in beside its answer."""
+"""The exchange under way: its times, and what came in beside its response."""
 
 from __future__ import annotations
+
+import asyncio
 
 import msgspec
 
@@ -14,25 +16,32 @@ class CurrentExchange(msgspec.Struct):
     """Times are the line's own, in seconds."""
 
     exchange: Exchange
+    response: asyncio.Future[ExchangeResult]
     began: float
     ends_sending: float
     """When the request's last byte has left."""
     last_moment: float
-    """No answer can come later, whenever this process gets to hear it."""
+    """No response can come later, whenever this process receives it."""
     frame: bytes = b""
-    """The answer, as it was on the wire."""
+    """The response, as it was on the wire."""
     garbled: bool = False
     unexpected: bool = False
     late: int = 0
     overdue: tuple[int, ...] = ()
 
-    def result(self, clock: LineClock, now: float) -> ExchangeResult:
-        """How it ended, at ``now``."""
+    def end(self, clock: LineClock, now: float) -> None:
+        """It ends as it is at ``now``; nothing awaits the result once the worker ends."""
+        if not self.response.done():
+            self.response.set_result(self._result(clock, now))
+
+    def _result(self, clock: LineClock, now: float) -> ExchangeResult:
         exchange = self.exchange
         responded_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
         return ExchangeResult(
             exchange.request,
             exchange.reply,
+            self.began,
+            now,
             clock.epoch(self.ends_sending),
             responded_at,
             b"" if exchange.prepared.secret else self.frame,
