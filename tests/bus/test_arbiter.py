@@ -7,7 +7,7 @@ from bus.line.commands.procedure import CommandContext, Procedure
 from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
-from bus.line.schedule.arbiter import Arbiter, Turn
+from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect
 from bus.wire.commands import Ack, ReadStatusRequest, Reply, Request, SetAndExecuteSpeedRequest, StatusReply
@@ -34,7 +34,7 @@ class Line:
         while self.schedule.parameters.next_needed():
             """All that is needed is known."""
 
-    def poll(self) -> Turn:
+    def poll(self) -> NextRequest:
         """The next turn; a poll, when nothing else is due."""
         turn = self.next()
         while not isinstance(turn.request, ReadStatusRequest):
@@ -42,14 +42,14 @@ class Line:
             turn = self.next()
         return turn
 
-    def next(self) -> Turn:
+    def next(self) -> NextRequest:
         """The next turn, a poll's time later."""
         self.time += POLL_S
-        turn = self.turns.next_turn(self.time)
+        turn = self.turns.next_request(self.time)
         assert turn is not None
         return turn
 
-    def settle(self, turn: Turn, reply: Reply | None) -> bool:
+    def settle(self, turn: NextRequest, reply: Reply | None) -> bool:
         """Its exchange is over."""
         result = ExchangeResult(turn.request, reply, self.time - POLL_S, self.time, self.time)
         return self.turns.settle(turn, result)
@@ -107,7 +107,7 @@ def test_a_write_without_a_response_is_tried_again_too() -> None:
     run = _write(2)
     line.turns.commands.add(run)
     line.settle(polled, _answer(polled.request))
-    write = Turn(SetAndExecuteSpeedRequest(2, 500), run)
+    write = NextRequest(SetAndExecuteSpeedRequest(2, 500), run)
     assert line.next() == write
     assert line.settle(write, None), "it is tried again"
     assert line.next() == write

@@ -22,7 +22,7 @@ PACE = 0.8
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 
-class Turn(NamedTuple):
+class NextRequest(NamedTuple):
     """The next use of the wire. ``run``: the command that sends; None: the schedule."""
 
     request: Request
@@ -30,7 +30,7 @@ class Turn(NamedTuple):
 
 
 class Arbiter:
-    """``next_turn``, then ``settle`` with how its exchange ended.
+    """``next_request``, then ``settle`` with how its exchange ended.
 
     ``pending_of``: what a unit may still send late. ``exchange_s``: what a read takes on the wire.
     """
@@ -63,21 +63,21 @@ class Arbiter:
             self._reserved_at = now
             self._reserved_until = now + RESERVED_S
 
-    def next_turn(self, now: float) -> Turn | None:
+    def next_request(self, now: float) -> NextRequest | None:
         """What is sent now; None: nothing before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll()) is not None:
                 self._routine = _routine(poll)
-            return self._routine_turn(now)
-        return self._command_turn(now) or self._routine_turn(now)
+            return self._routine_request(now)
+        return self._command_request(now) or self._routine_request(now)
 
-    def foresee(self, under_way: Turn, now: float) -> Turn | None:
+    def foresee(self, under_way: NextRequest, now: float) -> NextRequest | None:
         """What follows ``under_way`` if its response is an ordinary one; None where that decides it.
 
         An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
         then what was foreseen has its turn after it.
         """
-        if not self.may_follow(now) or not self._is_poll(under_way):
+        if len(self.commands) or now < self._reserved_until or not self._is_poll(under_way):
             return None
         if self._foreseen is None:
             task = self.schedule.next(now)
@@ -86,11 +86,7 @@ class Arbiter:
             return None
         task, attempts = self._foreseen
         request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
-        return Turn(request) if request is not None and request == attempts.send.request else None
-
-    def may_follow(self, now: float) -> bool:
-        """Whether what was foreseen is still next."""
-        return not len(self.commands) and now >= self._reserved_until
+        return NextRequest(request) if request is not None and request == attempts.send.request else None
 
     def follow(self, now: float) -> None:
         """What was foreseen has left at ``now``, and the turn before it is settled."""
@@ -98,7 +94,7 @@ class Arbiter:
         self._routine, self._foreseen = self._foreseen, None
         self._pace(self._routine[1].send.request, now)
 
-    def settle(self, turn: Turn, exchange: ExchangeResult) -> bool:
+    def settle(self, turn: NextRequest, exchange: ExchangeResult) -> bool:
         """The exchange of ``turn`` is over; whether it is tried again, as nothing responded."""
         run = turn.run
         if run is not None:
@@ -117,13 +113,13 @@ class Arbiter:
 
     # --- commands ------------------------------------------------------------------------------
 
-    def _command_turn(self, now: float, *, slow: bool = False) -> Turn | None:
+    def _command_request(self, now: float, *, slow: bool = False) -> NextRequest | None:
         chosen = self.commands.next_request(now, self._pending_of, slow=slow)
         if chosen is None:
             return None
         run, request = chosen
         self._reserved_until = now
-        return Turn(request, run)
+        return NextRequest(request, run)
 
     def _leave_a_poll(self, now: float) -> bool:
         """A look at parameters takes every second turn at most: who reads many must not blind the others."""
@@ -136,7 +132,7 @@ class Arbiter:
 
     # --- the schedule --------------------------------------------------------------------------
 
-    def _is_poll(self, turn: Turn) -> bool:
+    def _is_poll(self, turn: NextRequest) -> bool:
         if turn.run is not None or self._routine is None:
             return False
         task, attempts = self._routine
@@ -146,7 +142,7 @@ class Arbiter:
             and task.unit in self.schedule.poll_order
         )
 
-    def _routine_turn(self, now: float) -> Turn | None:
+    def _routine_request(self, now: float) -> NextRequest | None:
         if now < max(self._not_before, self._reserved_until):
             return None
         slow_waits = self.commands.slow_waits
@@ -159,7 +155,7 @@ class Arbiter:
             if task.kind is not TaskKind.SLOW:
                 self._routine = _routine(task)
                 break
-            turn = self._command_turn(now, slow=True)
+            turn = self._command_request(now, slow=True)
             if turn is not None:
                 self._pace(turn.request, now)
                 return turn
@@ -168,7 +164,7 @@ class Arbiter:
         request = attempts.next_request(now, self._pending_of(task.unit))
         assert request is not None
         self._pace(request, now)
-        return Turn(request)
+        return NextRequest(request)
 
     def _settle_routine(self, task: Task, attempts: SendAttempts, exchange: ExchangeResult) -> bool:
         again = attempts.settle(exchange)
