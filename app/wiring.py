@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -28,6 +28,7 @@ from app.bus_service import BusDependencies, BusService
 from app.commands.service.idempotency_cache import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
+from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
 from app.history.pages.warming import warm
@@ -56,7 +57,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.instants import UnixTime, unix_now
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 log = structlog.get_logger()
 
@@ -141,7 +142,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
         notices=partial(_notices, history, anchoring),
-        history_fault=lambda: in_english(history.status.message),
+        history_fault=lambda: history.status.message,
     )
     hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
     return Services(
@@ -218,12 +219,19 @@ async def running(services: Services) -> AsyncIterator[None]:
         await _end(services)
 
 
+def _store_changed(steps: Sequence[Migration]) -> Message:
+    """The event of a store that was brought up to date, or made."""
+    if steps[0].number == FIRST:
+        return Message("event_store_created")
+    names = ", ".join(f"{step.number:04d} {step.name}" for step in steps)
+    return Message.of("event_store_updated", steps=names)
+
+
 async def _begin(services: Services) -> None:
     services.history.start()
     await services.events.close_open_intents()
-    steps = ", ".join(f"{step.number:04d} {step.name}" for step in services.database.migrated)
-    if steps:
-        await services.events.record(kind="server", what=Message.of("event_store_updated", steps=steps))
+    if services.database.migrated:
+        await services.events.record(kind="server", what=_store_changed(services.database.migrated))
     await services.events.record(kind="server", what=Message("event_server_started"))
     key_file = services.events.keys.path
     if key_file is not None and key_file.is_relative_to(services.settings.server.data):

@@ -8,7 +8,7 @@ import sys
 TABLES = {
     "wire": "the wire: polls, gaps, a dead unit",
     "buses": "what bus workers cost: one to sixteen",
-    "commands": "a wish: from the request to the wire, and many units as one",
+    "commands": "a command: from the request to the wire, and many units as one",
     "screen": "the screen: from the wire to the pixel, with many browsers",
     "board": "the board: 8 to 255 units changing four times a second, on a slow device",
     "screen_memory": "the board: what a page keeps after ten minutes (only when named)",

@@ -51,7 +51,7 @@ def run() -> None:
     header = [
         "units",
         "main thread",
-        "changes a second of each in sight",
+        "changes a second of each visible unit",
         "of each scrolled away",
         "keys seen",
         "longest wait",

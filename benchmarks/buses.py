@@ -15,7 +15,7 @@ from app.cli.child import ended
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import served_lines
 from benchmarks.tables import microseconds, show
-from benchmarks.witness import SHORTEST_POLL_ANSWER
+from benchmarks.witness import SHORTEST_POLL_RESPONSE
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
@@ -43,9 +43,9 @@ def run() -> None:
     ]
     note = (
         f"{UNITS} units a bus, {BAUD} baud, paced; {MEASURED_S:g} s. CPU: of a core; at most 3 % for one.\n"
-        "  The simulated lines run on the same machine, one process each: where it has not the cores for\n"
-        "  all, the polls are fewer, and what one of them costs is what counts. Not measured: not every\n"
-        f"  worker asked within {BEGUN_WITHIN_S:g} s, or one ended."
+        "  The simulated lines run on the same machine, one process each: with fewer cores than\n"
+        "  processes the polls are fewer, and only the cost of one poll counts. Not measured: not every\n"
+        f"  worker polled within {BEGUN_WITHIN_S:g} s, or one ended."
     )
     show("What workers cost", header, [[str(count), *_row(count)] for count in COUNTS], note)
 
@@ -65,7 +65,7 @@ def _row(count: int) -> list[str]:
 
 
 class _Line:
-    """A simulated line in a process of its own, which a fork makes in no time."""
+    """A simulated line in a separate process, made by a fork to start quickly."""
 
     def __init__(self, seed: int) -> None:
         here, there = FORK.Pipe()
@@ -75,7 +75,7 @@ class _Line:
         self.port: str = here.recv()
 
     def polls(self) -> int:
-        """Answered so far."""
+        """The number of polls with a response."""
         self._pipe.send("polls")
         answered: int = self._pipe.recv()
         return answered
@@ -90,8 +90,8 @@ def _play(seed: int, pipe: Connection) -> None:
     with LineServer(line, PtyPort(baud=BAUD)) as server, suppress(EOFError):
         pipe.send(server.port.name)
         while pipe.recv():
-            said = line.record.since(0, Happened.RESPONDED)
-            pipe.send(sum(len(entry.data) >= SHORTEST_POLL_ANSWER for entry in said))
+            responses = line.record.since(0, Happened.RESPONDED)
+            pipe.send(sum(len(entry.data) >= SHORTEST_POLL_RESPONSE for entry in responses))
 
 
 @contextmanager

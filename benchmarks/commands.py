@@ -1,4 +1,4 @@
-"""A wish: from the request to its first byte on the wire, and many units set as one."""
+"""A command: from the request to its first byte on the wire, and many units set as one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ REPEATS = 5
 SET_AND_EXECUTE = "84"
 STAGE = "82"
 PAUSE_S = 0.037
-"""Between two wishes; no multiple of a poll, so that they fall anywhere in one."""
+"""Between two commands; no multiple of a poll, so that they fall at any phase of one."""
 
 
 def run() -> None:
@@ -56,11 +56,11 @@ def _show_commands(served: Site) -> None:
             raw = 1100 + number
             since = _last_number(served)
             begun = time.monotonic()
-            answer = client.post(
+            response = client.post(
                 f"/buses/line/units/{number % 8 + 1}/speed", json={"raw": raw, "execute": True}
             )
             to_result.append(time.monotonic() - begun)
-            assert answer.json()["outcome"] == "verified", answer.text
+            assert response.json()["outcome"] == "verified", response.text
             to_wire.append(_first_came(served, since, SET_AND_EXECUTE)["at"] - begun)
             time.sleep(PAUSE_S)
     rows = [
@@ -70,7 +70,7 @@ def _show_commands(served: Site) -> None:
             milliseconds(_poll_s()),
         ],
         ["request → first byte of 84h on the wire", _middle(to_wire), _worst(to_wire)],
-        ["request → fate, read back", _middle(to_result), _worst(to_result)],
+        ["request → result, read back", _middle(to_result), _worst(to_result)],
     ]
     show(f"{COMMANDS} speeds set by HTTP while 8 units are polled", ["", "median", "p99"], rows)
 
@@ -83,10 +83,10 @@ def _show_many(served: Site) -> None:
         for turn in range(REPEATS):
             setpoints = {str(unit["id"]): {"raw": _near(unit) + turn} for unit in units}
             since = _last_number(served)
-            answer = client.post(
+            response = client.post(
                 "/buses/line/speeds", json={"setpoints": setpoints, "timeout_s": 30}, timeout=60
             )
-            assert answer.status_code == 200, answer.json()["detail"]
+            assert response.status_code == 200, response.json()["detail"]
             took = _took(served, since)
             rows.append([str(turn + 1), f"{took:.3f} s", f"{took / least:.3f}"])
     note = f"The wire alone needs {least:.3f} s: {MANY} stages acknowledged, one broadcast, {MANY} proofs."
@@ -99,7 +99,7 @@ def _show_many(served: Site) -> None:
 
 
 def _known_units(client: httpx.Client) -> list[dict[str, Any]]:
-    """All units, once each has been asked whether it follows another by ratio; else none."""
+    """Return all units once each has been read for whether it follows another by ratio; until then none."""
     found: list[dict[str, Any]] = client.get("/line").json()["buses"][0]["units"]
     return [] if any(unit["follower"] is None for unit in found) else found
 
@@ -126,9 +126,9 @@ def _poll_s(unit: int = 1) -> float:
     return _wire_s(ReadStatusRequest(unit), StatusReply(unit, 1100, 1100, 128, 0xC0, 3))
 
 
-def _wire_s(request: Request, *answers: Reply) -> float:
+def _wire_s(request: Request, *replies: Reply) -> float:
     dialect = Dialect()
-    frames = [encode_request(request, dialect), *(encode_reply(answer, dialect) for answer in answers)]
+    frames = [encode_request(request, dialect), *(encode_reply(reply, dialect) for reply in replies)]
     return wire_seconds(sum(map(len, frames)), BAUD)
 
 

@@ -1,4 +1,4 @@
-"""A server without a wire: a feeder speaks in place of its bus worker, and says more than a wire could."""
+"""A server without a wire: a feeder replaces its bus worker, and sends more than a wire could carry."""
 
 from __future__ import annotations
 

@@ -50,8 +50,9 @@ def _state(unit: int) -> UnitState:
 
 
 async def feed(url: str, token: str, units: int, rate: float) -> None:
-    """Speak as a worker until the server has ended. The server's own worker, which has no port, may come
-    in between the hello and the snapshot; then once more."""
+    """Act as a worker until the server has ended. The server's real worker, which has no port, may connect
+    between the hello and the snapshot; then connect a second time.
+    """
     address = url.replace("http", "ws", 1) + "/feed"
     headers = {"Authorization": f"Bearer {token}"}
     while True:
@@ -79,12 +80,12 @@ async def _listen(socket: ClientConnection) -> None:
 
 async def _speak(socket: ClientConnection, units: int, rate: float) -> None:
     at_once = max(1, round(units * rate / MOST_MESSAGES_S))
-    pause, due, told = at_once / (units * rate), time.monotonic(), 0
+    pause, due, sent = at_once / (units * rate), time.monotonic(), 0
     for seq in range(1, sys.maxsize):
         due += pause
         await asyncio.sleep(max(0.0, due - time.monotonic()))
-        updates: list[Update] = [reading(n % units + 1, n // units + 1) for n in range(told, told + at_once)]
-        told += at_once
+        updates: list[Update] = [reading(n % units + 1, n // units + 1) for n in range(sent, sent + at_once)]
+        sent += at_once
         await socket.send(encode(Batch(seq, time.time(), updates)))
 
 

@@ -1,4 +1,6 @@
-"""A browser that was never here: what a page weighs, and how long until it is live and answers a press."""
+"""A first visit without a cache: what a page weighs, and how long until it is live and responds to a
+click.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from tests.e2e.site import Site
 
 VISITS = 5
 PAGES = {"the line page": ("/", ".zero"), "a unit's page": ("/units/line/1", "button[value=now]")}
-"""What is opened, and what is pressed as soon as the page is live: each opens a review."""
+"""What is opened, and what is clicked as soon as the page is live: each opens a review."""
 PRESS_WHEN_LIVE = """selector => {
   const body = () => document.body?.dataset.link === 'live';
   new MutationObserver(() => {
@@ -46,14 +48,14 @@ def _visit(served: Site, chromium: Browser, path: str, presses: str) -> tuple[fl
     """(requests, bytes on the way, ms until live, ms until the review is open) of one new browser."""
     context = chromium.new_context(base_url=served.url, storage_state=signed_in(chromium, served, "operator"))
     page = context.new_page()
-    answers: list[Any] = []
-    page.on("requestfinished", lambda request: answers.append(request))
+    finished: list[Any] = []
+    page.on("requestfinished", lambda request: finished.append(request))
     page.add_init_script(f"({PRESS_WHEN_LIVE})({presses!r})")
     page.goto(path)
     page.wait_for_selector("dialog[open] [data-review-act]")
     page.wait_for_load_state("networkidle")
     live, opened = _times(page)
-    sizes = [request.sizes() for request in answers]
+    sizes = [request.sizes() for request in finished]
     weight = sum(size["responseBodySize"] + size["responseHeadersSize"] for size in sizes)
     context.close()
     return len(sizes), weight, live, opened

@@ -1,4 +1,4 @@
-"""History: how fast it stores, how small it is, how soon it answers, how soon a trend is drawn."""
+"""History: how fast it stores, how small it is, how soon it responds, how soon a trend is drawn."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ COMMIT = 2_500
 UNITS = 8
 START = 1_795_219_200.0
 NAIVE_DAYS = 3
-ASKED = 15
+QUERIES = 15
 FLOOD_S = 20.0
 PAGES = 7
 NAIVE = (
@@ -192,7 +192,7 @@ def _compact_one(hour: tuple[int, int], connection: sqlite3.Connection) -> None:
 
 
 def _bytes_in_use(path: Path) -> int:
-    """What is in pages that hold something, whatever the file has taken from the disk."""
+    """Return the bytes in pages with content, whatever the file has allocated on the disk."""
     with closing(sqlite3.connect(path)) as connection:
         names = ("page_count", "freelist_count", "page_size")
         pages, free, size = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names)
@@ -221,9 +221,9 @@ def _show_queries(folder: Path) -> None:
         ("30 days", 30),
         ("a year", 365),
     ):
-        ours = [_seconds(partial(_query, database, end, days)) for _ in range(ASKED)]
+        ours = [_seconds(partial(_query, database, end, days)) for _ in range(QUERIES)]
         part = min(days, NAIVE_DAYS)
-        theirs = [_seconds(partial(_ask_naive, naive, part)) for _ in range(3)]
+        theirs = [_seconds(partial(_query_naive, naive, part)) for _ in range(3)]
         beside = milliseconds(median(theirs)) + ("" if part == days else f" for {NAIVE_DAYS} days")
         ratio = f"{median(theirs) / median(ours):.1f}"
         rows.append([name, milliseconds(median(ours)), milliseconds(quantile(ours, 0.95)), beside, ratio])
@@ -257,7 +257,7 @@ def _naive(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def _ask_naive(connection: sqlite3.Connection, days: float) -> None:
+def _query_naive(connection: sqlite3.Connection, days: float) -> None:
     begin = START - days * 86_400
     connection.execute(NAIVE_QUERY, (begin, START, begin, days * 86.4)).fetchall()
 

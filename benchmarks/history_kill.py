@@ -55,14 +55,14 @@ def kill_once(folder: Path, after_s: float) -> After:
         [sys.executable, "-m", "benchmarks.history_victim", str(folder)], stdout=subprocess.PIPE, text=True
     )
     assert victim.stdout is not None
-    said = [victim.stdout.readline()]
+    printed = [victim.stdout.readline()]
     timer = threading.Timer(after_s, victim.kill)
     timer.start()
-    said += list(victim.stdout)
+    printed += list(victim.stdout)
     victim.wait()
     victim.stdout.close()
     timer.join()
-    number, newest = next(line for line in reversed(said) if line.endswith("\n")).split()
+    number, newest = next(line for line in reversed(printed) if line.endswith("\n")).split()
     return _look(folder / "flood", int(number), float(newest))
 
 
@@ -70,7 +70,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
     with sqlite3.connect(data / "lineside.db") as connection:
         connection.row_factory = sqlite3.Row
         there = connection.execute("SELECT count(*) FROM events WHERE id <= ?", (last_event,)).fetchone()[0]
-        whole = prove(connection).broken is None
+        intact = prove(connection).broken is None
     tail = Tail()
     database = Database(data / "history.db", MIGRATIONS)
     Recorder(database, tail).replay()
@@ -80,4 +80,4 @@ def _look(data: Path, last_event: int, newest: float) -> After:
     stored = max((folded or 0, *(run.until for _, run in tail.everything()))) / 1e6
     verdict = database.read_now(lambda connection: connection.execute("PRAGMA quick_check(1)").fetchone()[0])
     database.close()
-    return After(last_event - there, max(0.0, newest - stored), whole and verdict == "ok")
+    return After(last_event - there, max(0.0, newest - stored), intact and verdict == "ok")

@@ -22,8 +22,9 @@ PATTERNS = 3
 
 
 def readings(unit: int, start: float, seconds: float, seed: int = 0) -> Iterator[Reading]:
-    """What one of eight units says: its setpoint moves every half hour, its actual speed trembles, the poll
-    is a little uneven."""
+    """Yield the readings of one of eight units: the setpoint moves every half hour, the actual speed jitters,
+    the poll interval varies a little.
+    """
     chance = random.Random(seed + unit)
     actual = commanded = 12_000
     at, end = start, start + seconds

@@ -1,7 +1,7 @@
-"""A process to be killed: it stores 5,000 readings a second and some events, and says what it has done.
+"""A process to be killed: it stores 5,000 readings a second and some events, and prints its progress.
 
-``python -m benchmarks.history_victim FOLDER``: each line is the number of an event that is on disk, and
-the time of the newest reading that was taken in.
+``python -m benchmarks.history_victim FOLDER``: each line is the number of an event that is on disk, and the
+time of the newest reading that was taken in.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Modbus RTU units behind the simulator's paced port, so that Modbus hosts meet the very same wire.
 
-A request has 8 bytes and an answer 17: together 25, as with READ SPEED AND STATUS.
+A request has 8 bytes and a response 17: together 25, as with READ SPEED AND STATUS.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ _IDLE_S = 0.05
 
 @dataclass
 class ModbusLine:
-    """Answers every read of holding registers at once; ``LineServer`` takes it for a ``SimulatedLine``."""
+    """Responds to every read of holding registers at once; ``LineServer`` takes it for a
+    ``SimulatedLine``.
+    """
 
     baud: int = 9600
     record: WireRecord = field(default_factory=WireRecord)
@@ -36,10 +38,10 @@ class ModbusLine:
         while len(self._pending) >= _REQUEST_BYTES:
             request = bytes(self._pending[:_REQUEST_BYTES])
             del self._pending[:_REQUEST_BYTES]
-            answer = with_crc(bytes((request[0], 3, 2 * REGISTERS)) + bytes(2 * REGISTERS))
-            self.record.add(arrivals[-1], Happened.RESPONDED, request[0], answer)
-            ends = self._replies.transmit(request[0], arrivals[-1], answer, byte_s)
-            self.record.add(ends, Happened.SENT, 0, answer)
+            response = with_crc(bytes((request[0], 3, 2 * REGISTERS)) + bytes(2 * REGISTERS))
+            self.record.add(arrivals[-1], Happened.RESPONDED, request[0], response)
+            ends = self._replies.transmit(request[0], arrivals[-1], response, byte_s)
+            self.record.add(ends, Happened.SENT, 0, response)
 
     def advance(self, now: float) -> bytes:
         self._woken = now

@@ -1,4 +1,4 @@
-"""A viewer's page in Chromium, for whoever measures what happens on it."""
+"""A viewer's page in Chromium, for measurements."""
 
 from __future__ import annotations
 

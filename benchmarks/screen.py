@@ -1,4 +1,4 @@
-"""The screen: from the last byte of an answer to the changed text in Chromium, alone and among many."""
+"""The screen: from the last byte of a response to the changed text in Chromium, alone and among many."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run() -> None:
             rows += _crowds(served, page, CROWDS if units == UNITS else GROWTH_CROWDS)
     header = ["units, browsers", "changes", "median", "p99", "server", "worker", "memory", "a browser more"]
     note = "CPU of one core, memory of both. " + NODE_RED
-    show("An answer's last byte → changed text in Chromium", header, rows, note)
+    show("A response's last byte → changed text in Chromium", header, rows, note)
 
 
 def _crowds(served: Site, page: Page, crowds: Iterable[int]) -> Iterator[list[str]]:
@@ -89,7 +89,7 @@ def _delays(served: Site, page: Page, groups: list[list[int]]) -> tuple[list[flo
 
 
 def _ramp(served: Site) -> None:
-    """To the other end of the scale, so that every answer says something new."""
+    """Ramp to the other end of the scale, so that every response has a new value."""
     with served.api("operator") as client:
         units = client.get("/line").json()["buses"][0]["units"]
         # Followers take a ratio, and come along with their master.
@@ -100,21 +100,23 @@ def _ramp(served: Site) -> None:
 
 
 def _sent(served: Site, since: int, offset: float) -> dict[int, list[tuple[float, int]]]:
-    """For each unit the times (epoch) at which its status answers were out, and the actual speed in them."""
+    """Return for each unit the times (epoch) at which its status responses were out, with their actual
+    speeds.
+    """
     found: dict[int, list[tuple[float, int]]] = {}
-    said: tuple[int, int] | None = None
+    responded: tuple[int, int] | None = None
     for entry in served.line.remote.do("record", since=since, kinds=["responded", "sent"]):
         data = bytes.fromhex(entry["hex"])
         if entry["what"] == "responded":
-            said = (entry["unit"], int.from_bytes(data[6:10])) if len(data) > 10 else None
-        elif said is not None:
-            found.setdefault(said[0], []).append((entry["at"] + offset, said[1]))
-            said = None
+            responded = (entry["unit"], int.from_bytes(data[6:10])) if len(data) > 10 else None
+        elif responded is not None:
+            found.setdefault(responded[0], []).append((entry["at"] + offset, responded[1]))
+            responded = None
     return found
 
 
 def _delay(sent: list[tuple[float, int]], at: float, actual: int | None) -> float | None:
-    """Since the answer that brought this text: the last before it with that value."""
+    """Return the time since the response that brought this text: the last before it with that value."""
     times = [out for out, value in sent if out <= at and value == actual]
     return at - times[-1] if times else None
 

@@ -1,5 +1,6 @@
-"""A page left open: what it keeps after ten minutes of 255 units changing four times a second. Takes eleven
-minutes, so it runs only when asked for."""
+"""Memory of a page left open for ten minutes with 255 units changing four times a second. Takes eleven
+minutes, so it runs only when named.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A backup: what it takes of the wire while nobody watches, and what it costs whoever does."""
+"""A backup: its share of the wire without and with an open page."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ POLL, READ = "81", "85"
 
 
 def run() -> None:
-    """One table: nobody watches 32 units; somebody watches 8."""
+    """Print one table: 32 units without an open page; 8 with one."""
     rows = []
     with _line(UNITS) as served:
         _, took, least = _back_up(served)
-        rows.append([f"{UNITS} units, nobody watches", f"{took:.1f} s", f"{took / least:.3f}", ""])
-    with _line(WATCHED_UNITS) as served, _somebody(served):
+        rows.append([f"{UNITS} units, no open page", f"{took:.1f} s", f"{took / least:.3f}", ""])
+    with _line(WATCHED_UNITS) as served, _open_page(served):
         calm = _polls_a_second(served, CALM_S)
         polls, took, least = _back_up(served)
         kept = polls / took / calm
         rows.append(
             [f"{WATCHED_UNITS} units, watched", f"{took:.1f} s", f"{took / least:.3f}", f"{kept:.2f}"]
         )
-    note = "Its frames: every 85h and its answer."
+    note = "Its frames: every 85h and its response."
     show("lineside backup", ["", "took", "÷ wire time of its frames", "the scan keeps"], rows, note)
 
 
@@ -50,7 +50,7 @@ def _line(units: int) -> Iterator[Site]:
 
 
 @contextmanager
-def _somebody(served: Site) -> Iterator[None]:
+def _open_page(served: Site) -> Iterator[None]:
     command = [sys.executable, "-m", "benchmarks.onlookers", served.url, served.tokens["viewer"], "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -64,7 +64,9 @@ def _somebody(served: Site) -> Iterator[None]:
 
 
 def _back_up(served: Site) -> tuple[int, float, float]:
-    """Polls meanwhile, seconds from the first 85h to the last answer, and the wire time of its frames."""
+    """Return the polls meanwhile, the seconds from the first 85h to the last response, and the wire time of
+    its frames.
+    """
     since = _record(served, 0)[-1]["number"]
     out = served.folder / "backup.toml"
     command = [LINESIDE, "backup", "--url", served.url, "--token", served.tokens["engineer"], "--bus", "line"]
@@ -84,7 +86,7 @@ def _polls_a_second(served: Site, seconds: float) -> float:
 
 
 def _record(served: Site, since: int) -> list[dict[str, Any]]:
-    """What came in and what was answered, in the order of time."""
+    """Return requests and responses in the order of time."""
     found: list[dict[str, Any]] = served.line.remote.do("record", since=since, kinds=["came", "sent"])
     return sorted(found, key=lambda frame: float(frame["at"]))
 

@@ -63,7 +63,7 @@ def _onlookers(folder: Path) -> Iterator[None]:
     ]
     number = tomllib.loads(config.read_text(encoding="utf-8"))["server"]["port"]
     url = f"http://127.0.0.1:{number}"
-    eventually(lambda: _serves(url), f"an answer from {url}", within=START_S)
+    eventually(lambda: _serves(url), f"a response from {url}", within=START_S)
     with onlookers(url, token, ONLOOKERS, trace="line"):
         yield
 
@@ -93,8 +93,8 @@ def _show_rates() -> None:
         rows.append([name, f"{seen.rate:.1f}", part, *gaps, f"{cpu:.1%}", f"{memory:.0f} MiB"])
     header = ["host", "polls/s", "of the wire", "gap median", "gap p99", "CPU of one core", "memory"]
     note = (
-        "Of the wire: the byte times of all answered exchanges, polls and the few parameter reads alike.\n"
-        "  Gap: from the last byte of an answer to the first byte of the next request. No turnaround.\n"
+        "Of the wire: the byte times of all completed exchanges, polls and the few parameter reads.\n"
+        "  Gap: from the last byte of a response to the first byte of the next request. No turnaround.\n"
         "  Lineside keeps its history while it is measured."
     )
     show(f"{UNITS} units at {BAUD} baud, polled for {MEASURED_S:g} s", header, rows, note)
@@ -102,7 +102,7 @@ def _show_rates() -> None:
 
 def _show_dead_unit() -> None:
     rows = []
-    for name in ("bare asyncio loop", "Lineside, whole"):
+    for name in ("bare asyncio loop", "Lineside, complete"):
         healthy, _, _ = _measure(HOSTS[name], _simulated(Faults()))
         faults = Faults()
         faults.set(FaultKind.DEAD, 1.0, DEAD)
@@ -135,8 +135,8 @@ def _settle(server: LineServer) -> None:
     for _ in range(LONGEST_SETTLING):
         number = _last_number(server)
         time.sleep(SETTLING_S)
-        heard = [entry for entry in _record(server, number) if entry.what is Happened.RECEIVED]
-        reads = sum(entry.data[1] == READ_PARAMETER for entry in heard)
+        requests = [entry for entry in _record(server, number) if entry.what is Happened.RECEIVED]
+        reads = sum(entry.data[1] == READ_PARAMETER for entry in requests)
         if _last_number(server) > number and reads <= READS_OF_A_SETTLED_HOST:
             return
 
@@ -178,5 +178,5 @@ HOSTS: dict[str, Host] = {
     "bare asyncio loop": _peer("bare"),
     "pymodbus": _peer("pymodbus_loop"),
     "minimalmodbus": _peer("minimalmodbus_loop"),
-    "Lineside, whole": _lineside,
+    "Lineside, complete": _lineside,
 }

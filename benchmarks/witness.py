@@ -1,4 +1,4 @@
-"""What the simulated line saw of a host: how much it asked, and how long it kept the wire idle."""
+"""A host as the simulated line sees it: how much it polls, and how long it leaves the wire idle."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from dataclasses import dataclass
 from benchmarks.tables import median, quantile
 from bus.simulator.record import Happened, WireEvent
 
-SHORTEST_POLL_ANSWER = 10
-"""Bytes; the answer to a parameter or a write has fewer."""
+SHORTEST_POLL_RESPONSE = 10
+"""Bytes; the response to a parameter read or a write has fewer."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """``rate``: answered polls a second; ``octets``: bytes of all answered exchanges a second; ``gaps``: from
-    an answer's last byte to the next request's first."""
+    """``rate``: completed polls a second; ``octets``: bytes of all completed exchanges a second; ``gaps``:
+    from a response's last byte to the next request's first.
+    """
 
     rate: float
     octets: float
@@ -32,22 +33,22 @@ class Seen:
 
 
 def look(entries: Iterable[WireEvent], seconds: float) -> Seen:
-    """The host's doings in a stretch of the record that lasted ``seconds``."""
-    said: dict[int, int] = {}
+    """Evaluate the host over a part of the record that lasted ``seconds``."""
+    responses: dict[int, int] = {}
     gaps: list[float] = []
-    answered_at: float | None = None
-    asked = octets = 0
+    responded_at: float | None = None
+    requested = octets = 0
     for entry in entries:
         if entry.what is Happened.SENT:
-            answered_at = entry.at
-            octets += asked + len(entry.data)
-            asked = 0
-        elif entry.what is Happened.RESPONDED and len(entry.data) >= SHORTEST_POLL_ANSWER:
-            said[entry.unit] = said.get(entry.unit, 0) + 1
+            responded_at = entry.at
+            octets += requested + len(entry.data)
+            requested = 0
+        elif entry.what is Happened.RESPONDED and len(entry.data) >= SHORTEST_POLL_RESPONSE:
+            responses[entry.unit] = responses.get(entry.unit, 0) + 1
         elif entry.what is Happened.CAME:
-            asked = len(entry.data)
-            if answered_at is not None:
-                gaps.append(entry.at - answered_at)
-                answered_at = None
-    per_unit = {unit: count / seconds for unit, count in sorted(said.items())}
+            requested = len(entry.data)
+            if responded_at is not None:
+                gaps.append(entry.at - responded_at)
+                responded_at = None
+    per_unit = {unit: count / seconds for unit, count in sorted(responses.items())}
     return Seen(sum(per_unit.values()), octets / seconds, per_unit, gaps)

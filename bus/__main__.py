@@ -1,7 +1,7 @@
-"""``python -m bus --config FILE --bus NAME --app URL``: one bus worker as a process of its own.
+"""``python -m bus --config FILE --bus NAME --app URL``: one bus worker as a separate process.
 
 The token comes from the environment (LINESIDE_WORKER_TOKEN). A ``--child`` reads it from the first line of
-its standard input: a command line and an environment can be listed by ``ps``.
+its standard input, because ``ps`` can list a command line and an environment.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WRONG_USE = 2
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Gives the exit code: 0 told to leave, 2 wrong use."""
+    """Return the exit code: 0 after a stop on request, 2 for wrong use."""
     os.umask(0o077)
     options = _parser().parse_args(arguments)
     token = sys.stdin.readline().strip() if options.child else os.environ.pop(TOKEN_VARIABLE, "")

@@ -1,4 +1,4 @@
-"""Reading lineside.toml: what is wrong is said with the file, the line and what would be right."""
+"""Reads lineside.toml; errors name the file, the line and what would be right."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class ConfigurationError(LinesideError):
-    """The configuration cannot be used as it stands; each fault says where and what would be right."""
+    """The configuration cannot be used; each fault names its place and what would be right."""
 
     def __init__(self, *faults: Message) -> None:
         super().__init__(Message.of("several", messages=list(faults)))

@@ -1,6 +1,6 @@
 """Errors by whose fault: the caller's, the unit's, the wire's.
 
-Each message is a sentence that tells a person what happened and what to do.
+Each message states what happened and what to do.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ class LinesideError(Exception):
 
 
 class CallerError(LinesideError):
-    """What was asked cannot be done as asked; nothing was sent."""
+    """The request cannot be carried out; nothing was sent."""
 
 
 class UnitError(LinesideError):
-    """The unit answered, and refused."""
+    """The unit responded with a refusal."""
 
     def __init__(self, unit: int, code: int) -> None:
         super().__init__(unit_refused(unit, code))
@@ -32,7 +32,7 @@ class UnitError(LinesideError):
 
 
 class WireError(LinesideError):
-    """The port, the cable or an answer failed; whether the unit acted is not known."""
+    """The port, the cable or a response failed; whether the unit acted is not known."""
 
 
 class UnitErrorCode(IntEnum):

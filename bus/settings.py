@@ -1,4 +1,4 @@
-"""What a bus and its units are, as the configuration says it (``[[bus]]`` of lineside.toml)."""
+"""The settings of a bus and its units (``[[bus]]`` of lineside.toml)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class StrictModel(BaseModel):
 
 
 class Dialect(StrictModel):
-    """The open questions of the manual, answered for one bus. A real unit decides each of them."""
+    """The open points of the manual, decided for one bus. A real unit decides each of them."""
 
     checksum_10h: Literal["once", "twice"] = "once"
     """Whether a checksum byte of 10h is sent once or doubled like data."""
@@ -44,7 +44,7 @@ class Dialect(StrictModel):
     @field_validator("parameter_reply_bytes", "estop_healthy", mode="before")
     @classmethod
     def _is_a_number(cls, value: object) -> object:
-        """TOML's true is no 1, though Python's is: whoever writes it may mean the opposite."""
+        """Reject TOML's true, which Python takes for 1: its author may mean the opposite."""
         if type(value) is not int:
             raise ValueError("write a whole number, without quotes")
         return value
@@ -102,7 +102,7 @@ class BusSettings(Dialect):
 
     @property
     def turnaround_s(self) -> float:
-        """What a unit may take to begin its answer, seconds."""
+        """The time in seconds within which a unit begins its response."""
         return self.turnaround_ms / 1000
 
 

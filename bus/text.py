@@ -12,12 +12,12 @@ from bus.messages import Message
 _UNSEEN = frozenset(("Cc", "Cs", "Zl", "Zp"))
 """Categories of Unicode: control characters, halves of a pair, separators of lines."""
 _TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
-"""They make a text read differently from what it says."""
+"""Direction marks, which make a text read differently from its characters."""
 _BREAKS = frozenset("\t\n\r")
 
 
 def check_one_line(text: str) -> str:
-    """``text`` itself. Raises ValueError for a sign that nobody sees, or that ends the line."""
+    """Return ``text``. Raises ValueError for an invisible character, or one that ends the line."""
     return _seen(text, frozenset())
 
 

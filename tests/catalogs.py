@@ -1,5 +1,6 @@
-"""What the catalogs of app/messages must hold. ``python -m tests.catalogs`` adds what is missing and
-removes what nothing says any more."""
+"""What the catalogs of app/messages must contain. ``python -m tests.catalogs`` adds what is missing and
+removes what is no longer used.
+"""
 
 from __future__ import annotations
 
@@ -157,12 +158,12 @@ def write(path: Path, catalog: Catalog) -> None:
 
 
 def leftovers(path: Path) -> list[Key]:
-    """What a catalog holds and nothing says."""
+    """Return the entries of a catalog that are not used."""
     return [key for message in catalog_at(path) if message.id and (key := key_of(message)) not in wanted()]
 
 
 def bring_up_to_date(path: Path) -> None:
-    """Add what is missing to the catalog, untranslated, and remove what nothing says."""
+    """Add what is missing to the catalog, untranslated, and remove what is not used."""
     catalog = catalog_at(path)
     there = {key_of(message): message for message in catalog if message.id}
     for key in leftovers(path):

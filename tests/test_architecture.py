@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 LONGEST_FILE = 400
-NAMES_THAT_SAY_NOTHING = {"util", "utils", "helper", "helpers", "common", "misc", "manager", "managers"}
+MEANINGLESS_NAMES = {"util", "utils", "helper", "helpers", "common", "misc", "manager", "managers"}
 LEFT_BEHIND = re.compile(r"\b(TO[D]O|FIX[M]E|X{3})\b")
 REGISTRY = re.compile(
     r'"resolved": *"http|index' r"-url|^registry *=|pypi\.org|files\.pythonhosted|registry\.npmjs", re.M
@@ -51,9 +51,7 @@ def test_a_file_holds_one_idea() -> None:
 
 
 def test_names_say_something() -> None:
-    vague = (
-        path for path in tracked() if {path.stem, *path.relative_to(ROOT).parts} & NAMES_THAT_SAY_NOTHING
-    )
+    vague = (path for path in tracked() if {path.stem, *path.relative_to(ROOT).parts} & MEANINGLESS_NAMES)
     assert relative(vague) == []
 
 

@@ -1,4 +1,4 @@
-"""Every pure module has tests of its own."""
+"""Every pure module has a test file."""
 
 from __future__ import annotations
 

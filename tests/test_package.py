@@ -48,16 +48,18 @@ def test_it_holds_nothing_that_is_only_for_development(wheel: Path) -> None:
 
 def test_unpacked_elsewhere_it_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path)
-    say = "from app.web.assets import static_dir, templates_dir; print(static_dir()); print(templates_dir())"
-    said = subprocess.run(
-        [sys.executable, "-c", say],
+    program = (
+        "from app.web.assets import static_dir, templates_dir; print(static_dir()); print(templates_dir())"
+    )
+    folders = subprocess.run(
+        [sys.executable, "-c", program],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(tmp_path), "PATH": "/nowhere"},
         check=True,
         capture_output=True,
         text=True,
     ).stdout.split()
-    assert [Path(folder).relative_to(tmp_path) for folder in said] == [
+    assert [Path(folder).relative_to(tmp_path) for folder in folders] == [
         Path("app/_assets/static"),
         Path("app/_assets/templates"),
     ]

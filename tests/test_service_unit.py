@@ -65,8 +65,8 @@ def test_systemd_accepts_it_without_a_word(name: str, tmp_path: Path) -> None:
     unit = tmp_path / name
     unit.write_text(UNITS[name].replace(INSTALLED, str(LINESIDE)))
     done = subprocess.run(["systemd-analyze", "verify", unit], capture_output=True, text=True)
-    said = [line for line in done.stderr.splitlines() if name in line]
-    assert (said, done.returncode) == ([], 0)
+    errors = [line for line in done.stderr.splitlines() if name in line]
+    assert (errors, done.returncode) == ([], 0)
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -87,7 +87,7 @@ def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
 
 
 def test_every_command_of_the_service_runs_as_its_user() -> None:
-    """Nobody else may look into its folders."""
+    """No other user may read its folders."""
     assert [line for line in COMMANDS if INSTALLED in line and not line.startswith(AS_SERVICE)] == []
 
 
@@ -109,7 +109,7 @@ def test_its_folders_are_those_of_the_configuration() -> None:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A file system of its own, with the folders and the configuration that an administrator makes."""
+    """A temporary file system, with the folders and the configuration that an administrator makes."""
     for folder in (CONFIGURATION, STATE):
         (tmp_path / folder[1:]).parent.mkdir(parents=True, exist_ok=True)
     for command in COMMANDS:
@@ -180,10 +180,10 @@ def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root
 
         def serves() -> bool:
             try:
-                answer = httpx.get(f"http://127.0.0.1:{port}/healthz", trust_env=False)
+                response = httpx.get(f"http://127.0.0.1:{port}/healthz", trust_env=False)
             except httpx.TransportError:
                 return False
-            return answer.json() == {"status": "ok"}
+            return response.json() == {"status": "ok"}
 
         eventually(serves, "the dashboard serves")
         assert f"serving at http://127.0.0.1:{port}\n" in typed(root, "status")

@@ -21,6 +21,7 @@ from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
+from app.web.message_shown import MaybeMessage, maybe_shown
 from app.web.services import service
 from app.web.shape import iso
 from app.web.turns import DOWNLOAD, SEARCH
@@ -39,20 +40,21 @@ COLUMNS = (
 )
 
 
+class EventMessage(BaseModel):
+    """A text as data. A value that is a message has code and params too."""
+
+    code: str
+    params: dict[str, Any]
+
+
 class EventFrameShown(BaseModel):
     """One frame that carried a command."""
 
     at: Annotated[UnixTime, Field(description="Seconds since 1970.")]
     direction: Annotated[str, Field(description="out: a request, in: a response.")]
     data: Annotated[str, Field(description="The bytes on the wire, hexadecimal.")]
-    meaning: str
-
-
-class EventMessage(BaseModel):
-    """A text as data. A value that is a message has code and params too."""
-
-    code: str
-    params: dict[str, Any]
+    meaning: Annotated[str, Field(description="Its meaning, English.")]
+    meanings: Annotated[list[EventMessage], Field(description="meaning as data; none in older events.")] = []
 
 
 class EventShown(BaseModel):
@@ -148,7 +150,8 @@ class AuditVerification(BaseModel):
 
     entries: int
     broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")]
-    fault: str
+    fault: Annotated[str, Field(description="Why it is not intact, English; empty: it is.")]
+    fault_message: MaybeMessage
     unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")]
     anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")]
 
@@ -157,7 +160,8 @@ class AuditVerification(BaseModel):
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
     """Verify the complete log like ``lineside audit verify``, without the anchor."""
     verdict = await events.prove()
-    return AuditVerification.model_validate(vars(verdict) | {"fault": in_english(verdict.fault)})
+    fault = {"fault": in_english(verdict.fault), "fault_message": maybe_shown(verdict.fault)}
+    return AuditVerification.model_validate(vars(verdict) | fault)
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])

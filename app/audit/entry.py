@@ -64,4 +64,5 @@ def _frame(frame: Frame) -> dict[str, Any]:
         "direction": frame.direction,
         "data": frame.data.hex(" ").upper(),
         "meaning": frame.meaning,
+        "meanings": _plain(frame.meanings),
     }

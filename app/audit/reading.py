@@ -21,6 +21,7 @@ class FrameRecord(msgspec.Struct):
     direction: str
     data: str
     meaning: str
+    meanings: list[Message] = []
 
 
 def readable(row: Mapping[str, Any]) -> Event:

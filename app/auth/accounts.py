@@ -158,10 +158,13 @@ class Accounts:
         secret, now = rules.new_secret(), self._clock()
         expires_at = rules.token_expiry(now, expires_days)
         token = Token(0, name, role, str(by), now, None, bus or None, expires_at)
+
+        def add(connection: sqlite3.Connection) -> None:
+            rules.check_distinct(name, (each.name for each in store.tokens(connection)))
+            store.add_token(connection, rules.secret_hash(secret), token)
+
         try:
-            await self._database.write(
-                lambda connection: store.add_token(connection, rules.secret_hash(secret), token)
-            )
+            await self._database.write(add)
         except sqlite3.IntegrityError:
             raise CallerError(Message.of("token_exists", name=name)) from None
         what = Message.of("event_token_created", name=name, role=term(role))
@@ -178,8 +181,13 @@ class Accounts:
 
     async def _add(self, user: User, secret: str) -> None:
         hashed = await self._passwords.hash(secret)
+
+        def add(connection: sqlite3.Connection) -> None:
+            rules.check_distinct(user.name, (each.name for each in store.users(connection)))
+            store.add_user(connection, user, hashed)
+
         try:
-            await self._database.write(lambda connection: store.add_user(connection, user, hashed))
+            await self._database.write(add)
         except sqlite3.IntegrityError:
             raise CallerError(Message.of("user_exists", name=user.name)) from None
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import re
 import secrets
-from collections.abc import Collection
+import string
+import unicodedata
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from app.settings import Sessions
@@ -14,7 +15,11 @@ from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
-_NAME = re.compile(r"[\w.@-]{1,40}")
+LONGEST_NAME = 40
+_LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
+"""Of a name, each with or without accents: no letter of one script looks like one of another."""
+_SAME_SHAPE = str.maketrans("01i", "oll")
+"""What a sans-serif font does not tell apart, in small letters: ``I``, ``l`` and 1."""
 
 HOUR = 3600.0
 DAY = 24 * HOUR
@@ -52,9 +57,25 @@ USE_NOTED_EVERY_S = 60.0
 
 
 def check_name(name: str) -> None:
-    """Raises CallerError."""
-    if not _NAME.fullmatch(name):
+    """The name of a new user or token. Raises CallerError."""
+    is_composed = unicodedata.is_normalized("NFC", name)
+    is_latin = is_composed and all(unicodedata.normalize("NFD", each)[0] in _LETTERS for each in name)
+    if not is_latin or not 1 <= len(name) <= LONGEST_NAME:
         raise CallerError(Message.of("name_not_allowed", name=name[:80]))
+
+
+def check_distinct(name: str, names: Iterable[str]) -> None:
+    """Raises CallerError for a name that a person may take for one of ``names``."""
+    shape = _shape(name)
+    other = next((each for each in names if each != name and _shape(each) == shape), None)
+    if other is not None:
+        raise CallerError(Message.of("name_looks_like", name=name, other=other))
+
+
+def _shape(name: str) -> str:
+    """Alike for names that look alike (Unicode UTS 39, 4): without case, accents, zero width."""
+    plain = unicodedata.normalize("NFKD", name).casefold().translate(_SAME_SHAPE)
+    return "".join(each for each in plain if unicodedata.category(each)[0] not in "MC")
 
 
 def check_panel_role(role: Role) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import getpass
 import os
+import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from app.database.private import FOLDER_MODE
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +32,37 @@ def is_visible(path: Path) -> bool:
     """Whether it exists in a folder that this user may look into."""
     try:
         return path.exists()
-    except PermissionError:
+    except OSError:
         return False
 
 
 def may_make_files_in(folder: Path) -> bool:
-    """Whether it is a folder in which this user may make a file."""
-    return is_visible(folder) and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+    """Whether it is a folder in which this user can make a file. It is tried: root may write to ``/proc`` and
+    still cannot. The file is gone at once."""
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return False
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"x")
+    except OSError:
+        return False
+    return True
+
+
+def can_make_folder(folder: Path) -> bool:
+    """Whether it and its parents can be made where they are not there; they are removed at once."""
+    absent = [each for each in (folder, *folder.parents) if not is_visible(each)]
+    if absent and not may_make_files_in(absent[-1].parent):
+        return False
+    made: list[Path] = []
+    try:
+        for each in reversed(absent):
+            each.mkdir(FOLDER_MODE)
+            made.append(each)
+        return may_make_files_in(folder)
+    except OSError:
+        return False
+    finally:
+        for each in reversed(made):
+            with suppress(OSError):
+                each.rmdir()

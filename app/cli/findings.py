@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from app.cli.audit_findings import audit_findings
 from app.cli.counted import counted
-from app.cli.finding import Finding, is_visible, user
+from app.cli.finding import Finding, can_make_folder, is_visible, user
 from app.cli.listening import ListenError, listen
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
@@ -51,7 +51,7 @@ def _data(folder: Path) -> Finding:
     existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     if not existing.is_dir():
         return Finding(f"data: {existing} is no folder. Name another one as data in [server].", is_fault=True)
-    if not os.access(existing, os.W_OK | os.X_OK):
+    if not can_make_folder(folder):
         what = "write to" if existing == folder else "create"
         return Finding(
             f"data: {user()} may not {what} {folder}. Give the folder to the user that runs Lineside, name "

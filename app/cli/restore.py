@@ -135,7 +135,7 @@ def _row_text(row: Any) -> str:
 def _ending_text(ended: Any) -> str:
     verified = sum(row["outcome"] == "verified" for row in ended["rows"])
     rows = counted(len(ended["rows"]), "row")
-    end = f"{verified} of {rows} verified; read again as a whole: {ended['state']}"
+    end = f"{verified} of {rows} verified; complete read-back: {ended['state']}"
     return "\n".join([end, *(_left_out_text(left) for left in ended["left_out"] if left["differs"])])
 
 

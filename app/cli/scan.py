@@ -80,7 +80,7 @@ def scan(
     if not found:
         tried = ", ".join(str(done.baud) for done in scans)
         typer.echo(
-            f"lineside: nothing answered at {tried} baud; look at the wiring, at #17 and #18 of the units, "
+            f"lineside: no unit responded at {tried} baud; look at the wiring, at #17 and #18 of the units, "
             "or allow them longer with --turnaround-ms.",
             err=True,
         )
@@ -108,7 +108,7 @@ def announcement(
         how_long = f"all six baud rates: about {_duration(sum(seconds))}"
     else:
         how_long = (
-            f"{bauds[0]} baud, about {_duration(seconds[0])}, then the slower ones until something answers: "
+            f"{bauds[0]} baud, about {_duration(seconds[0])}, then the slower ones until a unit responds: "
             f"{_duration(sum(seconds))} at most"
         )
     return f"Scanning {port}, {which}, at {how_long}; each unit found adds up to 2 s. Ctrl-C ends it."
@@ -171,7 +171,7 @@ def _line(one: Found) -> str:
     if one.remote is not None:
         words.append("remote" if one.remote else "not remote: it refuses every write")
     if one.answered_within_s is not None:
-        words.append(f"answers within {1000 * one.answered_within_s:.1f} ms")
+        words.append(f"responds within {1000 * one.answered_within_s:.1f} ms")
     return ", ".join(words)
 
 

@@ -16,6 +16,8 @@ from bus.instants import unix_now
 from bus.messages import Message
 
 MIGRATIONS = Path(__file__).parent / "migrations"
+FIRST = 1
+"""The number of the step that creates a store."""
 _NAME = re.compile(r"^(\d{4})_([a-z0-9_]+)\.sql$")
 _LEDGER = """
 CREATE TABLE IF NOT EXISTS migrations (

@@ -87,7 +87,7 @@ class Ingest:
             case Batch() as batch:
                 await self._take_batch(batch)
             case Hello():
-                raise MalformedMessageError("hello is said once, at the beginning")
+                raise MalformedMessageError("Hello is sent once, at the beginning")
 
     async def tick(self) -> None:
         """About once a second: send the app's time, and confirm what arrived a tick ago, as it is on disk by

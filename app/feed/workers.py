@@ -45,7 +45,7 @@ class Workers:
             hello = await self._hello(socket, credential)
             await self._admit(hello, socket, credential)
         except (MalformedMessageError, TimeoutError) as error:
-            await socket.close(str(error) or "a worker says hello first")
+            await socket.close(str(error) or "the first message of a worker is Hello")
         except ConnectionError:
             return
 
@@ -55,10 +55,10 @@ class Workers:
         async with asyncio.timeout(HELLO_WITHIN_S):
             data = await socket.receive()
         if len(data) > MOST_HELLO_BYTES:
-            raise MalformedMessageError("a worker says hello first")
+            raise MalformedMessageError("the first message of a worker is Hello")
         hello = decode_from_worker(data)
         if not isinstance(hello, Hello):
-            raise MalformedMessageError("a worker says hello first")
+            raise MalformedMessageError("the first message of a worker is Hello")
         return hello
 
     async def _admit(self, hello: Hello, socket: WorkerConnection, credential: Credential) -> None:

@@ -15,10 +15,10 @@ from bus.contract import UnitFigures
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 _COUNTED = {
     "polls": "Status requests sent to a unit",
-    "timeouts": "Requests that a unit did not answer in time",
-    "checksum_errors": "Answers of a unit with a wrong checksum",
+    "timeouts": "Requests that got no response in time",
+    "checksum_errors": "Responses of a unit with a wrong checksum",
     "retries": "Requests sent again to a unit",
-    "late": "Answers of a unit that came after they were given up",
+    "late": "Responses of a unit that came after the timeout",
 }
 
 
@@ -34,7 +34,7 @@ class _LineCollector(Collector):
         yield from _of_units(measured.live.buses.items())
         yield from _of_buses(measured.live.buses.items())
         yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.hub.connected)
-        commands = CounterMetricFamily("lineside_commands", "Commands by their fate", labels=["outcome"])
+        commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
         for outcome, count in measured.counts.commands.items():
             commands.add_metric([outcome], count)
         yield commands

@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import Time, UnitAddress
+from app.web.message_shown import MessageShown
 
 RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
 
@@ -43,6 +43,7 @@ class DryRunStepShown(TypedDict):
     name: str
     raw: Annotated[int, Field(description="Setpoint on the wire, 0 to 99999.")]
     old: Annotated[str, Field(description="Present setpoint, as displayed.")]
+    old_message: MessageShown
     new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
     ramp_s: RampS
     obstacle: Annotated[str, Field(description="Why it cannot be set, English; empty: it can.")]
@@ -67,6 +68,7 @@ class DepartedShown(TypedDict):
     name: str
     recipe: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
     now: Annotated[str, Field(description="Present setpoint, as displayed.")]
+    now_message: MessageShown
 
 
 class LoadedShown(TypedDict):

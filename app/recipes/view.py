@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from msgspec import to_builtins
-
 from app.live.state.bus_live import BusLive
 from app.recipes.rules import DryRun, Recipe, RecipeDeparture, setpoint_text
 from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
 from app.recipes.store import Loaded
+from app.web.message_shown import maybe_shown, message_shown
 from app.web.shape import iso
-from bus.messages import in_english
+from bus.messages import in_english, number, term
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
@@ -46,15 +45,16 @@ def dry_run_json(run: DryRun) -> DryRunShown:
                 "id": step.unit,
                 "name": str(step.name),
                 "raw": step.raw,
-                "old": step.old or "unknown",
+                "old": str(old),
+                "old_message": message_shown(old),
                 "new": step.new,
                 "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
                 "obstacle": in_english(step.obstacle),
-                "obstacle_message": to_builtins(step.obstacle),
+                "obstacle_message": maybe_shown(step.obstacle),
                 "words": in_english(step.effect),
-                "words_message": to_builtins(step.effect),
+                "words_message": maybe_shown(step.effect),
             }
-            for step in run.steps
+            for step, old in ((step, number(step.old) if step.old else term("unknown")) for step in run.steps)
         ],
     }
 
@@ -68,7 +68,13 @@ def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedShown:
         "who": loaded.who,
         "loaded_at": iso(loaded.at),
         "departed": [
-            {"id": one.unit, "name": str(one.name), "recipe": one.recipe, "now": str(one.now)}
+            {
+                "id": one.unit,
+                "name": str(one.name),
+                "recipe": one.recipe,
+                "now": str(one.now),
+                "now_message": message_shown(one.now),
+            }
             for one in departed
         ],
     }

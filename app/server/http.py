@@ -5,19 +5,28 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from functools import partial
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.server.connections import EXTENSION, Connection
 from app.server.counted_protocol import CountedProtocol
 from app.server.pace import Awaited, Pace
-from app.server.refusal import MALFORMED, TOO_LONG, TOO_MANY, TOO_SLOW, Refusal
+from app.server.refusal import (
+    MALFORMED,
+    NO_SUCH_EXPECTATION,
+    NO_SUCH_VERSION,
+    TOO_LONG,
+    TOO_MANY,
+    TOO_SLOW,
+    Refusal,
+)
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
+VERSIONS = ("1.0", "1.1")
 
 
 class BeyondBoundsError(Exception):
@@ -111,6 +120,14 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def on_headers_complete(self) -> None:
         """It is known what is asked; the app may begin."""
+        version = self.parser.get_http_version()
+        if version not in VERSIONS:
+            self._give_up(NO_SUCH_VERSION)
+        if version == "1.0":
+            # RFC 9110, 10.1.1: its clients do not know what they would get.
+            self.expect_100_continue = False
+        elif not all(map(_is_met, self.headers)):
+            self._give_up(NO_SUCH_EXPECTATION)
         self._pace.expect(Awaited.BODY, self.loop.time())
         self._offered[EXTENSION] = self._identify
         self.scope["extensions"] = self._offered
@@ -151,8 +168,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
         if self._head_bytes > MOST_HEAD_BYTES or len(self.headers) >= MOST_HEADERS:
-            self._refusal = TOO_LONG
-            raise BeyondBoundsError("the headers are too long or too many")
+            self._give_up(TOO_LONG)
+
+    def _give_up(self, refusal: Refusal) -> NoReturn:
+        """End the parsing: the parser has uvicorn send a 400, which becomes ``refusal``."""
+        self._refusal = refusal
+        raise BeyondBoundsError(refusal.detail)
 
     # --- its end -------------------------------------------------------------------------------------
 
@@ -187,3 +208,11 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         if is_awaited:
             self.transport.write(refusal.response())
         return is_awaited
+
+
+def _is_met(header: tuple[bytes, bytes]) -> bool:
+    """Whether it is no expectation (RFC 9110, 10.1.1), or the only one there is."""
+    name, value = header
+    return name != b"expect" or all(
+        each.strip().lower() in (b"", b"100-continue") for each in value.split(b",")
+    )

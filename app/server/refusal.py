@@ -41,6 +41,10 @@ class Refusal:
 
 MALFORMED = Refusal(400, "malformed", "this is no HTTP request; nothing was done")
 TOO_SLOW = Refusal(408, "too_slow", "the request did not arrive in time; nothing was done")
+NO_SUCH_EXPECTATION = Refusal(
+    417, "no_such_expectation", "no expectation but 100-continue can be met; nothing was done"
+)
 TOO_LONG = Refusal(431, "too_long", "the headers are too long or too many; nothing was done")
 TOO_MANY_REQUESTS = Refusal(429, "too_many", "too many requests of this address are under way; try again")
+NO_SUCH_VERSION = Refusal(505, "no_such_version", "only HTTP/1.0 and HTTP/1.1 are served; nothing was done")
 TOO_MANY = Refusal(503, "too_many", "too many connections are open; nothing was done, try again")

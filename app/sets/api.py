@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from msgspec import to_builtins
 from pydantic import Field
 
 from app.audit.api import Events
@@ -33,6 +32,7 @@ from app.sets.store import SetStore
 from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
+from app.web.message_shown import maybe_shown
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
 from app.web.shape import StrictBody, UnitAddresses
@@ -161,7 +161,7 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[OverdueShown] = [
-        {"unit": unit, "why": in_english(each.why), "why_message": to_builtins(each.why)}
+        {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
         for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}

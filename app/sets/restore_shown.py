@@ -7,12 +7,12 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import UnitAddress
 from app.sets.effects import Effect
 from app.sets.plan import Reason
 from app.sets.restore_record import RestoreState
-from app.sets.shown import ComparedShown, MaybeMessage, Number, StoredRaw
+from app.sets.shown import ComparedShown, Number, StoredRaw
+from app.web.message_shown import MaybeMessage, MessageShown
 from bus.contract import Outcome
 
 MaybeReason = Annotated[
@@ -28,7 +28,9 @@ class RestoreValues(TypedDict):
     present_raw: StoredRaw
     wanted_raw: StoredRaw
     present: Annotated[str | None, Field(description="As shown to people; null: not known.")]
+    present_message: MaybeMessage
     wanted: Annotated[str | None, Field(description="As shown to people; null: not known.")]
+    wanted_message: MaybeMessage
 
 
 class RestoreRowShown(RestoreValues):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msgspec import to_builtins
-
 from app.sets.compare import meaning, with_unit
 from app.sets.effects import EFFECTS, Effect, warning_of
 from app.sets.model import UnitRows
@@ -13,6 +11,7 @@ from app.sets.plan import LeftOut
 from app.sets.restore_record import Restore, RowResult
 from app.sets.restore_shown import LeftOutShown, RestoreRowShown, RestoreShown, RestoreValues
 from app.sets.view import compared_json
+from app.web.message_shown import maybe_shown, message_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message, in_english
 
@@ -73,12 +72,12 @@ def restore_json(restore: Restore) -> RestoreShown:
         "state": restore.state,
         "cause": in_english(restore.cause),
         "cause_code": restore.cause_code,
-        "cause_message": to_builtins(restore.cause),
+        "cause_message": maybe_shown(restore.cause),
         "running": restore.running,
         "done": restore.done,
         "equal": restore.plan.equal,
         "remarks": [str(remark) for remark in restore.remarks],
-        "remark_messages": to_builtins(restore.remarks),
+        "remark_messages": [message_shown(remark) for remark in restore.remarks],
         "rows": [_row_json(row, row.result) for row in rows_to_write(restore) if row.result],
         "left_out": [_left_out_json(row, row.left) for row in rows_left_out(restore) if row.left],
         "remaining": None if restore.remaining is None else [compared_json(row) for row in restore.remaining],
@@ -118,16 +117,16 @@ def _row_json(row: RestoreRow, result: RowResult) -> RestoreRowShown:
         "selected": left is None,
         "reason": None if left is None else str(left.text),
         "reason_code": None if left is None else left.reason,
-        "reason_message": None if left is None else to_builtins(left.text),
+        "reason_message": None if left is None else message_shown(left.text),
         "effect": row.effect,
         "warning": None if row.warning is None else str(row.warning),
-        "warning_message": to_builtins(row.warning),
+        "warning_message": maybe_shown(row.warning),
         "words": str(Message(row.meaning.code)),
         "meaning": str(row.meaning),
-        "meaning_message": to_builtins(row.meaning),
+        "meaning_message": message_shown(row.meaning),
         "outcome": result.outcome,
         "message": in_english(result.message),
-        "outcome_message": to_builtins(result.message),
+        "outcome_message": maybe_shown(result.message),
         "read_back": None if PARAMETERS[row.number].secret else result.read_back,
     }
 
@@ -138,7 +137,7 @@ def _left_out_json(row: RestoreRow, left: LeftOut) -> LeftOutShown:
         **_values_json(row),
         "reason": str(left.text),
         "reason_code": left.reason,
-        "reason_message": to_builtins(left.text),
+        "reason_message": message_shown(left.text),
         "later": left.later,
         "differs": None if unknown else row.present_raw != row.wanted_raw,
     }
@@ -152,5 +151,7 @@ def _values_json(row: RestoreRow) -> RestoreValues:
         "present_raw": None if secret else row.present_raw,
         "wanted_raw": None if secret else row.wanted_raw,
         "present": None if row.present is None else str(row.present),
+        "present_message": maybe_shown(row.present),
         "wanted": None if row.wanted is None else str(row.wanted),
+        "wanted_message": maybe_shown(row.wanted),
     }

@@ -7,14 +7,11 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.commands.api.schemas import MessageShown
 from app.live.api.schemas import MaybeTime, Time, UnitAddress
 from app.sets.compare import Comparison
+from app.web.message_shown import MaybeMessage, MessageShown
 
 Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
-MaybeMessage = Annotated[
-    MessageShown | None, Field(description="The field before it as data; null: it is empty.")
-]
 StoredRaw = Annotated[
     int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
 ]
@@ -82,7 +79,9 @@ class ComparedShown(TypedDict):
     name: str
     kind: Comparison
     left: Annotated[str, Field(description="Value of the first set, as shown to people.")]
+    left_message: MessageShown
     right: Annotated[str, Field(description="Value of the second.")]
+    right_message: MessageShown
     left_raw: StoredRaw
     right_raw: StoredRaw
     meaning: Annotated[str, Field(description="What the difference means, English; empty: none.")]
@@ -94,7 +93,8 @@ class DepartureShown(ComparedShown):
 
     changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
     changed_at: MaybeTime
-    changed: str
+    changed: Annotated[str, Field(description="at the panel, or by whom.")]
+    changed_message: MessageShown
 
 
 class DriftShown(TypedDict):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from msgspec import to_builtins
-
 from app.sets.compare import Compared, with_unit
 from app.sets.drift import DriftedParameter
 from app.sets.model import ParameterSet, UnitRows
@@ -17,9 +15,10 @@ from app.sets.shown import (
     SummaryShown,
 )
 from app.sets.store import SetSummary
+from app.web.message_shown import maybe_shown, message_shown
 from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
-from bus.messages import in_english
+from bus.messages import Message, in_english
 
 
 def summary_json(summary: SetSummary) -> SummaryShown:
@@ -78,20 +77,24 @@ def compared_json(row: Compared) -> ComparedShown:
         "name": PARAMETERS[row.number].name,
         "kind": row.kind,
         "left": str(row.old),
+        "left_message": message_shown(row.old),
         "right": str(row.new),
+        "right_message": message_shown(row.new),
         "left_raw": None if secret or row.left is None else row.left.raw,
         "right_raw": None if secret or row.right is None else row.right.raw,
         "meaning": in_english(row.meaning),
-        "meaning_message": to_builtins(row.meaning),
+        "meaning_message": maybe_shown(row.meaning),
     }
 
 
 def departure_json(departure: DriftedParameter) -> DepartureShown:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
+    changed = Message("changed_at_panel") if change is None else Message.of("changed_by", who=change["who"])
     return {
         **compared_json(departure.row),
         "changed_by": None if change is None else change["who"],
         "changed_at": None if change is None else iso(change["time"]),
-        "changed": "at the panel" if change is None else f"by {change['who']}",
+        "changed": str(changed),
+        "changed_message": message_shown(changed),
     }

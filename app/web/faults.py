@@ -2,42 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from bus.messages import Message
 
 _WITHOUT_BOUNDS = {
-    "model_attributes_type": Message("fault_not_an_object"),
+    "bool_parsing": Message("fault_not_true_or_false"),
+    "bool_type": Message("fault_not_true_or_false"),
+    "dict_type": Message("fault_not_a_mapping"),
     "extra_forbidden": Message("fault_no_such_field"),
-    "missing": Message("fault_missing"),
-    "int_parsing": Message("fault_integer_unreadable"),
-    "int_type": Message("fault_not_an_integer"),
-    "float_parsing": Message("fault_number_unreadable"),
+    "finite_number": Message("fault_not_a_number"),
+    "float_parsing": Message("fault_not_a_number"),
     "float_type": Message("fault_not_a_number"),
+    "int_from_float": Message("fault_not_an_integer"),
+    "int_parsing": Message("fault_not_an_integer"),
+    "int_parsing_size": Message("fault_integer_too_large"),
+    "int_type": Message("fault_not_an_integer"),
+    "list_type": Message("fault_not_a_list"),
+    "missing": Message("fault_missing"),
+    "model_attributes_type": Message("fault_not_an_object"),
+    "model_type": Message("fault_not_a_mapping"),
     "string_type": Message("fault_not_a_text"),
+    "string_unicode": Message("fault_not_a_text"),
 }
+_WITH_BOUND = {
+    "greater_than": ("fault_more_than", "gt"),
+    "greater_than_equal": ("fault_at_least", "ge"),
+    "less_than": ("fault_less_than", "lt"),
+    "less_than_equal": ("fault_at_most", "le"),
+    "string_too_long": ("fault_at_most_characters", "max_length"),
+    "string_too_short": ("fault_at_least_characters", "min_length"),
+    "too_long": ("fault_at_most_items", "max_length"),
+    "too_short": ("fault_at_least_items", "min_length"),
+}
+_TIMES = ("date_", "datetime_", "time_", "timezone_")
 
 
 def fault_message(error: Any) -> Message:
-    """The message of one of a ValidationError's ``errors()``; in pydantic's words where there is none."""
-    of = error.get("ctx", {})
+    """The message of one of a ValidationError's ``errors()``."""
+    of: Mapping[str, Any] = error.get("ctx", {})
     match error["type"]:
         case str(kind) if kind in _WITHOUT_BOUNDS:
             return _WITHOUT_BOUNDS[kind]
-        case "string_too_long":
-            return Message.of("fault_at_most_characters", n=of["max_length"])
-        case "string_too_short":
-            return Message.of("fault_at_least_characters", n=of["min_length"])
+        case str(kind) if kind in _WITH_BOUND:
+            code, bound = _WITH_BOUND[kind]
+            name = "n" if bound.endswith("length") else "limit"
+            return Message(code, {name: of[bound]})
         case "string_pattern_mismatch":
-            return Message.of("fault_pattern", text=f"'{of['pattern']}'")
-        case "greater_than_equal":
-            return Message.of("fault_at_least", limit=of["ge"])
-        case "less_than_equal":
-            return Message.of("fault_at_most", limit=of["le"])
+            return Message.of("fault_pattern", text=of["pattern"])
         case "literal_error" | "enum":
-            return Message.of("fault_allowed", values=of["expected"])
+            return Message.of("fault_allowed", values=of["expected"].replace(" or ", ", "))
         case "value_error" if of["error"].args and isinstance(of["error"].args[0], Message):
             message: Message = of["error"].args[0]
             return message
+        case str(kind) if kind.startswith(_TIMES):
+            return Message("fault_not_a_time")
         case _:
-            return Message.of("fault_other", text=str(error["msg"]).removeprefix("Value error, "))
+            return Message("fault_malformed")

@@ -21,6 +21,7 @@ from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.faults import fault_message
+from app.web.message_shown import message_shown
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import ENGLISH, Message, shown
@@ -79,7 +80,7 @@ def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
 
 def _message_members(problem: Problem) -> dict[str, Any]:
     """``params`` in English, one level deep; ``reason`` with the codes of all levels."""
-    return {"params": _plain(problem.message.params), "reason": msgspec.to_builtins(problem.message)}
+    return {"params": _plain(problem.message.params), "reason": message_shown(problem.message)}
 
 
 def _plain(params: Mapping[str, Any]) -> dict[str, int | float | str]:

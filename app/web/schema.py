@@ -26,12 +26,23 @@ async def openapi(request: Request, _: Viewer) -> JSONResponse:
     return JSONResponse(app.openapi_schema)
 
 
+def leave_bodies_out(document: dict[str, Any]) -> None:
+    """A body that is not required can be left out, so it need not be null: generated clients fail on both."""
+    for path in document["paths"].values():
+        for operation in path.values():
+            for content in operation.get("requestBody", {}).get("content", {}).values():
+                match content["schema"]:
+                    case {"anyOf": [schema, {"type": "null"}]}:
+                        content["schema"] = schema
+
+
 def openapi_document(app: Any) -> dict[str, Any]:
     """The document of an app. Raises ValueError where two schemas would have one name."""
     document = with_published_names(
         get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
     )
     describe_parameters(document)
+    leave_bodies_out(document)
     components = document["components"]
     components["schemas"] |= problem_schemas(components["schemas"])
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}

@@ -52,16 +52,6 @@ _MEMBERS: dict[str, Any] = {
         "description": "The nearest raw value that is allowed, 0 to 99999.",
     },
 }
-_MESSAGE = {
-    "type": "object",
-    "title": "Message",
-    "description": "detail as data, for programs. A value that is a message has code and params too.",
-    "required": ["code", "params"],
-    "properties": {
-        "code": {"type": "string", "description": "Which text it is."},
-        "params": {"type": "object", "additionalProperties": True, "description": "Its values, by name."},
-    },
-}
 _INVALID_FIELD = {
     "type": "object",
     "title": "InvalidField",
@@ -103,7 +93,7 @@ def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
         "properties": {**result, **_MEMBERS},
     }
     code = {"type": "string", "title": "ProblemCode", "enum": sorted(CODES), "description": "The reason."}
-    return {"Problem": problem, "ProblemCode": code, "InvalidField": _INVALID_FIELD, "Message": _MESSAGE}
+    return {"Problem": problem, "ProblemCode": code, "InvalidField": _INVALID_FIELD}
 
 
 def _response(description: str) -> dict[str, Any]:

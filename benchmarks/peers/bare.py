@@ -20,7 +20,7 @@ TURNAROUND_S = 0.05
 
 
 class Poller(asyncio.Protocol):
-    """One request out, wait for a frame or the time a good answer may take."""
+    """One request out, then wait for a frame or for the time that a good response may take."""
 
     def __init__(self) -> None:
         self.open = asyncio.Event()

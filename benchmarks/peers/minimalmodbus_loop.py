@@ -1,4 +1,4 @@
-"""minimalmodbus in a bare loop, reading as many bytes as a DIGIMAX status answer has."""
+"""minimalmodbus in a bare loop, reading as many bytes as a DIGIMAX status response has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""pymodbus' asynchronous client in a bare loop, reading as many bytes as a DIGIMAX status answer has."""
+"""pymodbus' asynchronous client in a bare loop, reading as many bytes as a DIGIMAX status response has."""
 
 from __future__ import annotations
 

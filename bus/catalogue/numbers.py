@@ -19,9 +19,10 @@ FREEZE_MODE = 14
 DISPLAY_RATE = 15
 SETUP_DURING_RUN = 16
 OWN_ADDRESS = 17
-"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. Read at
-another address, another unit answers there; the address in an answer is no proof, for it is the one that was
-asked."""
+"""Every unit has it and only its panel changes it (manual, 4.0), so its value is known beforehand. If it
+reads as another address, another unit responds there; the address in a response is no evidence, because it
+repeats that of the request.
+"""
 BAUD_RATE = 18
 CONTROL_MODE = 19
 SPEED_SETPOINT = 20

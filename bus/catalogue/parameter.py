@@ -1,7 +1,7 @@
 """What is known of one parameter, and which values it may be given.
 
-Marks of evidence: A stated in the manual, B stated for the sibling DFS-1 and consistent, C inferred,
-U unknown.
+Marks of evidence: A stated in the manual, B stated for the sibling DFS-1 and consistent, C inferred, U
+unknown.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class Parameter:
     """The only legal values where the range has holes."""
     never_writable: bool = False
     dangerous: str = ""
-    """What a write can do to the link, as a sentence; empty where it is harmless to it."""
+    """What a write can do to the link; empty where it is harmless to it."""
     harmless: frozenset[int] = frozenset()
-    """Values of a dangerous parameter that cannot do what ``dangerous`` says."""
+    """Values of a dangerous parameter that cannot have the effect in ``dangerous``."""
     secret: bool = False
     not_while_running: bool = False
     """The unit allows no change during RUN."""
@@ -72,7 +72,7 @@ class IllegalValue(CallerError):
 
 
 def danger_of_writing(parameter: Parameter, raw: int) -> str:
-    """The sentence naming what this very write can do to the link; empty where it can do nothing."""
+    """Return what writing ``raw`` can do to the link; empty where it is harmless to it."""
     return "" if raw in parameter.harmless else parameter.dangerous
 
 

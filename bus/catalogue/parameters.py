@@ -1,8 +1,8 @@
-"""The 40 parameters of a DIGIMAX IV as a table (manual, section 4.0), nothing else.
+"""The 40 parameters of a DIGIMAX IV as a table (manual, section 4.0).
 
-Number, name, type and range are as printed: #31 alone ends at 1387Fh = 79999. What the list leaves
-out carries its mark of evidence; a choice that nobody has stated is not named and is shown by its
-number. The columns are explained in ``parameter``.
+Number, name, type and range are as printed: #31 alone ends at 1387Fh = 79999. What the list leaves out
+carries its mark of evidence; an undocumented choice is not named and is shown by its number. The columns are
+explained in ``parameter``.
 """
 
 from __future__ import annotations

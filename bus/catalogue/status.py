@@ -1,4 +1,4 @@
-"""The bits of ST2 and ST1, the two status bytes in the answer to 81h (manual, Read speed and status)."""
+"""The bits of ST2 and ST1, the two status bytes in the response to 81h (manual, Read speed and status)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class StatusBits:
     outputs: tuple[bool, bool, bool, bool, bool, bool]
     run: bool
     estop_active: bool
-    """An emergency stop is active, whatever level says so in this dialect."""
+    """An emergency stop is active, whichever level means that in this dialect."""
     preset: bool
     reverse: bool
     up: bool

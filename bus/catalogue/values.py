@@ -1,6 +1,6 @@
-"""Integers on the wire ⇄ the numbers that people use. Exact decimal arithmetic, no floats but for volts.
+"""Integers on the wire ⇄ the numbers that people use. Exact decimal arithmetic, no floats except for volts.
 
-Texts have a point and no grouping; whoever shows them puts them into a language.
+Texts have a point and no grouping; the caller localizes them.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def is_follower(mode: int | None) -> bool:
 
 
 def speed_text(raw: int, decimals: int) -> str:
-    """``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
+    """Return ``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
 
-    Marked as raw where a unit reports more than :data:`MOST_DECIMALS`: ten to the power of a four-byte number
-    takes for ever.
+    Marked as raw where a unit reports more than :data:`MOST_DECIMALS`, because ten to the power of a
+    four-byte number does not finish.
     """
     if decimals > MOST_DECIMALS:
         return f"{raw} raw"

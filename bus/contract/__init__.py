@@ -1,12 +1,11 @@
 """The messages between a bus worker and the app, and nothing else that the two share.
 
-The worker opens the WebSocket and speaks first. Its order of speech is fixed:
-``Hello`` → (app) ``Welcome`` → ``Snapshot`` → the backlog the app has not had, as ``Batch`` with
-``live=False`` → ``Batch`` after ``Batch``, numbered without a gap. The app answers each with
-``Delivered`` so that the worker may forget it.
+The worker opens the WebSocket and sends first. The order is fixed: ``Hello`` → (app) ``Welcome`` →
+``Snapshot`` → the backlog that the app does not have, as ``Batch`` with ``live=False`` → ``Batch`` after
+``Batch``, numbered without a gap. The app confirms each with ``Delivered`` so that the worker may delete it.
 
-Times are seconds since the epoch on the speaker's own clock (float, microsecond resolution).
-Speeds, parameters and analog values are the raw integers of the wire.
+Times are seconds since the epoch on the sender's clock (float, microsecond resolution). Speeds, parameters
+and analog values are the raw integers of the wire.
 """
 
 from __future__ import annotations

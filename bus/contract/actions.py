@@ -1,4 +1,4 @@
-"""What the app can ask of a bus: from the app to the worker.
+"""What the app can request of a bus: from the app to the worker.
 
 A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
 and a row in ``app.commands.catalogue`` for everything else.
@@ -73,7 +73,7 @@ class ExecuteAll(BusAction, frozen=True, tag="execute_all"):
 
 
 class SetLine(BusAction, frozen=True, tag="set_line"):
-    """Stage each (82h), require every ACK, one 83h to UID 0, prove each. ``setpoints``: unit → raw."""
+    """Stage each (82h), require every ACK, one 83h to UID 0, read each back. ``setpoints``: unit → raw."""
 
     setpoints: Annotated[dict[UnitId, Speed], Meta(max_length=MOST_UNITS)]
 
@@ -112,13 +112,13 @@ class WriteParameter(UnitAction, frozen=True, tag="write_parameter"):
 
 
 class ChangeBaud(BusAction, frozen=True, tag="change_baud"):
-    """#18 to every unit of the bus, follow, prove all, go back if one does not answer."""
+    """Write #18 to every unit of the bus, follow, read all back; go back if one does not respond."""
 
     baud: BaudRate
 
 
 class ScanBus(BusAction, frozen=True, tag="scan_bus"):
-    """Which addresses answer, in the gaps of the scan, at the present baud."""
+    """Find which addresses respond, in the gaps of the scan, at the present baud rate."""
 
     writes: ClassVar[bool] = False
     first: UnitId = 1
@@ -126,8 +126,10 @@ class ScanBus(BusAction, frozen=True, tag="scan_bus"):
 
 
 class ReadTrace(BusAction, frozen=True, tag="read_trace"):
-    """The kept frames (an hour at most) from ``since`` on, oldest first, as the result's ``frames``: at
-    most ``limit`` of them, so a longer span is asked for again from the last one's time. Nothing is sent."""
+    """Return the kept frames (an hour at most) from ``since`` on, oldest first, as the result's ``frames``:
+    at most ``limit`` of them, so a longer span is requested in parts, from the last frame's time. Sends
+    nothing.
+    """
 
     writes: ClassVar[bool] = False
     since: Stamp

@@ -43,7 +43,7 @@ Hertz = Annotated[float, Meta(ge=0.0, le=1e6)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 LongText = Annotated[str, Meta(max_length=LONGEST_TEXT)]
-"""Sentences: a cause, a message, a diagnosis that names many units."""
+"""A cause, a text, a diagnosis that names many units."""
 ShortText = Annotated[str, Meta(max_length=LONGEST_WORDS)]
 Id = Annotated[str, Meta(max_length=LONGEST_ID)]
 FrameBytes = Annotated[bytes, Meta(max_length=LONGEST_FRAME)]

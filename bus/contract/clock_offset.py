@@ -1,11 +1,11 @@
-"""How far another machine's clock is off, from messages that say when they were sent. Pure.
+"""The offset of another machine's clock, from messages that carry their time of sending. Pure.
 
 A message arrives later than it was sent, never earlier, so the least difference between the two clocks is the
-nearest to the truth (the clock filter of NTP, RFC 5905, 10).
+best estimate (the clock filter of NTP, RFC 5905, 10).
 
-The least is taken over a time on *this* side's clock, never over a count of messages: after a stall many
-arrive at once, all late, and they must not push out what is known to be true. So a clock that was set ahead
-is followed at once, and one that was set back after two windows.
+The least is taken over a time on *this* side's clock, not over a count of messages: after a stall many arrive
+at once, all late, and they must not displace the good samples. A clock that was set ahead is therefore
+followed at once, and one that was set back after two windows.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the units said and how they are: from the worker to the app."""
+"""Values, links and figures of the units: from the worker to the app."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bus.messages import Message
 
 
 class Reading(TaggedStruct, frozen=True, tag="reading"):
-    """One answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
+    """One response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1, all as sent."""
 
     unit: UnitId
     at: Stamp
@@ -40,8 +40,9 @@ class Reading(TaggedStruct, frozen=True, tag="reading"):
 
 
 class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):
-    """What 85h answered, and the very frame that said so (``frame``, as on the wire, for evidence).
-    ``available`` False: the unit said NAK 82h, it does not have this one."""
+    """The value of an 85h response, with its frame as on the wire for evidence. ``available`` False: NAK 82h,
+    the unit does not have this parameter.
+    """
 
     unit: UnitId
     number: ParameterNumber
@@ -52,7 +53,7 @@ class ParameterValue(TaggedStruct, frozen=True, tag="parameter"):
 
 
 class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
-    """A unit was heard, is overdue, was lost or was never seen."""
+    """A unit responded, is overdue, was lost or was never seen."""
 
     unit: UnitId
     at: Stamp
@@ -61,8 +62,9 @@ class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
 
 
 class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
-    """The port was opened or closed ``at``; ``cause`` says why. Told again, with the same ``at``,
-    when it goes at another rate."""
+    """The port was opened or closed ``at``; ``cause`` says why. Sent a second time, with the same ``at``,
+    when the baud rate changes.
+    """
 
     at: Stamp
     link: BusLinkState
@@ -110,9 +112,9 @@ class UnitCounts(Struct, omit_defaults=True):
     naks: Annotated[dict[Byte, Total], Meta(max_length=256)] = field(default_factory=dict)
 
 
-# Frozen, as it is told, of what is counted in: msgspec allows that, the rule is for dataclasses.
+# Frozen as sent, from a base that counts: msgspec allows that, the rule is for dataclasses.
 class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
-    """The counters of one unit, and its answer times in seconds (first byte after request)."""
+    """The counters of one unit, and its response times in seconds (first byte after request)."""
 
     answer_s_min: DurationSeconds | None = None
     answer_s_median: DurationSeconds | None = None
@@ -135,12 +137,13 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
     answers_for_all: Byte = 0
-    """The unit that seems to answer to every address beside the others, so that each answer of theirs comes
-    twice and nobody knows which one is whose; 0: none."""
+    """The unit that seems to respond to every address beside the others, so that each of their responses is
+    duplicated and cannot be attributed; 0: none.
+    """
 
 
 class Frame(TaggedStruct, frozen=True, tag="frame"):
-    """One frame (or piece of rubbish) as it passed the port, with what it says."""
+    """One frame (or piece of noise) as it passed the port, with its meaning."""
 
     at: Stamp
     direction: Direction
@@ -150,7 +153,7 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
 
     @property
     def meaning(self) -> str:
-        """What it says, in English."""
+        """The meaning in English."""
         return "; ".join(map(str, self.meanings))[:LONGEST_MEANING]
 
 

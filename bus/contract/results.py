@@ -36,7 +36,7 @@ class Progress(TaggedStruct, frozen=True, tag="progress"):
 
 
 class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
-    """The fate of a command at one unit, with the times of its frames."""
+    """The outcome of a command at one unit, with the times of its frames."""
 
     unit: UnitId
     outcome: Outcome
@@ -50,8 +50,9 @@ class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
 
 
 class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
-    """What a scan saw at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
-    responses come too late to be told apart."""
+    """What a scan found at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
+    responses come too late to be told apart.
+    """
 
     unit: UnitId
     baud: BaudRate
@@ -61,8 +62,9 @@ class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
 
 
 class Result(TaggedStruct, frozen=True, tag="result"):
-    """The one fate of a command. ``values``: what ReadParameters read. ``skew_s``: upper bound of the
-    time between the first and the last unit's acting on one broadcast. ``frames``: what carried it."""
+    """The one outcome of a command. ``values``: what ReadParameters read. ``skew_s``: upper bound of the time
+    between the first and the last unit's acting on one broadcast. ``frames``: the frames that carried it.
+    """
 
     id: Id
     at: Stamp

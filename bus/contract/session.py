@@ -1,4 +1,4 @@
-"""The order of speech between worker and app, and its bytes; it stands at the head of ``bus.contract``."""
+"""The messages that open and carry a session between worker and app, and their encoding."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
 
 
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
-    """The whole present state; ``seq`` is the number of the last update it includes."""
+    """The complete present state; ``seq`` is the number of the last update it includes."""
 
     seq: Sequence
     sent_at: Stamp
@@ -60,9 +60,10 @@ WorkerMessage = Hello | Snapshot | Batch
 
 
 class Command(TaggedStruct, frozen=True, tag="command"):
-    """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at
-    which a frame that writes may leave (the worker knows that clock by ``Clock``).
-    A worker carries out an id once; asked again, it repeats the fate."""
+    """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at which a
+    frame that writes may leave (the worker knows that clock by ``Clock``). A worker carries out an id once; a
+    second request with it returns the same result.
+    """
 
     id: Id
     deadline: Stamp
@@ -70,7 +71,7 @@ class Command(TaggedStruct, frozen=True, tag="command"):
 
 
 class ReserveTurn(TaggedStruct, frozen=True, tag="reserve"):
-    """A write is about to be asked for: the next turn of the wire is left to it, for a moment."""
+    """A write is about to be requested: keep the next turn of the wire free for it, for a moment."""
 
 
 class Cancel(TaggedStruct, frozen=True, tag="cancel"):
@@ -80,7 +81,7 @@ class Cancel(TaggedStruct, frozen=True, tag="cancel"):
 
 
 class Welcome(TaggedStruct, frozen=True, tag="welcome"):
-    """The app's answer to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
+    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
 
     version: int
     seq: Sequence
@@ -109,7 +110,7 @@ class Watch(TaggedStruct, frozen=True, tag="watch"):
 
 
 class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
-    """A number was missing: say everything again."""
+    """A number was missing: request a complete snapshot."""
 
 
 AppMessage = Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel

@@ -18,4 +18,4 @@ Direction = Literal["out", "in"]
 
 
 class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
-    """Base of every message and part of a message: immutable, told apart by its ``is`` field."""
+    """Base of every message and part of a message: immutable, with its type in the field ``is``."""

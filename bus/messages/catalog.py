@@ -22,7 +22,7 @@ class Catalog(Protocol):
 
 
 class EnglishCatalog:
-    """What the log, the command line and ``detail`` of the API say."""
+    """The English texts, for the log, the command line and ``detail`` of the API."""
 
     point = "."
 

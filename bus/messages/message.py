@@ -1,4 +1,4 @@
-"""What is said to people, before it is in any language: a code and the values of its text. Pure."""
+"""A message to people, before it is in any language: a code and the values of its text. Pure."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ class Message(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, code: str, /, **params: ParamValue) -> Message:
-        """The message, its params as keywords."""
+        """The message, its params as keywords. What would be nested too deeply becomes text in English, as
+        another process may have sent it."""
+        if not _is_within(DEEPEST, params.values()):
+            params = {name: shown(value, ENGLISH)[:LONGEST_TEXT] for name, value in params.items()}
         return cls(code, params)
 
     def __post_init__(self) -> None:
@@ -91,7 +94,7 @@ def joined(messages: Iterable[Message | None]) -> Message | None:
     """One message of several, those that are None left out; None where there is none."""
     several: list[int | str | Message] = [each for each in messages if each is not None]
     if len(several) > 1:
-        return Message("several", {"messages": several})
+        return Message.of("several", messages=several)
     return next((each for each in several if isinstance(each, Message)), None)
 
 
@@ -107,7 +110,7 @@ def term(text: str) -> Message:
 
 def listed(items: Sequence[int | str | Message]) -> Message:
     """Several values as the value of another message, joined by commas."""
-    return Message(LIST, {"items": list(items)})
+    return Message.of(LIST, items=list(items))
 
 
 def shown(value: ParamValue, catalog: Catalog) -> str:

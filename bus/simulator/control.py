@@ -1,7 +1,7 @@
-"""Hands on a simulated line from outside: JSON lines over a TCP port of the loopback.
+"""Remote control of a simulated line: JSON lines over a TCP port of the loopback.
 
-One line asks, one line answers: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``, or
-``{"ok": false, "error": "…"}``. What can be done is the table ``_DEEDS``; ``Remote`` is the other end.
+One line is a request, one line its response: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``,
+or ``{"ok": false, "error": "…"}``. The table ``_ACTIONS`` lists the actions; ``Remote`` is the client.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ControlRequest = dict[str, Any]
 
 
 class SimulatorControl:
-    """Listens for wishes about the line of ``server`` until ``close``."""
+    """Serves control requests for the line of ``server`` until ``close``."""
 
     def __init__(self, server: LineServer, port: int = 0) -> None:
         class ControlHandler(socketserver.StreamRequestHandler):
@@ -59,7 +59,9 @@ class Remote:
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
     def do(self, action: str, **details: object) -> Any:
-        """Ask for ``deed``; its result. Raises RuntimeError with the line's own words when it failed."""
+        """Request ``action`` and return its result. Raises RuntimeError with the line's error text when it
+        failed.
+        """
         self._stream.write(json.dumps({"do": action, **details}) + "\n")
         self._stream.flush()
         response = json.loads(self._stream.readline())

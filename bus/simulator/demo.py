@@ -42,7 +42,7 @@ _MACHINES = (
 
 @dataclass(frozen=True, slots=True)
 class DemoLine:
-    """The configuration of the units, and the plant that answers to it."""
+    """The configuration of the units, and the plant that it drives."""
 
     settings: tuple[UnitSettings, ...]
     plant: Plant

@@ -1,7 +1,7 @@
-"""Faults on demand: what a bad unit, a bad cable or a bad adapter makes of an answer; seeded, by rate.
+"""Faults on demand: how a bad unit, cable or adapter changes a response; seeded, by rate.
 
-Pure: a frame goes in, pieces with delays come out. A fault belongs to one unit (by its address) or,
-under address 0, to the whole line.
+Pure: a frame goes in, pieces with delays come out. A fault belongs to one unit (by its address) or, under
+address 0, to every unit of the line.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ HUGE_BYTES = 10_000
 
 
 class FaultKind(StrEnum):
-    """The faults. Those before the line act when a request arrives, the others on the answer."""
+    """The faults. Those above the line act when a request arrives, the others on the response."""
 
     DEAD = "dead"
-    """The request is not heard: power off, or the drop cut."""
+    """The request is not received: power off, or the drop cut."""
     NAK = "nak"
     """The unit refuses, truly: it does not act."""
     EVERYBODY = "everybody"
     """The unit takes every address for its own."""
     ECHO = "echo"
-    """Line only: the adapter hands the host its own bytes back."""
+    """Line only: the adapter returns the host's bytes to it."""
     FLOOD = "flood"
     """Line only: bytes without end that never frame, as long as the rate is not 0."""
 
@@ -44,19 +44,19 @@ class FaultKind(StrEnum):
     LOST = "lost"
     DOUBLED = "doubled"
     FOREIGN = "foreign"
-    """The answer carries another unit's address."""
+    """The response carries another unit's address."""
     CUT = "cut"
     CORRUPT = "corrupt"
     NOISE = "noise"
-    """Rubbish before or after the answer."""
+    """Noise before or after the response."""
     WRONG_LENGTH = "wrong_length"
-    """A whole frame with a right checksum, and data that no command answers with."""
+    """A complete frame with a right checksum, and data that fits no command's response."""
     HUGE = "huge"
     """A frame of 10,000 bytes."""
 
 
 class Piece(NamedTuple):
-    """Bytes that a unit puts on the line ``delay`` seconds later than a good answer would begin."""
+    """Bytes that a unit puts on the line ``delay`` seconds later than a good response would begin."""
 
     delay: float
     data: bytes
@@ -64,12 +64,12 @@ class Piece(NamedTuple):
 
 @dataclass
 class Faults:
-    """The present rates. One instance serves a whole line; every draw comes from its own seed."""
+    """The present rates. One instance serves an entire line; every draw comes from its seed."""
 
     seed: int = 0
     late_s: float = LATE_S
     foreign_address: int = 0
-    """Under which address FOREIGN answers come; 0: that of the next unit."""
+    """The address that FOREIGN responses carry; 0: that of the next unit."""
     _rates: dict[int, dict[FaultKind, float]] = field(default_factory=lambda: defaultdict(dict))
     _random: random.Random = field(init=False)
 
@@ -77,7 +77,7 @@ class Faults:
         self._random = random.Random(self.seed)
 
     def set(self, kind: FaultKind, rate: float, unit: int = EVERY_UNIT) -> None:
-        """From now on ``kind`` happens at ``rate`` (0 never, 1 always) to ``unit`` or the whole line."""
+        """Set the ``rate`` of ``kind`` (0 never, 1 always) for ``unit`` or for every unit."""
         if rate:
             self._rates[unit][kind] = rate
         else:
@@ -101,7 +101,7 @@ class Faults:
         return bytes(self._random.choice(_NO_DLE) for _ in range(count))
 
     def spoil(self, unit: int, frame: bytes, body: bytes) -> list[Piece]:
-        """What becomes of an answer: ``frame`` as the unit wrote it, ``body`` what it carries."""
+        """Apply the faults to a response: ``frame`` as the unit wrote it, ``body`` its content."""
         for kind, spoiler in _SPOILERS.items():
             if self.strikes(kind, unit):
                 return spoiler(self, frame, body)
@@ -168,4 +168,4 @@ _SPOILERS: dict[FaultKind, Callable[[Faults, bytes, bytes], list[Piece]]] = {
     FaultKind.WRONG_LENGTH: Faults._wrong_length,
     FaultKind.HUGE: Faults._huge,
 }
-"""Of several that strike at once the first one counts: an answer has one fate."""
+"""The first of several faults at once is the only one applied."""

@@ -1,6 +1,6 @@
-"""A whole simulated line without a port: bytes and times in, bytes and times out.
+"""A complete simulated line without a port: bytes and times in, bytes and times out.
 
-One clock, passed in, drives everything: request bytes on their way, answers, physics, faults. ``serve``
+One clock, passed in, drives everything: request bytes on their way, responses, physics, faults. ``serve``
 gives it a real clock and a port; a test gives it a virtual one, and the same seed gives the same bytes.
 """
 
@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from bus.settings import Dialect
-from bus.simulator.answering import ALL_UNITS, Turn, encode, respond
 from bus.simulator.faults import EVERY_UNIT, FaultKind, Faults
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import Happened, WireRecord
+from bus.simulator.responding import ALL_UNITS, Turn, encode, respond
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
 from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame
 
 IDLE_S = 1.5 * STEP_S
-"""How far behind the physics may fall while nobody asks."""
+"""How far the physics may lag while no request comes."""
 
 FLOOD_TALKER = -1
 ECHO_TALKER = -2
@@ -30,7 +30,7 @@ ECHO_TALKER = -2
 
 
 class _Arriving(NamedTuple):
-    """A request on its way. ``checksum_10h``: only units that take such a checksum so hear it."""
+    """A request on its way. ``checksum_10h``: only units with this setting accept such a checksum."""
 
     at: float
     body: bytes
@@ -84,7 +84,7 @@ class SimulatedLine:
         return self._replies.due(now)
 
     def wake(self) -> Wake:
-        """When ``advance`` has something to do next, if the host stays silent."""
+        """Return when ``advance`` is due next, if the host sends nothing."""
         reply = self._replies.wake()
         idle = self._physics_at + IDLE_S
         inside = Wake(min(self._arriving[0].at, idle) if self._arriving else idle, sharp=False)
@@ -109,7 +109,9 @@ class SimulatedLine:
             self._arriving.append(half._replace(at=at, checksum_10h="twice"))
 
     def _step_physics(self, now: float, behind: float) -> None:
-        """Up to ``behind`` before ``now``; best when a request is in, for its answer leaves time."""
+        """Step up to ``behind`` before ``now``; best directly after a request, because its response leaves
+        time.
+        """
         while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
             if self.faults.strikes(FaultKind.FLOOD):

@@ -1,7 +1,7 @@
 """When each byte is on the wire: a UART's timetable as pure arithmetic, time passed in, seconds.
 
-A byte takes ten bits. Every time is reckoned from the end of the byte before, never from when somebody
-woke up, so lateness does not add up.
+A byte takes ten bits. Every time counts from the end of the byte before, never from when a process woke up,
+so lateness does not add up.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class RequestLine:
 
 
 class Slot(NamedTuple):
-    """One byte on the reply pair, wholly there at ``due``; its place in what a talker says."""
+    """One byte on the reply pair, complete at ``due``; its position in what a talker sends."""
 
     due: float
     value: int

@@ -1,4 +1,4 @@
-"""A line of sections in floor order, and the hands that work its contacts; stepped, without a clock."""
+"""A line of sections in floor order, and the operation of its contacts; stepped, without a clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Contact = Literal["run", "estop", "preset", "reverse", "up", "down"]
 
 @dataclass(frozen=True, slots=True)
 class Habit:
-    """How often somebody closes a contact of some section, and for how long, in seconds."""
+    """How often a contact of some section is closed, and for how long, in seconds."""
 
     contact: Contact
     value: bool
@@ -90,12 +90,12 @@ class Plant:
         raise KeyError(address)
 
     def settle(self) -> None:
-        """Every section at the speed it is asked for."""
+        """Set every section to its commanded speed."""
         for section in self.sections:
             section.settle(self._master_rpm())
 
     def step(self, dt: float = STEP_S) -> None:
-        """``dt`` seconds pass on the whole line."""
+        """Advance the line by ``dt`` seconds."""
         if self.script is not None:
             self.script.step(dt)
         master_rpm = self._master_rpm()

@@ -1,4 +1,6 @@
-"""What a simulated line heard, did and said, with times: the other witness, by which tests judge a host."""
+"""What a simulated line received, did and sent, with times: an independent record by which tests judge a
+host.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,20 @@ class Happened(StrEnum):
     CAME = "came"
     """Bytes that the host wrote, at the time it wrote them."""
     RECEIVED = "received"
-    """A whole request reached a unit; ``at`` is its last byte. Unit 0: nobody has its address."""
+    """A complete request reached a unit; ``at`` is its last byte. Unit 0: no unit has its address."""
     ACTED = "acted"
     """The unit carried out the write in ``data``."""
     RESPONDED = "responded"
-    """The unit's own answer, before any fault."""
+    """The unit's response, before any fault."""
     SENT = "sent"
     """Bytes put on the line to the host, faults and all; ``at`` is when the last of them is out."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireEvent:
-    """``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for HEARD, ACTED and SAID
-    (what stands between STX and DLE ETX), else bytes as on the wire."""
+    """``number`` counts from 1; ``at`` is on the line's clock; ``data`` is a body for RECEIVED, ACTED and
+    RESPONDED (the bytes between STX and DLE ETX), else bytes as on the wire.
+    """
 
     number: int
     at: float
@@ -51,9 +54,9 @@ class WireRecord:
         self._entries.append(WireEvent(self._count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: Happened) -> Iterator[WireEvent]:
-        """Entries after ``number``, of the kinds asked for (all when none is named), as they are now.
+        """Yield the present entries after ``number``, of the kinds in ``what`` (default all).
 
-        The copy is one step for the interpreter, so another thread may ask while the line goes on.
+        The copy is one step for the interpreter, so another thread may read while the line goes on.
         """
         entries = tuple(self._entries)
         known = number - entries[0].number + 1 if entries else 0

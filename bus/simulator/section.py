@@ -1,8 +1,8 @@
 """The machine behind one unit: motor, encoder and web, stepped with a given dt; same seed, same speeds.
 
-The reference moves by the ramps #6 and #7 (time for the full span, manual 4.0); the motor follows it with
-a short lag and a little unrest. A master's reference is what its unit commands; a follower's is what the
-master's pulses say, times its ratio.
+The reference moves by the ramps #6 and #7 (time for the full span, manual 4.0); the motor follows it with a
+short lag and a little jitter. A master's reference is its unit's commanded speed; a follower's is the
+master's pulses times its ratio.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Section:
         self._random = random.Random(self.seed)
 
     def settle(self, master_rpm: float = 0.0) -> None:
-        """Begin in the middle of a shift: at the speed that is asked for."""
+        """Start in steady state, at the commanded speed."""
         self.speed = self.reference = self._wanted(master_rpm)
         self._show(master_rpm)
 

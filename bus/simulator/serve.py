@@ -123,7 +123,7 @@ class LineServer:
 
 
 def _sharpen_timer() -> None:
-    """Ask Linux to wake this thread on time; the usual slack of 50 µs is two percent of a byte time."""
+    """Set the thread's timer slack on Linux to the minimum; the usual 50 µs is two percent of a byte time."""
     prctl: Any = getattr(ctypes.CDLL(None), "prctl", None)
     if prctl is not None:
         prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

@@ -1,6 +1,6 @@
 """One DIGIMAX IV as pure state: parameters, mode, speeds, contacts, outputs; no clock, no I/O.
 
-What a request does to it is in ``answering``; what its motor does is in ``section``.
+What a request does to it is in ``responding``; what its motor does is in ``section``.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class Inputs:
 
 @dataclass(slots=True)
 class Measured:
-    """What the shaft and the analog terminals show the unit; the section's physics writes it.
+    """The shaft speed and the analog input as the unit measures them; the section's physics writes it.
 
-    ``following`` is the speed that the master's pulses ask of a follower, ``ratio`` what it holds.
+    ``following`` is the speed that the master's pulses command to a follower, ``ratio`` the present ratio.
     """
 
     actual: int = 0
@@ -59,7 +59,7 @@ class Measured:
 
 @dataclass
 class Unit:
-    """The state behind one address. Nothing here moves by itself: see ``section``."""
+    """The state behind one address. Only ``section`` changes it over time."""
 
     memory: Memory = field(default_factory=Memory)
     traits: Traits = ORDINARY
@@ -104,7 +104,7 @@ class Unit:
 
     @property
     def commanded(self) -> int:
-        """The speed (ratio in a follower) now asked of the drive: preset before jump before setpoint."""
+        """Return the commanded speed (ratio in a follower): preset before jump before setpoint."""
         if self.inputs.preset:
             return self.memory[numbers.PRESET_SPEED]
         if self.memory[numbers.JUMP_MODE] == 1:
@@ -132,17 +132,17 @@ class Unit:
 
     @property
     def at_speed(self) -> bool:
-        """Within #12 of what is asked, while running."""
+        """Return whether the unit runs within #12 of its commanded speed."""
         target = self.measured.following if self.follows else self.commanded
         return self.running and abs(self.measured.actual - target) <= self.memory[numbers.AT_SPEED_WINDOW]
 
     def turnaround(self) -> float:
-        """Seconds until the next answer begins; drawn from this unit's own seeded randomness."""
+        """Return the seconds until the next response begins, drawn from this unit's seeded randomness."""
         jitter = self.traits.turnaround_jitter
         return self.traits.turnaround_s * self.random.uniform(1 - jitter, 1 + jitter)
 
     def status(self, uid: int) -> StatusReply:
-        """The answer to 81h under the address asked (manual, READ SPEED AND STATUS)."""
+        """Return the response to 81h under the requested address (manual, READ SPEED AND STATUS)."""
         commanded, actual = self.commanded, self.measured.actual
         if self.follows and self.traits.dialect.follower_speed == "speed":
             commanded = self.measured.following

@@ -1,10 +1,10 @@
-"""The commands and their answers as bytes, in both directions (manual, the command pages).
+"""The commands and their responses as bytes, in both directions (manual, the command pages).
 
 A *body* is what a frame carries: ``[UID][CMD][data]`` from the host, ``[UID][ACK][data]`` or
 ``[UID][NAK][ERR]`` from a unit. All numbers are most significant byte first.
 
-``encode_request`` refuses what the manual's ranges exclude, so that a bad value never reaches the
-wire; ``parse_request``, the unit's side, takes whatever can arrive and leaves the judgement to the unit.
+``encode_request`` rejects what the manual's ranges exclude, so that a bad value never reaches the wire;
+``parse_request``, the unit's side, takes whatever can arrive and leaves the ranges to the unit.
 """
 
 from __future__ import annotations
@@ -103,15 +103,16 @@ _REQUEST_DATA_BYTES = {0x81: 0, 0x82: 4, 0x83: 0, 0x84: 4, 0x85: 1, 0x86: 5, 0x8
 
 
 def is_request(body: bytes) -> bool:
-    """Whether ``body`` has the shape of a request; no answer has, its second byte being 06h or 15h."""
+    """Return whether ``body`` has the shape of a request; a response has 06h or 15h as its second byte."""
     return len(body) >= 2 and _REQUEST_DATA_BYTES.get(body[1]) == len(body) - 2
 
 
 def parse_request(body: bytes, dialect: Dialect) -> Request:
-    """What the host asks of the unit body[0]; values are not judged.
+    """Parse a request to the unit body[0]; values are not checked.
 
-    Raises IllegalRequest, with the code a unit would answer, for an unknown command, a wrong length, a
-    parameter number that is no BCD where the dialect counts so, an output value other than 0 or 1.
+    Raises IllegalRequest, with the error code that a unit would return, for an unknown command, a wrong
+    length, a parameter number that is not BCD where the dialect uses BCD, or an output value other than 0 or
+    1.
     """
     unit, command = body[0], body[1]
     if not is_request(body):
@@ -147,7 +148,7 @@ def _number(unit: int, byte: int, dialect: Dialect) -> int:
     return tens * 10 + ones
 
 
-# --- answers -------------------------------------------------------------------------------------
+# --- responses -----------------------------------------------------------------------------------
 
 
 def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
@@ -173,12 +174,12 @@ def _reply_data(reply: Reply, dialect: Dialect) -> bytes:
 
 
 def parse_reply(request: Request, body: bytes, dialect: Dialect) -> Reply | None:
-    """What ``body`` says if it can be the answer to ``request``, else None.
+    """Parse ``body`` as the response to ``request``; None if it cannot be one.
 
-    It can when the address is the one asked, and the length is one that the command's answer may have.
-    Nothing answers unit 0. The manual draws the answer to 86h as ``[UID][DAT]`` without an ACK; such a
-    body is not taken, for nothing in it says that it is an answer (its prose has the ACK, and the write
-    is proven by 85h in any case).
+    The address must be that of the request, and the length one that the command's response may have. Unit 0
+    never responds. The manual draws the response to 86h as ``[UID][DAT]`` without an ACK; such a body is not
+    taken, because nothing in it marks it as a response (the manual's text has the ACK, and the write is read
+    back by 85h in any case).
     """
     if len(body) < 2 or body[0] != request.unit or request.unit == 0:
         return None

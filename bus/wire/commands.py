@@ -1,4 +1,4 @@
-"""What the eight commands 81h-88h and their answers say (manual, the command pages)."""
+"""The eight commands 81h-88h and their responses as types (manual, the command pages)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StageSpeedRequest(msgspec.Struct, frozen=True):
 
 
 class ExecuteSpeedRequest(msgspec.Struct, frozen=True):
-    """83h: act on the staged speed. Unit 0 is every unit at once, and none of them answers."""
+    """83h: take over the staged speed. Unit 0 addresses every unit at once, and none of them responds."""
 
     COMMAND: ClassVar[int] = 0x83
     unit: int
@@ -87,7 +87,7 @@ Request = (
 
 
 class StatusReply(msgspec.Struct, frozen=True):
-    """Answer to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1."""
+    """Response to 81h. ``analog`` is ATD, ``outputs`` is ST2, ``inputs`` is ST1."""
 
     unit: int
     commanded: int
@@ -98,7 +98,7 @@ class StatusReply(msgspec.Struct, frozen=True):
 
 
 class Ack(msgspec.Struct, frozen=True):
-    """A write was taken. ``data`` is empty, but for 86h, where a unit may say the value."""
+    """A write was acknowledged. ``data`` is empty, except for 86h, where a unit may return the value."""
 
     unit: int
     data: bytes = b""
@@ -112,7 +112,7 @@ class Nak(msgspec.Struct, frozen=True):
 
 
 class ParameterReply(msgspec.Struct, frozen=True):
-    """Answer to 85h; it does not name the parameter. ``width``: bytes it came in (or to send it in)."""
+    """Response to 85h; it does not name the parameter. ``width`` is the number of bytes of the value."""
 
     unit: int
     raw: int

@@ -1,7 +1,7 @@
-"""What frames say, in words for people and as fields for programs (``lineside decode``, the trace).
+"""Frames as text for people and as fields for programs (``lineside decode``, the trace).
 
-Field names are those of the HTTP API (contract): ``raw`` is the integer on the wire. An answer names
-neither its command nor its parameter; where the request is not at hand the words say what is open.
+Field names are those of the HTTP API (contract): ``raw`` is the integer on the wire. A response names neither
+its command nor its parameter; where the request is not known, the text states what is open.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """One frame, or a frame whole but for its checksum. ``meaning`` never shows a secret, ``fields`` do."""
+    """One frame, complete except perhaps for its checksum. ``meaning`` never shows a secret, ``fields``
+    do.
+    """
 
     uid: int
     kind: str
@@ -60,7 +62,7 @@ class Described:
     wire: bytes
     checksum_ok: bool = True
     request: Request | None = None
-    """What it asks, where it is a request."""
+    """The parsed request, where the frame is one."""
 
     def as_json(self) -> dict[str, Json]:
         """The object of ``lineside decode --json``."""
@@ -81,11 +83,11 @@ class DescribedNoise:
 
 
 class Describer:
-    """Frames in their order, so that an answer is read in the light of the request before it."""
+    """Describes frames in their order, so that a response is read in the context of its request."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect
-        self._asked: Request | None = None
+        self._request: Request | None = None
 
     def describe(self, received: Iterable[Received]) -> list[Described | DescribedNoise]:
         """Everything but the doubled checksum bytes, which belong to the frames before them."""
@@ -98,8 +100,8 @@ class Describer:
         return described
 
     def _frame(self, body: bytes, wire: bytes) -> Described:
-        described = describe_body(body, wire, self._dialect, self._asked)
-        self._asked = described.request
+        described = describe_body(body, wire, self._dialect, self._request)
+        self._request = described.request
         return described
 
     def _noise(self, noise: Noise) -> Described | DescribedNoise:
@@ -119,10 +121,10 @@ def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Describe
     return Describer(dialect).describe([*decoder.feed(data), *decoder.flush()])
 
 
-def describe_body(body: bytes, wire: bytes, dialect: Dialect, asked: Request | None = None) -> Described:
-    """``body`` of a good frame; ``asked`` is the request it may answer."""
+def describe_body(body: bytes, wire: bytes, dialect: Dialect, request: Request | None = None) -> Described:
+    """Describe the ``body`` of a good frame; ``request`` is the one that it may respond to."""
     if body[1] == ACK or body[1] == NAK:
-        return _describe_answer(body, wire, dialect, asked)
+        return _describe_response(body, wire, dialect, request)
     try:
         return _describe_request(parse_request(body, dialect), wire)
     except IllegalRequest as error:
@@ -197,29 +199,33 @@ def _title(number: int) -> str | Message:
 # --- responses -----------------------------------------------------------------------------------
 
 
-def _describe_answer(body: bytes, wire: bytes, dialect: Dialect, asked: Request | None) -> Described:
-    reply = parse_reply(asked, body, dialect) if asked is not None else None
-    if reply is not None and asked is not None:
-        return _in_context(reply, asked, wire, dialect)
+def _describe_response(body: bytes, wire: bytes, dialect: Dialect, request: Request | None) -> Described:
+    reply = parse_reply(request, body, dialect) if request is not None else None
+    if reply is not None and request is not None:
+        return _in_context(reply, request, wire, dialect)
     return _without_context(body, wire, dialect)
 
 
-def _in_context(reply: Reply, asked: Request, wire: bytes, dialect: Dialect) -> Described:
+def _in_context(reply: Reply, request: Request, wire: bytes, dialect: Dialect) -> Described:
     match reply:
         case StatusReply():
             return _status(reply, wire, dialect)
         case Nak():
-            return _nak(reply, wire, asked)
-        case ParameterReply() if isinstance(asked, ReadParameterRequest):
-            fields: dict[str, Json] = {"number": asked.number, "name": _name(asked.number), "raw": reply.raw}
+            return _nak(reply, wire, request)
+        case ParameterReply() if isinstance(request, ReadParameterRequest):
+            fields: dict[str, Json] = {
+                "number": request.number,
+                "name": _name(request.number),
+                "raw": reply.raw,
+            }
             value = Message.of(
-                "parameter_response", parameter=_title(asked.number), raw=_unless_secret(asked, reply.raw)
+                "parameter_response", parameter=_title(request.number), raw=_unless_secret(request, reply.raw)
             )
             return Described(reply.unit, "parameter_value", fields, _of_unit(reply.unit, value), wire)
         case _:
             data = reply.data if isinstance(reply, Ack) else b""
             accepted = Message.of(
-                "request_accepted_with_value" if data else "request_accepted", request=_name_of(asked)
+                "request_accepted_with_value" if data else "request_accepted", request=_name_of(request)
             )
             return Described(reply.unit, "ack", _data_fields(data), _of_unit(reply.unit, accepted), wire)
 
@@ -252,13 +258,13 @@ def _data_fields(data: bytes) -> dict[str, Json]:
     return {"raw": int.from_bytes(data, "big"), "width": len(data)} if data else {}
 
 
-def _nak(reply: Nak, wire: bytes, asked: Request | None) -> Described:
+def _nak(reply: Nak, wire: bytes, request: Request | None) -> Described:
     error = unit_error(reply.code)
     fields: dict[str, Json] = {"unit_error": reply.code, "name": str(error)}
-    if asked is None:
+    if request is None:
         meaning = Message.of("nak", error=error)
     else:
-        meaning = Message.of("nak_to_request", request=_name_of(asked), error=error)
+        meaning = Message.of("nak_to_request", request=_name_of(request), error=error)
     return Described(reply.unit, "nak", fields, _of_unit(reply.unit, meaning), wire)
 
 

@@ -1,20 +1,20 @@
-"""One request and its answer as a value machine: bytes in, events out. It has no clock.
+"""One request and its response as a state machine: bytes in, events out. It has no clock.
 
 ================  =============================  ==========================================
 while             a good frame arrives           event
 ================  =============================  ==========================================
-at any time       equal to our own request       Echo (a half-duplex adapter hears itself)
+at any time       equal to our own request       Echo (a half-duplex adapter echoes)
 at any time       another address                Foreign
 awaiting          right address, wrong shape     Unexpected
 awaiting          fits, but may be a late one    Late (see ``fence``)
 awaiting          fits                           Answered; nothing is awaited any more
-answered          the same bytes once more       Doubled
-answered or       right address                  Late
-given up
+responded         the same bytes a second time   Doubled
+responded or      right address                  Late
+timed out
 ================  =============================  ==========================================
 
-Everything that is no good frame passes through as the Noise that framing made of it; a Noise with
-``Fault.CHECKSUM`` while awaiting is most likely the answer, spoilt.
+Bytes that are no good frame pass through as the Noise that framing made of them; a Noise with
+``Fault.CHECKSUM`` while awaiting is most likely the damaged response.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from bus.wire.prepared import prepare
 
 
 class Answered(msgspec.Struct, frozen=True):
-    """The answer to the request."""
+    """The response to the request."""
 
     reply: Reply
     frame: ReceivedFrame
 
 
 class Foreign(msgspec.Struct, frozen=True):
-    """A good frame with another address than the one asked."""
+    """A good frame with an address other than that of the request."""
 
     unit: int
     frame: ReceivedFrame
@@ -50,7 +50,7 @@ class Echo(msgspec.Struct, frozen=True):
 
 
 class Unexpected(msgspec.Struct, frozen=True):
-    """A good frame of the unit asked that no unit gives as the answer to this command."""
+    """A good frame of the addressed unit that is no response to this command."""
 
     frame: ReceivedFrame
 
@@ -62,7 +62,7 @@ class Late(msgspec.Struct, frozen=True):
 
 
 class Doubled(msgspec.Struct, frozen=True):
-    """The answer already taken, once more."""
+    """A duplicate of the response already taken."""
 
     frame: ReceivedFrame
 
@@ -73,9 +73,9 @@ ExchangeEvent = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise 
 class Exchange:
     """A request and what comes back.
 
-    ``decoder`` is the one of the exchange before where bytes may still be under way; without it a new
-    one is used. ``pending`` is what the unit may still answer late, by default nothing. Raises CallerError
-    for a request that the wire must not carry.
+    ``decoder`` is that of the previous exchange where its bytes may still arrive; the default is a new one.
+    ``pending`` holds the late responses that the unit may still send, by default none. Raises CallerError for
+    a request that must not be sent.
     """
 
     def __init__(
@@ -96,12 +96,12 @@ class Exchange:
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self.dialect = dialect
         self._before = pending or PendingResponses(request.unit, dialect)
-        self._answer: bytes | None = None
+        self._response: bytes | None = None
         self._pending = self._before.sent(request)
-        self._to_ponder: bytes | None = None
+        self._unresolved: bytes | None = None
 
     def receive(self, data: bytes, at: float) -> list[ExchangeEvent]:
-        """Take what came in at ``at``, in any cut; say what it is."""
+        """Take bytes that came in at ``at``, in pieces of any size, and return the events."""
         if data and self.first_byte_at is None:
             self.first_byte_at = at
         events: list[ExchangeEvent] = []
@@ -118,9 +118,9 @@ class Exchange:
 
     @property
     def pending(self) -> PendingResponses:
-        """What the unit may still answer late once this exchange is over."""
-        if self._to_ponder is not None:
-            self._pending, self._to_ponder = self._pending.received(self._to_ponder), None
+        """Return the late responses that the unit may still send once this exchange is over."""
+        if self._unresolved is not None:
+            self._pending, self._unresolved = self._pending.received(self._unresolved), None
         return self._pending
 
     def give_up(self) -> None:
@@ -133,11 +133,11 @@ class Exchange:
         unit = frame.body[0]
         if unit != self.request.unit:
             return Foreign(unit, frame)
-        # What was answered twice has not been asked twice.
-        if not self.awaiting and frame.body == self._answer:
+        # A duplicate response is not evidence of a second request.
+        if not self.awaiting and frame.body == self._response:
             return Doubled(frame)
-        # What it means for later requests is worked out when somebody asks: now the next one is urgent.
-        self._pending, self._to_ponder = self.pending, frame.body
+        # Resolved on demand: the next request is more urgent.
+        self._pending, self._unresolved = self.pending, frame.body
         return self._judge(frame) if self.awaiting else Late(frame)
 
     def _judge(self, frame: ReceivedFrame) -> ExchangeEvent:
@@ -149,5 +149,5 @@ class Exchange:
             return Late(frame)
         self.awaiting = False
         self.reply = reply
-        self._answer = frame.body
+        self._response = frame.body
         return Answered(reply, frame)

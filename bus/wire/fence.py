@@ -1,27 +1,27 @@
-"""Which answers can still be late, and what must be asked before the next question can be trusted.
+"""Which responses can still be late, and which read must go first before the next response can be trusted.
 
-An answer names its unit and nothing else: neither the command nor the parameter. After a timeout the
-answer may be lost or on its way, and on its way it could pass for the answer to what is asked next. So
-could the second copy of an answer that comes twice.
+A response names its unit and nothing else: neither the command nor the parameter. After a timeout the
+response may be lost or on its way, and on its way it could pass for the response to the next request. The
+same is true of a duplicate.
 
-The *shape* of an answer is all there is to tell it by: ACK with so many data bytes, or NAK with such
-an error code. The rules:
+A response can be identified only by its *shape*: ACK with a number of data bytes, or NAK with an error code.
+The rules:
 
-1. Every request that was sent and not surely answered is *outstanding*, oldest first. A unit answers in
-   order, so an answer ends all that was outstanding before the first request that can have caused it.
-2. The *last* answer of a unit may come once more, but only while the very next request is under way.
-3. An answer is believed only if nothing outstanding, nor the last one, can be the cause of it. The one
-   exception is the same read sent again with no write between, for its late answer says the same thing.
-   The same write sent again is no exception: a late refusal of the first is none of the second.
-4. A request needs a fence first when the answers it ordinarily gets are among those that may come late or
-   twice. The fence is 81h or 85h, whichever leaves less outstanding: their answers have 11 and at most 4
-   data bytes, those to writes have none (86h: at most 4).
+1. Every request that was sent and has no certain response is *outstanding*, oldest first. A unit responds in
+   order, so a response ends all that was outstanding before the first request that can have caused it.
+2. The *last* response of a unit may be duplicated, but only while the very next request is under way.
+3. A response is believed only if nothing outstanding, nor the last one, can be its cause. The one exception
+   is the same read sent again with no write between, because its late response has the same content. The same
+   write sent again is no exception: a late refusal of the first is none of the second.
+4. A request needs a fence first when its ordinary responses are among those that may be late or duplicated.
+   The fence is 81h or 85h, whichever leaves less outstanding: their responses have 11 and at most 4 data
+   bytes, those to writes have none (86h: at most 4).
 
-So after a lost 81h any write or 85h may follow at once; after a lost write 81h may, and 85h too, but for
-a lost 86h; after a lost 85h another 85h or an 86h needs 81h before it; after a lost write another write
-does. The same holds right after an answer, at the price of an 81h that would soon be due anyway.
-"Illegal command" (86h, 89h) can be the answer to anything, so it is no one's ordinary answer: no unit
-that knows the commands gives it, and in doubt it is not believed.
+After a lost 81h, any write or 85h may follow at once. After a lost write, 81h may, and 85h too, except after
+86h. After a lost 85h, another 85h or an 86h needs 81h before it; after a lost write, another write does. The
+same holds directly after a response, at the price of an 81h that would soon be due anyway. "Illegal command"
+(86h, 89h) can be the response to anything, so it is no ordinary response: a unit that knows the commands does
+not send it, and where it is ambiguous it is not believed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from bus.wire.lengths import acknowledged_lengths
 LONG_RUN = 3
 """Equal reads in a row beyond this are as good as any number of them."""
 MOST_OUTSTANDING = 32
-"""An answer that is late by more requests than this to one unit is not reckoned with."""
+"""A response that is late by more requests to one unit than this is not expected."""
 
 MOST_FENCES_PLANNED = 4
 """Ahead; each may double what is looked at."""
@@ -69,7 +69,7 @@ class Shape(NamedTuple):
 
 
 def shape_of(body: bytes) -> Shape | None:
-    """The shape of a unit's answer; None for a body that no answer has."""
+    """Return the shape of a unit's response; None for a body that no response has."""
     if len(body) == 3 and body[1] == NAK:
         return Shape(NAK, body[2])
     if len(body) >= 2 and body[1] == ACK:
@@ -78,14 +78,16 @@ def shape_of(body: bytes) -> Shape | None:
 
 
 def ordinary_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
-    """The answers the manual gives to ``request``, without "illegal command"; none to a broadcast."""
+    """Return the shapes that the manual gives for ``request``, without "illegal command"; none for a
+    broadcast.
+    """
     if request.unit == 0:
         return frozenset()
     return _ordinary(request.COMMAND, acknowledged_lengths(request, dialect))
 
 
 def possible_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
-    """Every answer that ``request`` can cause."""
+    """Return the shape of every response that ``request`` can cause."""
     if request.unit == 0:
         return frozenset()
     return _possible(request.COMMAND, acknowledged_lengths(request, dialect))
@@ -103,7 +105,7 @@ def _possible(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
 
 
 def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None = None) -> bool:
-    """Whether a late answer to ``timed_out`` could be taken for the answer to ``following`` (rule 4)."""
+    """Return whether a late response to ``timed_out`` could be taken for that to ``following`` (rule 4)."""
     dialect = dialect or Dialect()
     if timed_out.unit != following.unit or _reads_the_same(timed_out, following):
         return False
@@ -111,32 +113,34 @@ def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None
 
 
 def fence_for(unit: int, timed_out: Request, dialect: Dialect | None = None) -> Request:
-    """The read whose answer nobody can take for a late answer to ``timed_out``."""
+    """Return the read whose response cannot be confused with a late response to ``timed_out``."""
     return PendingResponses(unit, dialect or Dialect(), (timed_out,)).fence()
 
 
 class ShapedResponse(NamedTuple):
-    """A request and the shape of what it was answered with."""
+    """A request and the shape of its response."""
 
     request: Request
     shape: Shape
 
 
 class PendingResponses(msgspec.Struct, frozen=True):
-    """What one unit may still answer late or twice. A value: each step gives the next one."""
+    """The late and duplicate responses that one unit may still send. A value: each step returns the
+    next one.
+    """
 
     unit: int
     dialect: Dialect
     outstanding: tuple[Request, ...] = ()
     last: ShapedResponse | None = None
-    """The answer whose second copy may come into the next exchange."""
+    """The response whose duplicate may arrive during the next exchange."""
     fading: ShapedResponse | None = None
-    """The answer whose second copy may come into this one."""
+    """The response whose duplicate may arrive during this exchange."""
     was_copy: bool = False
-    """Whether the last answer may itself have been a second copy, and so ended nothing."""
+    """Whether the last response may itself have been a duplicate, and so ended nothing."""
 
     def sent(self, request: Request) -> PendingResponses:
-        """``request`` has gone out (a broadcast changes nothing, for it has no answer)."""
+        """Return the state after ``request`` was sent (a broadcast changes nothing: it has no response)."""
         if request.unit != self.unit or request.unit == 0:
             return self
         outstanding = self.outstanding
@@ -146,8 +150,9 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return PendingResponses(self.unit, self.dialect, outstanding, None, self.last, was_copy)
 
     def received(self, body: bytes) -> PendingResponses:
-        """A frame of this unit came in, awaited or not (rule 1). What may be a second copy ends nothing; but
-        of two of them, one after the other, one is no copy, for no answer comes three times."""
+        """Return the state after a frame of this unit, awaited or not (rule 1). A possible duplicate ends
+        nothing; but of two in a row one is no duplicate, because no response comes three times.
+        """
         shape = shape_of(body)
         if shape is None:
             return self
@@ -155,32 +160,33 @@ class PendingResponses(msgspec.Struct, frozen=True):
             if shape in possible_shapes(request, self.dialect):
                 may_be_copy = self._may_be_a_copy(shape) and not self.was_copy
                 ended = 0 if may_be_copy else position + (not self._is_a_long_run(position))
-                answer = ShapedResponse(request, shape)
+                response = ShapedResponse(request, shape)
                 return PendingResponses(
-                    self.unit, self.dialect, self.outstanding[ended:], answer, self.fading, may_be_copy
+                    self.unit, self.dialect, self.outstanding[ended:], response, self.fading, may_be_copy
                 )
         return self
 
     @property
     def may_hold_secret(self) -> bool:
-        """Whether an answer that still may come carries what is not to be kept or shown (#21)."""
+        """Return whether a late response may carry a value that must not be kept or shown (#21)."""
         last = () if self.last is None else (self.last.request,)
         return any(is_secret(request) for request in (*self.outstanding, *last))
 
     def moved_on(self) -> PendingResponses:
-        """The bus has asked another unit since; the last answer cannot come again."""
+        """Return the state after a request to another unit; the last response cannot come again."""
         if self.last is None and self.fading is None:
             return self
         return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
-        """Whether so many equal reads stand at ``position`` that more of them are not kept: that run ends
-        only with an answer that none of them can have caused."""
+        """Return whether ``position`` has so many equal reads that more are not kept: that run ends only with
+        a response that none of them can have caused.
+        """
         run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
         return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 
     def believes(self, request: Request, body: bytes) -> bool:
-        """Whether ``body``, which fits ``request``, can only be its answer (rule 3)."""
+        """Return whether ``body``, which fits ``request``, can only be its response (rule 3)."""
         late = self._may_be_late(request)
         twice = self._may_come_twice(request)
         if not late and not twice:
@@ -189,11 +195,11 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return shape not in late | twice and (not late or shape in ordinary_shapes(request, self.dialect))
 
     def fence_before(self, request: Request) -> Request | None:
-        """What to ask before ``request``; None where it may follow at once (rule 4)."""
+        """Return the read to send before ``request``; None where it may follow at once (rule 4)."""
         return self._first_of_fences(request) if self._may_mislead(request) else None
 
     def fence(self) -> Request:
-        """Of the two fences the one whose answer would leave less in doubt."""
+        """Return the one of the two fences whose response would leave less outstanding."""
         return min(self._fences(), key=self._left_pending_by)
 
     def _may_mislead(self, request: Request) -> bool:
@@ -201,7 +207,9 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return bool(shapes & ordinary_shapes(request, self.dialect))
 
     def _first_of_fences(self, request: Request) -> Request:
-        """The first of the fewest fences after which ``request`` may follow, if each is answered."""
+        """Return the first of the fewest fences after which ``request`` may follow, if each gets a
+        response.
+        """
         best_first = sorted(self._fences(), key=self._left_pending_by)
         reached = {self._after(fence): fence for fence in best_first}
         for _ in range(MOST_FENCES_PLANNED):
@@ -222,8 +230,9 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return self.sent(fence).received(bytes((self.unit, ACK, *data)))
 
     def _may_be_late(self, request: Request) -> set[Shape]:
-        """Shapes of late answers that would mislead about ``request``; the same read does not, unless
-        a write went out after it."""
+        """Return the shapes of late responses that could be confused with that to ``request``; the same read
+        is excepted, unless a write went out after it.
+        """
         shapes: set[Shape] = set()
         written_since = False
         for sent in reversed(self.outstanding):
@@ -233,10 +242,10 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return shapes
 
     def _may_be_a_copy(self, shape: Shape) -> bool:
-        return any(answer is not None and answer.shape == shape for answer in (self.last, self.fading))
+        return any(response is not None and response.shape == shape for response in (self.last, self.fading))
 
     def _may_come_twice(self, request: Request) -> set[Shape]:
-        """The shape of the last answer, with the same exception."""
+        """Return the shape of the last response, with the same exception."""
         if self.last is None:
             return set()
         written_since = any(is_write(sent) for sent in self.outstanding)
@@ -245,16 +254,16 @@ class PendingResponses(msgspec.Struct, frozen=True):
 
     def _left_pending_by(self, fence: Request) -> int:
         lengths = acknowledged_lengths(fence, self.dialect)
-        answers = (bytes((self.unit, ACK, *bytes(length))) for length in lengths)
+        responses = (bytes((self.unit, ACK, *bytes(length))) for length in lengths)
         pending = [
-            len(self.sent(fence).received(answer).outstanding) + (not self.believes(fence, answer))
-            for answer in answers
+            len(self.sent(fence).received(response).outstanding) + (not self.believes(fence, response))
+            for response in responses
         ]
         return max(pending)
 
 
 class PendingByUnit:
-    """The doubts about every unit of one bus."""
+    """The late and duplicate responses that the units of one bus may still send."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect
@@ -262,16 +271,18 @@ class PendingByUnit:
         self._last_unit = 0
 
     def about(self, unit: int) -> PendingResponses:
-        """What ``unit`` may still answer late or twice if it were asked now."""
+        """Return the late and duplicate responses of ``unit`` as of a request sent to it now."""
         pending = self._units.get(unit) or PendingResponses(unit, self._dialect)
         return pending if unit == self._last_unit else pending.moved_on()
 
     def fence_before(self, request: Request) -> Request | None:
-        """What to ask before ``request``; None where it may follow at once."""
+        """Return the read to send before ``request``; None where it may follow at once."""
         return self.about(request.unit).fence_before(request) if request.unit else None
 
     def may_hold_secret(self, unit: int) -> bool:
-        """Whether a late or second answer of ``unit`` may carry what is not to be kept or shown (#21)."""
+        """Return whether a late or duplicate response of ``unit`` may carry a value that must not be kept or
+        shown (#21).
+        """
         pending = self._units.get(unit)
         return pending is not None and pending.may_hold_secret
 

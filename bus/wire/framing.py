@@ -4,15 +4,15 @@ The rules of receiving, in the order in which they are applied:
 
 1. Outside a frame everything up to the next ``10 02`` is noise.
 2. Inside a frame ``10 10`` is the byte 10h, ``10 03`` ends the body, and exactly one byte after it is
-   the checksum. ``10 02`` starts anew; 10h before anything else, a body longer than the longest legal
+   the checksum. ``10 02`` restarts the frame; 10h before anything else, a body longer than the longest legal
    one, one too short for an address and a command, and a wrong checksum each end the candidate.
 3. After a candidate has failed only its first byte is given up: the search goes on one byte after its
    start, so a good frame that begins inside a bad one is not lost.
 4. A single 10h right after a frame whose checksum is 10h is that checksum sent twice, not noise.
 
-A candidate is never longer than ``_LONGEST_CANDIDATE`` bytes, so each byte is looked at a bounded
-number of times whatever arrives. The events depend on the bytes alone, never on how they were cut,
-and their bytes, put together, are the bytes that came in.
+A candidate is never longer than ``_LONGEST_CANDIDATE`` bytes, so each byte is examined a bounded number of
+times whatever arrives. The events depend on the bytes alone, not on how they were cut, and their bytes,
+joined, are the bytes that came in.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ DLE, STX, ETX, ACK, NAK = 0x10, 0x02, 0x03, 0x06, 0x15
 SHORTEST_BODY = 2
 """UID and a command or ACK."""
 LONGEST_BODY = 13
-"""UID, ACK and the eleven bytes of the answer to 81h."""
+"""UID, ACK and the eleven bytes of the response to 81h."""
 LONGEST_NOISE = 64
-"""Rubbish is reported in pieces of at most so many bytes."""
+"""Noise is reported in pieces of at most this many bytes."""
 
 _START = bytes((DLE, STX))
 _END = bytes((DLE, ETX))
@@ -52,7 +52,7 @@ class Fault(StrEnum):
 
 
 class ReceivedFrame(msgspec.Struct, frozen=True):
-    """A whole frame with the right checksum. ``body`` is unstuffed, ``wire`` is as received."""
+    """A complete frame with the right checksum. ``body`` is unstuffed, ``wire`` is as received."""
 
     body: bytes
     wire: bytes
@@ -61,7 +61,7 @@ class ReceivedFrame(msgspec.Struct, frozen=True):
 class Noise(msgspec.Struct, frozen=True):
     """Bytes that belong to no good frame.
 
-    ``body`` is the unstuffed content where a frame was whole but for its checksum, else empty.
+    ``body`` is the unstuffed content of a frame that is complete except for its checksum, otherwise empty.
     """
 
     data: bytes
@@ -129,7 +129,7 @@ class FrameDecoder:
         return list(self._events()) if frame is None else [frame]
 
     def flush(self) -> list[Received]:
-        """Nothing more will come: give up what is unfinished and say what it was."""
+        """End the reception: return what is unfinished as noise or as a frame."""
         events = list(self._events())
         while self._buffer:
             events.append(self._abandon())
@@ -173,7 +173,7 @@ class FrameDecoder:
                 yield self._give_up(verdict.end, verdict.fault, verdict.body)
 
     def _noise_before(self, start: int) -> Iterator[Noise]:
-        """Rubbish before ``start``; with no start in sight (-1) only what exceeds one piece."""
+        """Yield the noise before ``start``; without a start (-1) only what exceeds one piece."""
         known = start if start >= 0 else len(self._buffer)
         while known > LONGEST_NOISE or (start >= 0 and known > 0):
             piece = min(known, LONGEST_NOISE)

@@ -1,4 +1,4 @@
-"""How many bytes an answer has, and how long bytes take on the wire."""
+"""How many bytes a response has, and how long bytes take on the wire."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _ACKNOWLEDGED_LENGTHS = {
 
 
 def usual_reply_bytes(request: Request, dialect: Dialect) -> int:
-    """Bytes on the wire of an ordinary answer, nothing in it being 10h; 0 where nothing answers."""
+    """Return the bytes on the wire of an ordinary response without a 10h; 0 for a broadcast."""
     return _reply_bytes(request, dialect, bytes_per_byte=1)
 
 
 def least_reply_bytes(request: Request, dialect: Dialect) -> int:
-    """Bytes on the wire of the shortest acknowledgement; 0 where nothing answers."""
+    """Return the bytes on the wire of the shortest acknowledgement; 0 for a broadcast."""
     if request.unit == 0:
         return 0
     return _FRAME_OVERHEAD + 2 + min(acknowledged_lengths(request, dialect))
 
 
 def longest_reply_bytes(request: Request, dialect: Dialect) -> int:
-    """Bytes on the wire of the longest answer, every byte of it being 10h; 0 where nothing answers."""
+    """Return the bytes on the wire of the longest response, every byte of it 10h; 0 for a broadcast."""
     doubled_checksum = 1 if request.unit and dialect.checksum_10h == "twice" else 0
     return _reply_bytes(request, dialect, bytes_per_byte=2) + doubled_checksum
 

@@ -1,4 +1,4 @@
-"""A request ready to leave: its bytes, and how long its answer may be. Reads are prepared once."""
+"""A request ready to send: its bytes, and how long its response may be. Reads are prepared once."""
 
 from __future__ import annotations
 
@@ -51,6 +51,8 @@ def _prepare(request: Request, dialect: Dialect) -> Prepared:
 
 @lru_cache(MOST_KEPT)
 def _prepare_read(request: Request, checksum_10h: str, reply_bytes: int, numbers: str) -> Prepared:
-    """What of a dialect tells how a request is written, as plain values: they are compared quickly."""
+    """Prepare a read; the parts of the dialect that decide its bytes are plain values, which compare
+    quickly.
+    """
     how = {"checksum_10h": checksum_10h, "parameter_reply_bytes": reply_bytes, "parameter_numbers": numbers}
     return _prepare(request, Dialect.model_validate(how))

@@ -12,8 +12,9 @@ import structlog
 
 
 class Unbreakable(io.TextIOBase):
-    """Where the log cannot be written (its disk is full, its pipe is closed), lines are lost and whoever
-    wrote them goes on: the log is never a reason to lose the line or its history."""
+    """Drops log lines that cannot be written (disk full, pipe closed), so that the log never stops the line
+    or its history.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -1,7 +1,7 @@
 """What the app has not confirmed yet: updates in order, numbered as they are sent, bounded. No socket.
 
 A batch gets its number when it is made. After a lost connection everything that the app does not have
-(``Welcome.seq``) goes back to the front and is numbered anew from there, so the app never sees a gap.
+(``Welcome.seq``) goes back to the front and is numbered from there, so the app never sees a gap.
 """
 
 from __future__ import annotations

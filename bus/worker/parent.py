@@ -18,7 +18,7 @@ def tied_environment() -> dict[str, str]:
 
 
 def named_parent() -> int | None:
-    """The process that the environment says this one belongs to; told to no child of this one."""
+    """Return the parent process id from the environment, and remove it there so that no child inherits it."""
     named = os.environ.pop(PARENT, "")
     return int(named) if named.isdecimal() else None
 

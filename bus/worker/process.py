@@ -16,7 +16,7 @@ from bus.worker.parent import named_parent, tie_to
 from bus.worker.service import run_worker
 
 PRIORITY = -10
-"""The worker sleeps 97 % of the time; when an answer is complete its next request is due at once."""
+"""The worker sleeps 97 % of the time; when a response is complete its next request is due at once."""
 
 
 def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> int:

@@ -45,7 +45,7 @@ HURRY_S = 5.0
 """So long after the start, or after a link was lost, the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
-"""What is taken from the app; more waits in the socket, and the wire goes on being polled."""
+"""Limits what is taken from the app; more waits in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
@@ -59,7 +59,7 @@ _log = structlog.get_logger("bus.uplink")
 
 
 class Duty(Protocol):
-    """What the app can ask of this side; every call returns at once."""
+    """The commands of the app to this side; every call returns at once."""
 
     def hello(self) -> Hello:
         """Who speaks."""
@@ -71,7 +71,7 @@ class Duty(Protocol):
         """Carry it out."""
 
     def reserve(self) -> None:
-        """A write is about to be asked for."""
+        """Keep the next turn of the wire free: a write is about to be requested."""
 
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
@@ -179,18 +179,18 @@ class Uplink:
     async def _introduce(self, socket: ClientConnection) -> Welcome:
         await socket.send(encode(self._duty.hello()))
         async with asyncio.timeout(WELCOME_WITHIN_S):
-            answer = _decoded(await socket.recv())
-        if not isinstance(answer, Welcome):
-            raise Refused("it did not say welcome; is this a Lineside dashboard?")
-        if answer.refused:
-            raise Refused(answer.refused)
-        if answer.version != CONTRACT_VERSION:
+            welcome = _decoded(await socket.recv())
+        if not isinstance(welcome, Welcome):
+            raise Refused("no welcome was received; is this a Lineside dashboard?")
+        if welcome.refused:
+            raise Refused(welcome.refused)
+        if welcome.version != CONTRACT_VERSION:
             raise Refused(
-                f"it speaks version {answer.version} of the link and this worker {CONTRACT_VERSION}: "
+                f"it uses version {welcome.version} of the link and this worker {CONTRACT_VERSION}: "
                 "install the same release of lineside on both"
             )
-        self._app_clock.observe(answer.app_time, self._epoch())
-        return answer
+        self._app_clock.observe(welcome.app_time, self._epoch())
+        return welcome
 
     async def _receive(self, socket: ClientConnection) -> None:
         loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MESSAGES_AT_ONCE), True
@@ -261,7 +261,7 @@ def _about_status(response: Response) -> str:
     if status in (401, 403):
         why = _problem_detail(bytes(response.body or b"")) or "create one with 'lineside token create'"
         return f"the dashboard does not accept the token ({status}): {why}"
-    return f"the dashboard answers {status} instead of opening the feed: is the address right?"
+    return f"the dashboard responds {status} instead of opening the feed: is the address right?"
 
 
 def _problem_detail(body: bytes) -> str:

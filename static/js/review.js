@@ -129,8 +129,10 @@ function sayUnanswered() {
   document.getElementById("setpoint-error")?.replaceChildren(words);
 }
 
-/** End the review when the connection is lost; a pending command is reported as unknown after the reconnect. */
+/** End the review when the connection is lost; a pending command is reported as unknown after the reconnect.
+ * What is typed in a field without a review stays. */
 function lost() {
+  if (!dialog.open) return;
   const form = content.querySelector("[data-pending]");
   if (!form) return dismiss();
   unanswered(form);

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, Sources, UnitSubscriber
+from bus.messages import Message
 
 
 class PlayedGuards:
@@ -16,9 +17,10 @@ class PlayedGuards:
         self._blocks = blocks
         self._controls = controls
 
-    def block_reason(self, unit: int) -> str:
-        """As the real ones."""
-        return self._blocks.get(unit, "")
+    def block_reason(self, unit: int) -> Message | None:
+        """As the real ones; anna has blocked all of them."""
+        reason = self._blocks.get(unit)
+        return None if reason is None else Message.of("block_by", reason=reason, who="anna")
 
     def holder(self) -> str:
         """As the real ones."""
@@ -56,4 +58,4 @@ def played_sources(
     controls = {} if controls is None else controls
     guards = {bus: PlayedGuards(bus, blocks or {}, controls) for bus in buses}
     drift = {bus: NoGoldenSets() for bus in guards}
-    return Sources(guards, drift, NoRecipes(), lambda _translator, _now: "", lambda: "")
+    return Sources(guards, drift, NoRecipes(), lambda _translator, _now: "", lambda: None)

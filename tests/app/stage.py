@@ -66,7 +66,7 @@ from bus.contract import (
     decode_from_app,
     encode,
 )
-from bus.messages import in_english, term
+from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
 from tests.app.played_sources import NoGoldenSets, NoRecipes
@@ -246,7 +246,7 @@ class Stage:
             {settings.name: NoGoldenSets()},
             NoRecipes(),
             lambda _translator, _now: "",
-            lambda: in_english(self.history.status.message),
+            lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         self.app.state.registry = Registry(

@@ -10,7 +10,7 @@ from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.diagnosis.suspicion import suspicion
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
-from bus.messages import term
+from bus.messages import Message, term
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, translator
 
 NOW = 100.0
@@ -23,7 +23,13 @@ def shown(
     live = line()
     live.buses["dry"].apply([UnitLink(unit=1, at=NOW, link=link), reading(**changes)])  # type: ignore[arg-type]
     bus = live.buses["dry"]
-    found = shown_cause(bus, bus.units[1], NOW, blocked=blocked, drifted=drifted)
+    found = shown_cause(
+        bus,
+        bus.units[1],
+        NOW,
+        blocked=Message.of("block_by", reason=blocked, who="anna") if blocked else None,
+        drifted=drifted,
+    )
     return (found.level, found.code) if found else None
 
 
@@ -69,9 +75,9 @@ def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([reading(), said])
-    cause = shown_cause(bus, bus.units[1], NOW, blocked="", drifted="")
+    cause = shown_cause(bus, bus.units[1], NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
-    assert unit_json(bus, bus.units[1], NOW, lambda _unit: "", translator())["suspect"] == found
+    assert unit_json(bus, bus.units[1], NOW, lambda _unit: None, translator())["suspect"] == found
 
 
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:

@@ -36,6 +36,18 @@ async def test_a_name_is_given_once(accounts: Accounts) -> None:
     assert [(user.name, user.role) for user in await accounts.users()] == [("ann", Role.VIEWER)]
 
 
+async def test_a_name_that_looks_like_another_is_not_given(accounts: Accounts) -> None:
+    await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
+    await accounts.create_token("plc", Role.VIEWER, **BY)
+    with pytest.raises(CallerError, match="looks like 'ann'"):
+        await accounts.add_user("Ann", Role.ADMIN, PASSWORD, **BY)
+    with pytest.raises(CallerError, match="looks like 'ann'"):
+        await accounts.add_panel("ANN", Role.VIEWER, "482913", "/", **BY)
+    with pytest.raises(CallerError, match="looks like 'plc'"):
+        await accounts.create_token("pIc", Role.VIEWER, **BY)
+    await accounts.create_token("Ann", Role.VIEWER, **BY)
+
+
 async def test_a_token_is_named_once(accounts: Accounts) -> None:
     await accounts.create_token("plc", Role.VIEWER, **BY)
     with pytest.raises(CallerError, match="a token plc exists already"):

@@ -123,7 +123,14 @@ async def test_an_admin_has_the_log_proved(house: House) -> None:
     admin = await house.program(Role.ADMIN)
     number = await command(house)
     proof = (await admin.get("/api/v1/events/proof")).json()
-    assert proof == {"entries": number, "broken": None, "fault": "", "unsealed": 0, "anchored": 0}
+    assert proof == {
+        "entries": number,
+        "broken": None,
+        "fault": "",
+        "fault_message": None,
+        "unsealed": 0,
+        "anchored": 0,
+    }
 
     def tamper(connection: sqlite3.Connection) -> None:
         connection.execute("DROP TRIGGER events_stay_as_written")

@@ -12,15 +12,55 @@ from app.web.access import Role
 from bus.errors import CallerError
 
 
-@pytest.mark.parametrize("name", ["ann", "Jürgen.W", "shift-2", "a@b", "x" * 40])
+@pytest.mark.parametrize(
+    "name", ["ann", "Jürgen.W", "shift-2", "a@b", "x" * 40, "Łukasz", "Strauß", "Nguyễn"]
+)
 def test_good_names(name: str) -> None:
     rules.check_name(name)
 
 
-@pytest.mark.parametrize("name", ["", "a b", "a/b", "<b>", "x" * 41, "a\n"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "a b",
+        "a/b",
+        "<b>",
+        "x" * 41,
+        "a\n",
+        "\u0430dmin",
+        "ad\u200bmin",
+        "\uff41dmin",
+        "adm\u0131n",
+        "u\u0308",
+        "ﬁn",
+    ],
+)
 def test_bad_names(name: str) -> None:
     with pytest.raises(CallerError, match="1 to 40 letters"):
         rules.check_name(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("ADMIN", "admin"),
+        ("AIice", "Alice"),
+        ("adm1n", "admin"),
+        ("Jurgen", "Jürgen"),
+        ("STRAUSS", "Strauß"),
+        ("b0b", "bob"),
+    ]
+    + [("admin", old) for old in ("ad\u200bmin", "\uff41dmin", "a\u0301dmin")],
+)
+def test_a_name_that_looks_like_another_is_refused(name: str, other: str) -> None:
+    """``other`` may be of before there was a rule for letters."""
+    with pytest.raises(CallerError, match=f"looks like '{other}'"):
+        rules.check_distinct(name, ["ann", other])
+
+
+def test_names_that_differ_stand_beside_each_other() -> None:
+    rules.check_distinct("shift-2", ["shift-1", "shift.2", "shift-20", "ann", "shift-2"])
 
 
 @pytest.mark.parametrize("path", ["//evil", "/\\evil", "https://evil", "", "evil", "/a\nb", "\\/evil"])

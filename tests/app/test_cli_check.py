@@ -84,6 +84,12 @@ def test_without_a_bus_it_says_what_to_write(config: Path, text: str) -> None:
         ('[server]\nhost = "192.0.2.1"\n' + bus("/dev/ttyUSB99"), "192.0.2.1 is no address of this machine"),
         ('[server]\ndata = "/etc/passwd"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
         ('[server]\ndata = "/etc/passwd/x"\n' + bus("/dev/ttyUSB99"), "data: /etc/passwd is no folder"),
+        # Root may write there, and still cannot.
+        ('[server]\ndata = "/proc/x/y"\n' + bus("/dev/ttyUSB99"), "may not create /proc/x/y"),
+        ('[server]\ndata = "/proc"\n' + bus("/dev/ttyUSB99"), "may not write to /proc"),
+        (f'[server]\ndata = "{"x" * 300}"\n' + bus("/dev/ttyUSB99"), "may not create"),
+        (bus("/dev/ttyUSB99") + '[audit]\nanchor = "/proc/x"\n', "may not write /proc/x"),
+        (bus("/dev/ttyUSB99") + '[audit]\nkey_file = "/proc/x"\n', "may not make /proc/x"),
     ],
 )
 def test_what_cannot_work_is_a_fault(config: Path, text: str, words: str) -> None:
@@ -91,6 +97,12 @@ def test_what_cannot_work_is_a_fault(config: Path, text: str, words: str) -> Non
     assert result.exit_code == 1
     assert words in result.stderr
     assert result.stderr.startswith("lineside: ")
+
+
+def test_a_data_folder_is_tried_and_left_as_it_was(config: Path) -> None:
+    result = run(config, '[server]\ndata = "var/lib/data"\n' + bus("/dev/ttyUSB99"))
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert list(config.parent.iterdir()) == [config]
 
 
 def test_every_fault_is_said_at_once(config: Path) -> None:

@@ -253,7 +253,7 @@ def test_a_restore_names_what_it_leaves_out(file: Path) -> None:
     assert lines[3].startswith("#20 Speed Setpoint")
     assert lines[3].endswith("left out: 10.0 s → 5.0 s  Changes the machine's speed now")
     assert "#21 Operator Password               left out: secret, not stored in the set" in lines
-    assert "1 of 1 row verified; read again as a whole: equal" in lines
+    assert "1 of 1 row verified; complete read-back: equal" in lines
     assert lines[-1] == lines[3]
 
 

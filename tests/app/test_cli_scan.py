@@ -129,7 +129,7 @@ def test_words_for_people() -> None:
         result = run(port, "--baud", "9600", "--last", "3", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == 0
     assert result.stdout.startswith(
-        "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, remote, answers within"
+        "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, remote, responds within"
     )
     assert "addresses 1 to 3, at 9600 baud" in result.stderr
 
@@ -139,7 +139,7 @@ def test_nothing_there() -> None:
         result = run(port, "--baud", "9600", "--last", "3", "--json")
     assert result.exit_code == 1
     assert json.loads(result.stdout)["units"] == []
-    assert "nothing answered at 9600 baud" in result.stderr
+    assert "no unit responded at 9600 baud" in result.stderr
 
 
 def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,7 +229,7 @@ def test_it_says_beforehand_how_long_it_takes() -> None:
     every = range(1, 256)
     assert "at 9600 baud: about 35 s;" in announcement("P", (9600,), every, 0.05, False)
     six = announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False)
-    assert "9600 baud, about 35 s, then the slower ones until something answers: 7 min 31 s at most" in six
+    assert "9600 baud, about 35 s, then the slower ones until a unit responds: 7 min 31 s at most" in six
     assert "all six baud rates: about 7 min 31 s" in announcement(
         "P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True
     )

@@ -44,6 +44,16 @@ def test_the_first_time_nothing_changed(tmp_path: Path) -> None:
     assert change_since_last(tmp_path, LINE) == ""
 
 
+async def test_a_new_store_is_one_event_without_its_steps(tmp_path: Path) -> None:
+    found = []
+    for _ in range(2):
+        app = create_app(settings_in(tmp_path))
+        async with running(app.state.services):
+            found, _ = await app.state.services.events.page(Filter(kind="server"), 10)
+    made = [event for event in found if event["messages"]["what"].code.startswith("event_store")]
+    assert [event["what"] for event in made] == ["store created"]
+
+
 async def test_the_server_notes_it_at_its_start(tmp_path: Path) -> None:
     for name in ("Mill 7", "Mill 7", "Mill 8"):
         app = create_app(settings_in(tmp_path, name=name))

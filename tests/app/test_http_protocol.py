@@ -136,6 +136,35 @@ async def test_what_is_never_finished_is_ended(
         assert b"Content-Security-Policy" in heard
 
 
+@pytest.mark.parametrize(
+    ("request_line", "header", "status"),
+    [
+        (b"GET / HTTP/2.0", b"", b"505 HTTP Version Not Supported"),
+        (b"GET / HTTP/0.9", b"", b"505 HTTP Version Not Supported"),
+        (b"GET / HTTP/1.1", b"Expect: 200-ok\r\n", b"417 Expectation Failed"),
+        (b"GET / HTTP/1.1", b"Expect: 100-continue, x\r\n", b"417 Expectation Failed"),
+        (b"GET / HTTP/1.1", b"Expect:\r\n", b"200 OK"),
+        (b"GET / HTTP/1.0", b"Expect: x\r\n", b"200 OK"),
+    ],
+)
+async def test_what_cannot_be_met_is_refused(
+    site: Site, request_line: bytes, header: bytes, status: bytes
+) -> None:
+    head = request_line + b"\r\nHost: here\r\nConnection: close\r\n" + header
+    reader, writer = await site.connect(head + b"\r\n")
+    writer.write_eof()
+    response = await everything(reader)
+    assert response.startswith(b"HTTP/1.1 " + status)
+    assert site.asked == (b"200" in status)
+
+
+async def test_only_a_client_that_knows_it_gets_100_continue(site: Site) -> None:
+    expecting = b"Connection: close\r\nExpect: 100-Continue\r\nContent-Length: 1\r\n\r\nx"
+    for version, is_sent in ((b"1.0", False), (b"1.1", True)):
+        reader, _ = await site.connect(b"POST / HTTP/" + version + b"\r\nHost: here\r\n" + expecting)
+        assert ((await everything(reader)).startswith(b"HTTP/1.1 100 Continue")) is is_sent
+
+
 async def test_a_body_that_keeps_the_least_rate_is_waited_for(site: Site) -> None:
     _, writer = await site.connect(POST.replace(b"100", b"1000000"))
     writer.write(b"x" * round(100 * LEAST_RATE))

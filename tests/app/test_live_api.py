@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bus.contract import BusFigures, UnitFigures
+from bus.messages import Message
 from tests.app.stage import Stage, until
 
 
@@ -33,3 +34,20 @@ async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
 async def test_nobody_sees_anything(stage: Stage) -> None:
     for path in ("", "/units/1", "/figures"):
         assert (await stage.request("GET", path, role="")).status_code == 401
+
+
+async def test_a_text_stands_beside_its_code(stage: Stage) -> None:
+    worker = await stage.worker()
+    late = Message("diagnosis_no_response")
+    await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, answers_for_all=2, diagnosis=[late]))
+    await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
+    await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
+    bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
+    assert bus["diagnosis_messages"] == [
+        {"code": "diagnosis_no_response", "params": {}, "detail": bus["diagnosis"]}
+    ]
+    unit = bus["units"][0]
+    assert unit["suspect_message"]["params"] == {"unit": 2}
+    assert unit["suspect_message"]["detail"] == unit["suspect"]
+    assert unit["blocked"] == unit["blocked_message"]["detail"]
+    assert unit["blocked_message"]["params"]["reason"] == "belt off"

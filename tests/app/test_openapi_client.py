@@ -161,6 +161,16 @@ async def test_what_is_never_sent(client: Generated, worker: PlayedWorker) -> No
     assert worker.commands == []
 
 
+async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWorker) -> None:
+    worker.play = answering("acknowledged")
+    for operation, path in (("execute_speed", (BUS, 1)), ("execute_all_speeds", (BUS,))):
+        result = await client.call(f"commands.{operation}", *path)
+        assert isinstance(result, client.models.CommandResult)
+    body = client.models.CommandRequest(timeout_s=5)
+    later = await client.call("commands.execute_speed", BUS, 1, body=body)
+    assert later.outcome == client.models.Outcome.ACKNOWLEDGED
+
+
 @pytest.mark.parametrize(
     ("role", "status", "code"), [("", 401, "unauthorized"), ("viewer", 403, "forbidden")]
 )

@@ -79,7 +79,7 @@ async def test_malformed_input_is_invalid_and_says_that_nothing_was_sent(
 async def test_params_hold_texts_where_a_value_is_a_list_of_messages(engineer: httpx.AsyncClient) -> None:
     answer = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
     assert answer.json()["params"] == {
-        "faults": "raw: Input should be a valid integer; surplus: there is no such field"
+        "faults": "raw: it must be an integer; surplus: there is no such field"
     }
 
 

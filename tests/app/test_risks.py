@@ -25,7 +25,13 @@ def after(*updates: Update) -> LiveState:
 def said(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
     """The codes of what is said of unit 1."""
     bus = live.buses["dry"]
-    facts = facts_of(bus, bus.units[1], NOW, block=block, ramp=ramp)
+    facts = facts_of(
+        bus,
+        bus.units[1],
+        NOW,
+        block=Message.of("block_by", reason=block, who="anna") if block else None,
+        ramp=ramp,
+    )
     obstacle = obstacle_of(facts)
     return "" if obstacle is None else obstacle.code, [risk.code for risk in risks_of(facts)]
 

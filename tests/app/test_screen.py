@@ -92,7 +92,7 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
 
 
 def test_a_block_is_shown_with_its_reason() -> None:
-    shown = screen(line(), blocks={2: "belt off (anna)"})
+    shown = screen(line(), blocks={2: "belt off"})
     assert shown.shown["dry/2"]["status"] == "Commands blocked: belt off (anna)"
 
 

@@ -30,10 +30,9 @@ def live_with(**settings: Any) -> LiveState:
     return live
 
 
-def not_blocked(unit: int) -> str:
+def not_blocked(unit: int) -> None:
     """No unit is."""
     assert unit > 0
-    return ""
 
 
 def shown(live: LiveState, unit: int = 1, later_s: float = 0.0) -> dict[str, Any]:
@@ -141,7 +140,9 @@ def test_a_bus_with_and_without_figures() -> None:
 
 
 def test_the_line_has_every_bus() -> None:
-    line = line_json("Paper machine 2", live_with(), time.time(), {"dry-end": not_blocked}, "", translator())
+    line = line_json(
+        "Paper machine 2", live_with(), time.time(), {"dry-end": not_blocked}, None, translator()
+    )
     assert line["site"] == "Paper machine 2"
     assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
 

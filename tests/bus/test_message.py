@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 import pytest
 
-from bus.messages import Message, number
+from bus.messages import Message, joined, number
 from bus.messages.message import DEEPEST, LONGEST_TEXT
 
 _DECODE = msgspec.msgpack.Decoder(Message).decode
@@ -75,3 +77,15 @@ def test_what_is_beyond_the_bounds_is_refused(hostile: dict[str, object]) -> Non
 
 def test_the_deepest_is_taken() -> None:
     assert _DECODE(msgspec.msgpack.encode(nested(DEEPEST)))
+
+
+@pytest.mark.parametrize(
+    "wrap", [lambda inner: Message.of("x", a=inner), lambda inner: joined([inner, inner])]
+)
+def test_a_message_of_another_process_can_always_be_put_into_one(wrap: Callable[[Message], Message]) -> None:
+    """A worker that sends the deepest there may be must not end a restore in the middle."""
+    message = _DECODE(msgspec.msgpack.encode(nested(DEEPEST)))
+    for _ in range(2 * DEEPEST):
+        message = wrap(message)
+        assert _DECODE(msgspec.msgpack.encode(message)) == message
+    assert str(message)

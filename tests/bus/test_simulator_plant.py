@@ -6,9 +6,9 @@ import pytest
 
 from bus.catalogue import numbers
 from bus.settings import BusSettings
-from bus.simulator.answering import encode, respond
 from bus.simulator.demo import DemoLine, demo_line
 from bus.simulator.plant import STEP_S, Habit, Plant, Script
+from bus.simulator.responding import encode, respond
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
 

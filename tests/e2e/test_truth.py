@@ -113,6 +113,21 @@ def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
     assert heard(own_site) == before
 
 
+def test_a_typed_setpoint_stays_while_the_connection_is_lost(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    page.locator("#setpoint").fill("55.5")
+    assert own_site.server is not None
+    own_site.server.send_signal(signal.SIGSTOP)
+    try:
+        expect(page.locator(LOST)).to_be_attached()
+    finally:
+        own_site.server.send_signal(signal.SIGCONT)
+    expect(page.locator(LIVE)).to_be_attached()
+    expect(page.locator("#setpoint")).to_have_value("55.5")
+
+
 def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     own_site: Site, browser_page: OpensPages
 ) -> None:

@@ -1,7 +1,7 @@
 """Coverage-guided fuzzing of framing, commands and the exchange. Run: python fuzz_wire.py -runs=N -seed=1
 
-Whatever the bytes: nothing raises, the cut does not matter, the bytes of the events are the bytes that
-came, a good frame encodes back to itself, and an answer is the asked unit's.
+Whatever the bytes: nothing raises, the cut does not matter, the bytes of the events are the bytes that came,
+a good frame encodes back to itself, and a response is the addressed unit's.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def fuzz(data: bytes) -> None:
     """One input: a byte that chooses dialect, request and cut, then the stream."""
     choice, stream = (data[0], data[1:]) if data else (0, b"")
     dialect, request = DIALECTS[choice & 1], REQUESTS[choice >> 1 & 3]
-    whole = _events(stream, dialect, len(stream) or 1)
-    assert whole == _events(stream, dialect, 1 + (choice >> 3))
-    assert b"".join(_wire(event) for event in whole) == stream
-    for event in whole:
+    joined = _events(stream, dialect, len(stream) or 1)
+    assert joined == _events(stream, dialect, 1 + (choice >> 3))
+    assert b"".join(_wire(event) for event in joined) == stream
+    for event in joined:
         if isinstance(event, ReceivedFrame):
             _check_frame(event, request, dialect)
     _check_exchange(stream, request, dialect)
@@ -76,13 +76,13 @@ def _check_frame(frame: ReceivedFrame, request: Request, dialect: Dialect) -> No
 
 def _check_exchange(stream: bytes, request: Request, dialect: Dialect) -> None:
     exchange = Exchange(request, dialect)
-    answers = [event for event in exchange.receive(stream, 0.0) if isinstance(event, Answered)]
-    assert len(answers) <= 1
-    assert exchange.awaiting == (not answers)
+    responses = [event for event in exchange.receive(stream, 0.0) if isinstance(event, Answered)]
+    assert len(responses) <= 1
+    assert exchange.awaiting == (not responses)
 
 
 def main() -> None:
-    """Fuzz as the arguments of libFuzzer say."""
+    """Fuzz with the arguments of libFuzzer."""
     atheris.Setup(sys.argv, fuzz)
     atheris.Fuzz()
 

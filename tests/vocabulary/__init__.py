@@ -61,7 +61,7 @@ def identifiers(module: str, tree: ast.Module) -> Iterator[str]:
 
 @cache
 def words_of(identifier: str) -> str:
-    """The words of an identifier in lower case, between spaces: ``" send late wish "``."""
+    """Return the words of an identifier in lower case, between spaces: ``" send late command "``."""
     return f" {' '.join(_WORD.findall(identifier)).lower()} "
 
 
@@ -85,8 +85,9 @@ def avoided_words(section: str = "") -> list[str]:
 
 
 def in_text(words: list[str]) -> re.Pattern[str]:
-    """Finds the words in a text, each as a word of its own, and those that are a question's first words only
-    where they begin the text and so are the name of something."""
+    """Find the words in a text, each as a separate word; those that end in "is" only where they begin the
+    text and so are used as a name.
+    """
     names = [f"^{re.escape(word)}" for word in words if word.endswith(" is")]
     others = [re.escape(word) for word in words if not word.endswith(" is")]
     return re.compile(rf"(?<![\w-])(?:{'|'.join([*names, *others])})(?:s|es)?(?![\w-])", re.IGNORECASE)

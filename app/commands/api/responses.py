@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from msgspec import to_builtins
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
 from app.commands.api.schemas import FrameShown, OutcomeMembers
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
+from app.web.message_shown import maybe_shown, message_shown
 from app.web.problems import respond
 from app.web.shape import iso
 from bus.contract import Frame, Result, UnitOutcome
@@ -77,6 +77,7 @@ def frame_json(frame: Frame) -> FrameShown:
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
         "meaning": frame.meaning,
+        "meanings": [message_shown(meaning) for meaning in frame.meanings],
         "valid": frame.valid,
     }
 
@@ -97,7 +98,7 @@ def _outcome_json(result: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
         "outcome": result.outcome,
         "code": result.outcome,
         "message": str(outcome_message(result)),
-        "reason": to_builtins(result.message),
+        "reason": maybe_shown(result.message),
         "read_back": None if secret else result.read_back,
         "unit_error": result.unit_error,
         "unit_error_name": None if result.unit_error is None else unit_error_name(result.unit_error),

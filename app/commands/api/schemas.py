@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NotRequired
+from typing import Annotated, NotRequired
 
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
+from app.web.message_shown import MessageShown
 from bus.contract import Direction, Outcome
 from bus.instants import UnixTime
 
@@ -23,15 +24,9 @@ class FrameShown(TypedDict):
     time: Annotated[UnixTime, Field(description="The same in seconds since 1970.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
-    meaning: str
+    meaning: Annotated[str, Field(description="Its meaning, English.")]
+    meanings: Annotated[list[MessageShown], Field(description="meaning as data.")]
     valid: Annotated[bool, Field(description="Whether it is a complete frame with the right checksum.")]
-
-
-class MessageShown(TypedDict):
-    """A text for programs; a value that is itself a text is a message too."""
-
-    code: Annotated[str, Field(description="Which text it is.")]
-    params: Annotated[dict[str, Any], Field(description="Its values, by name.")]
 
 
 class OutcomeMembers(TypedDict):

@@ -25,14 +25,14 @@ from bus.messages import Message, ParamValue
 @dataclass(frozen=True, slots=True)
 class RiskInputs:
     """State of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
-    command starts none. ``block``: why commands to it are blocked, empty where they are not.
+    command starts none. ``block``: why commands to it are blocked, None where they are not.
     ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
 
     bus_is_open: bool
     link: UnitLinkState
     age_s: float
     bits: StatusBits | None
-    block: str
+    block: Message | None
     ramp: Ramp | None
     above_display: bool
 
@@ -40,7 +40,7 @@ class RiskInputs:
     def params(self) -> dict[str, ParamValue]:
         """What the messages below may name."""
         number = 0 if self.ramp is None else self.ramp.number
-        return {"age": round(self.age_s), "block": self.block, "number": number}
+        return {"age": round(self.age_s), "block": self.block or "", "number": number}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def facts_of(
     unit: UnitLive,
     now: UnixTime,
     *,
-    block: str = "",
+    block: Message | None = None,
     ramp: Ramp | None = None,
     setpoint: int | None = None,
 ) -> RiskInputs:

@@ -34,7 +34,7 @@ class SetpointChange:
 
 
 def change_of(
-    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: UnixTime, *, block: str = ""
+    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: UnixTime, *, block: Message | None = None
 ) -> SetpointChange:
     """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)

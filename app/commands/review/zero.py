@@ -29,9 +29,9 @@ class ZeroPlan:
     """The longest ramp, as far as #2 and #7 are known."""
 
 
-def plan_zero(bus: BusLive, block: Callable[[int], str], now: UnixTime) -> ZeroPlan:
+def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTime) -> ZeroPlan:
     """Every master that can take it; the others each with a reason. ``block``: why commands to a unit are
-    blocked, empty where they are not."""
+    blocked, None where they are not."""
     plan = ZeroPlan(bus.settings.name)
     for number, unit in bus.units.items():
         name, ramp = unit.settings.name, ramp_of(unit, present_setpoint(bus, unit), 0)

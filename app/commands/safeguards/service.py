@@ -58,10 +58,10 @@ class Safeguards:
         """Call ``subscriber`` when a unit was blocked or freed."""
         self._block_subscribers.append(subscriber)
 
-    def block_reason(self, unit: int) -> str:
-        """Why a unit is blocked and by whom, as a page shows it; empty when it is not."""
+    def block_reason(self, unit: int) -> Message | None:
+        """Why a unit is blocked and by whom; None when it is not."""
         block = self.blocks.of(unit)
-        return f"{block.reason} ({block.set_by})" if block is not None else ""
+        return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
         """Replace the limits of a unit."""

@@ -34,6 +34,7 @@ from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
+from app.web.message_shown import maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.messages import Message, in_english
@@ -41,6 +42,8 @@ from bus.messages import Message, in_english
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
 MOST_SPARKS = 255
+_TEXTS = ("what", "old", "new")
+"""The fields of a mark that may be messages."""
 TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
@@ -145,21 +148,27 @@ async def get_marks(
     marks, more = await collect_marks(events, span, unit or [])
     language = templates_of(request).language_of(request)
     for mark in marks:
-        messages = mark.pop("messages")
+        messages = mark["messages"]
         mark["shown"] = {
             name: language.t(messages[name]) if name in messages else mark[name]
-            for name in ("what", "old", "new")
+            for name in _TEXTS
             if mark[name]
         }
+        mark["messages"] = {name: message_shown(messages[name]) for name in _TEXTS if name in messages}
     return await json_response(lambda: {"marks": marks, "more": more})
 
 
 @router.get("/status")
 async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
     """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
-    ``message`` states what to do. The rest of Lineside works in every state."""
+    what to do. The rest of Lineside works in every state."""
     status = history.status
-    texts = {"message": in_english(status.message), "cause": in_english(status.cause)}
+    texts = {
+        "message": in_english(status.message),
+        "reason": maybe_shown(status.message),
+        "cause": in_english(status.cause),
+        "cause_message": maybe_shown(status.cause),
+    }
     return cast(StatusShown, asdict(status) | texts)
 
 

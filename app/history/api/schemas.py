@@ -9,6 +9,7 @@ from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
 from app.history.status import StoreState
+from app.web.message_shown import MaybeMessage, MessageShown
 from app.web.schema_problem import problems
 from bus.instants import UnixTime
 
@@ -65,6 +66,10 @@ class MarkShown(TypedDict):
     old: str | None
     new: str | None
     outcome: str | None
+    messages: Annotated[
+        dict[str, MessageShown],
+        Field(description="what, old and new as data, by field; empty: older."),
+    ]
     shown: MarkTextShown
 
 
@@ -81,8 +86,10 @@ class StatusShown(TypedDict):
     state: Annotated[
         StoreState, Field(description="low, scarce: little disk space; paused, failed: nothing is stored.")
     ]
-    message: Annotated[str, Field(description="What to do; empty: nothing.")]
+    message: Annotated[str, Field(description="What to do, English; empty: nothing.")]
+    reason: Annotated[MessageShown | None, Field(description="message as data; null: it is empty.")]
     cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]
+    cause_message: MaybeMessage
     since: Annotated[UnixTime, Field(description="Since when, seconds since 1970.")]
     size_bytes: int
     free_bytes: Annotated[int, Field(description="Free space on the disk.")]

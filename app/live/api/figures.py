@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.web.message_shown import MessageShown, message_shown
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 from bus.instants import UnixTime
@@ -68,6 +69,7 @@ class BusFiguresShown(TypedDict):
         int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
     ]
     diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
+    diagnosis_messages: Annotated[list[MessageShown], Field(description="diagnosis as data.")]
     units: list[UnitFiguresShown]
 
 
@@ -86,6 +88,7 @@ def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
         "updates_lost": figures.updates_lost if figures else None,
         "answers_for_all": figures.answers_for_all if figures else None,
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else None,
+        "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
         "units": [_unit_json(unit) for unit in figures.units] if figures else [],
     }
 

@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.web.message_shown import MaybeMessage, MessageShown
 from bus.contract import BusLinkState, UnitLinkState
 
 Raw = Annotated[int | None, Field(description="Integer on the wire, 0 to 99999; null: not known.")]
@@ -49,6 +50,7 @@ class CauseShown(TypedDict):
     code: str
     params: Annotated[dict[str, str | int | float | None], Field(description="What the text names.")]
     detail: str
+    why: Annotated[MessageShown | None, Field(description="Its reason as data; null: none is named.")]
     since: MaybeTime
     since_exact: Annotated[bool | None, Field(description="false: first seen then, it may be older.")]
 
@@ -65,13 +67,16 @@ class UnitShown(TypedDict):
         Field(description="stale: a response is overdue; offline: several missed; unknown: never seen."),
     ]
     link_cause: Annotated[str, Field(description="Cause of the state of the link; empty while it is online.")]
+    link_cause_message: MaybeMessage
     cause: Annotated[
         CauseShown | None, Field(description="Why it is not at speed; null: it is, or nothing is known.")
     ]
     blocked: Annotated[str | None, Field(description="Why commands to it are blocked; null: they are not.")]
+    blocked_message: MaybeMessage
     suspect: Annotated[
         str | None, Field(description="Why another unit may respond in its name; null: no sign.")
     ]
+    suspect_message: MaybeMessage
     read_at: Annotated[str | None, Field(description="When the values below were read, ISO 8601 in UTC.")]
     age_ms: Annotated[int | None, Field(description="How old they are by the server's clock, milliseconds.")]
     commanded_raw: Raw
@@ -109,6 +114,7 @@ class BusShown(TypedDict):
     baud: Annotated[int, Field(description="Bits per second: 300, 600, 1200, 2400, 4800 or 9600.")]
     link: Annotated[BusLinkState, Field(description="Whether the port is open or closed.")]
     link_cause: Annotated[str, Field(description="Why the port is closed; empty while it is open.")]
+    link_cause_message: MaybeMessage
     link_since: Time
     worker: Annotated[bool, Field(description="Whether the bus worker is connected.")]
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
@@ -121,6 +127,7 @@ class BusShown(TypedDict):
     ]
     wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
     diagnosis: Annotated[str, Field(description="Likely cause of faults on the bus; empty: none.")]
+    diagnosis_messages: Annotated[list[MessageShown], Field(description="diagnosis as data.")]
     units: Annotated[list[UnitShown], Field(description="In floor order.")]
 
 
@@ -130,6 +137,7 @@ class LineShown(TypedDict):
     site: str
     time: Time
     history: Annotated[str, Field(description="Why no history is stored; empty while it is.")]
+    history_message: MaybeMessage
     buses: list[BusShown]
 
 

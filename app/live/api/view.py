@@ -18,6 +18,7 @@ from app.live.state.age import scan_s_of, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.live_state import LiveState
+from app.web.message_shown import maybe_shown, message_shown
 from app.web.shape import iso
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
@@ -41,8 +42,8 @@ from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
 Json = dict[str, Any]
-BlockReason = Callable[[int], str]
-"""Why a unit is blocked; empty when it is not."""
+BlockReason = Callable[[int], Message | None]
+"""Why a unit is blocked; None when it is not."""
 
 _NEVER_READ = dict.fromkeys(
     (
@@ -66,13 +67,14 @@ def line_json(
     live: LiveState,
     now: UnixTime,
     blocks: Mapping[str, BlockReason],
-    history: str,
+    history: Message | None,
     english: Translator,
 ) -> Json:
     """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept;
-    empty while it is."""
+    None while it is."""
     buses = [bus_json(bus, now, blocks[name], english) for name, bus in live.buses.items()]
-    return {"site": site, "time": iso(now), "history": history, "buses": buses}
+    stored = {"history": in_english(history), "history_message": maybe_shown(history)}
+    return {"site": site, "time": iso(now), **stored, "buses": buses}
 
 
 def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
@@ -84,6 +86,7 @@ def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translato
         "baud": bus.baud,
         "link": bus.link.link,
         "link_cause": in_english(bus.link.cause),
+        "link_cause_message": maybe_shown(bus.link.cause),
         "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
         "scan_hz": figures.scan_hz if figures else None,
@@ -91,6 +94,7 @@ def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translato
         "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
         "wire_utilisation": figures.wire_utilisation if figures else None,
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
+        "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
         "scan_s_expected": scan_s_of(bus),
         "units": [unit_json(bus, unit, now, block, english) for unit in bus.units.values()],
     }
@@ -98,7 +102,7 @@ def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translato
 
 def unit_json(bus: BusLive, unit: UnitLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
     """One unit with the age of its reading, by the server's clock."""
-    window = unit.parameter_raw(AT_SPEED_WINDOW)
+    suspect, blocked = suspicion(bus, unit), block(unit.settings.id)
     shown: Json = {
         "id": unit.settings.id,
         "name": unit.settings.name,
@@ -106,14 +110,17 @@ def unit_json(bus: BusLive, unit: UnitLive, now: UnixTime, block: BlockReason, e
         "labels": unit.settings.labels.model_dump(),
         "link": unit_link_now(bus, unit, now),
         "link_cause": in_english(unit.link.cause),
+        "link_cause_message": maybe_shown(unit.link.cause),
         "cause": cause_json(unit_cause(bus, unit, now), now, english),
-        "suspect": in_english(suspicion(bus, unit)) or None,
-        "blocked": block(unit.settings.id) or None,
+        "suspect": in_english(suspect) or None,
+        "suspect_message": maybe_shown(suspect),
+        "blocked": in_english(blocked) or None,
+        "blocked_message": maybe_shown(blocked),
         "decimals": unit.parameter_raw(DECIMALS),
         "follower": follower(unit),
         "staged_raw": unit.staged,
         "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
-        "at_speed_window_raw": window,
+        "at_speed_window_raw": unit.parameter_raw(AT_SPEED_WINDOW),
     }
     return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
 
@@ -122,10 +129,12 @@ def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json 
     """A cause as a code with parameters, in words, and since when; None where there is none."""
     if cause is None:
         return None
+    why = cause.params.get("why")
     return {
         "code": cause.code,
         "params": {name: _plain(value) for name, value in cause.params.items()},
         "detail": cause_line(cause, english, now),
+        "why": message_shown(why) if isinstance(why, Message) else None,
         "since": None if cause.onset is None else iso(cause.onset.at),
         "since_exact": None if cause.onset is None else cause.onset.exact,
     }

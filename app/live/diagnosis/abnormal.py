@@ -60,10 +60,13 @@ class StateCounts:
         self.off_speed += state in ("off_speed", "stopped", "stopping", "turning")
 
 
-def shown_cause(bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: str, drifted: str) -> Cause | None:
+def shown_cause(
+    bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: Message | None, drifted: str
+) -> Cause | None:
     """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
 
-    ``blocked``: why commands are blocked, ``drifted``: in what it departs from its golden set; "": not so.
+    ``blocked``: why commands are blocked, None where they are not; ``drifted``: in what it departs from its
+    golden set, empty where in nothing.
     """
     cause = unit_cause(bus, unit, now)
     if cause is not None and cause.code in _BEFORE_ALL:
@@ -71,7 +74,9 @@ def shown_cause(bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: str, dr
     return next(_others(cause, suspicion(bus, unit), blocked, drifted), cause)
 
 
-def _others(cause: Cause | None, suspected: Message | None, blocked: str, drifted: str) -> Iterator[Cause]:
+def _others(
+    cause: Cause | None, suspected: Message | None, blocked: Message | None, drifted: str
+) -> Iterator[Cause]:
     if suspected is not None:
         yield Cause("address_suspect", "high", params={"why": suspected})
     if cause is not None and cause.level:

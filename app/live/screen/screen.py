@@ -97,9 +97,10 @@ class Screen:
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id
-        blocked = self.sources.guards[bus_name].block_reason(number)
+        block = self.sources.guards[bus_name].block_reason(number)
+        blocked = self.translator.t(block) if block is not None else ""
         drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
-        cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted.words)
+        cause = shown_cause(bus, unit, now, blocked=block, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)

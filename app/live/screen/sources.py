@@ -25,8 +25,8 @@ class Drifted(NamedTuple):
 class UnitGuards(Protocol):
     """Which units of a bus are blocked, and who controls it."""
 
-    def block_reason(self, unit: int) -> str:
-        """Why commands to a unit are blocked and by whom; empty when they are not."""
+    def block_reason(self, unit: int) -> Message | None:
+        """Why commands to a unit are blocked and by whom; None when they are not."""
 
     def holder(self) -> str:
         """The account that controls the bus; empty when there is none."""
@@ -55,11 +55,11 @@ class LoadedRecipes(Protocol):
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
-    language and at a Unix time; ``history_fault``: why no history is stored. Both return an empty text where
-    there is no fault."""
+    language and at a Unix time; empty where there is none; ``history_fault``: why no history
+    is stored, None while it is."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     notices: Callable[[Translator, UnixTime], str]
-    history_fault: Callable[[], str]
+    history_fault: Callable[[], Message | None]

@@ -1,6 +1,6 @@
-"""Code → English text of every message, grouped by who says it. Data only.
+"""Code → English text of every message, grouped by subject. Data only.
 
-A text with a number of things is ``Plural``: ``n`` decides. A code stands in one group only.
+A text with a number of things is ``Plural``: ``n`` decides. A code is in one group only.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is said of users, tokens, passwords and PINs."""
+"""Texts about users, tokens, passwords and PINs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ TEXTS: dict[str, EnglishText] = {
     "new_passwords_differ": "the two new passwords differ; nothing was changed",
     "no_account": "only a logged-in user has an account",
     "no_such_language": "there is no language '{language}'",
-    "name_not_allowed": "the name '{name}' is not allowed; write 1 to 40 letters, digits, . _ @ or -",
+    "name_looks_like": "the name '{name}' looks like '{other}', which exists already; choose another name",
+    "name_not_allowed": (
+        "the name '{name}' is not allowed; "
+        "write 1 to 40 letters, digits, . _ @ or -, letters of the Latin script"
+    ),
     "panel_role_too_high": ("a panel is an operator at most; the role {role} is for users with a password"),
     "token_not_for_bus": "a token with the role {role} has no bus; leave the bus out",
     "worker_token_needs_bus": "a token with the role worker is for one bus; give one of {known}",

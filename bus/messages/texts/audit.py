@@ -1,4 +1,4 @@
-"""What is said of the audit log, its key and its anchor."""
+"""Texts about the audit log, its key and its anchor."""
 
 from __future__ import annotations
 

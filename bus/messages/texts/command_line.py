@@ -1,4 +1,4 @@
-"""What the command line says of its options, its files and the dashboard."""
+"""Texts of the command line: options, files and the dashboard."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of commands, and the values typed into them."""
+"""Texts about commands, and the values typed into them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from bus.messages.texts.plural import EnglishText
 
 TEXTS: dict[str, EnglishText] = {
     "setpoints_missing": "no setpoint was given: give one for at least one unit",
+    "block_by": "{reason} ({who})",
     "unit_blocked": "commands to unit {unit} are blocked by {who}: {reason}",
     "analog_output_outside": (
         "unit {unit}: the analog output accepts {lowest} (0 V, #29) to {highest} (10 V, #30); "

@@ -1,4 +1,4 @@
-"""What is said of lineside.toml."""
+"""Texts about lineside.toml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of events: what people and programs did."""
+"""Texts about events: what people and programs did."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ TEXTS: dict[str, EnglishText] = {
     "event_app_clock_stepped": "clock of the app stepped by {step} s",
     "event_server_started": "server started",
     "event_server_ended": "server stopped",
+    "event_store_created": "store created",
     "event_store_updated": "store migrated: {steps}",
     "event_audit_key_in_data": "the audit key is in the data folder",
     "event_configuration_changed": "configuration changed",

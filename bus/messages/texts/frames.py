@@ -56,11 +56,11 @@ TEXTS: dict[str, EnglishText] = {
     "status_up": "up",
     "status_down": "down",
     "status_slave": "follower",
-    # What is no request.
+    # Not a request.
     "command_unknown": "{command}h is not a command of this length",
     "output_value_illegal": "output value {value} is not 0 or 1",
     "number_not_bcd": "{byte}h is not BCD",
-    # What is no frame.
+    # Not a frame.
     "noise": "{count} bytes that are no frame: {reason}",
     "noise_outside": "outside a frame",
     "noise_restart": "a new frame began inside",

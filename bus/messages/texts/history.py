@@ -1,4 +1,4 @@
-"""What is said of history: what is asked of it."""
+"""Texts about history and its queries."""
 
 from __future__ import annotations
 

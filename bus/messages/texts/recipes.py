@@ -1,4 +1,4 @@
-"""What is said of recipes."""
+"""Texts about recipes."""
 
 from __future__ import annotations
 

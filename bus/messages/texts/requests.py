@@ -1,4 +1,4 @@
-"""What is said of requests: what they address, how they are written, how large they are."""
+"""Texts about requests: what they address, how they are written, how large they are."""
 
 from __future__ import annotations
 
@@ -45,25 +45,32 @@ TEXTS: dict[str, EnglishText] = {
     "method_not_for_path": "{method} is not for {path}; nothing was done",
     "fields_malformed": "{faults}; nothing was sent",
     "fault_at": "{where}: {fault}",
-    "fault_other": "{text}",
     "fault_missing": "it is missing",
     "fault_no_such_field": "there is no such field",
     "fault_not_an_object": 'it must be a JSON object, {"…": …}, sent as Content-Type: application/json',
     "fault_at_most_characters": Plural(
-        "String should have at most 1 character", "String should have at most {n} characters"
+        "it must have at most 1 character", "it must have at most {n} characters"
     ),
     "fault_at_least_characters": Plural(
-        "String should have at least 1 character", "String should have at least {n} characters"
+        "it must have at least 1 character", "it must have at least {n} characters"
     ),
-    "fault_pattern": "String should match pattern {text}",
-    "fault_at_least": "Input should be greater than or equal to {limit}",
-    "fault_at_most": "Input should be less than or equal to {limit}",
-    "fault_allowed": "Input should be {values}",
-    "fault_integer_unreadable": "Input should be a valid integer, unable to parse string as an integer",
-    "fault_not_an_integer": "Input should be a valid integer",
-    "fault_number_unreadable": "Input should be a valid number, unable to parse string as a number",
-    "fault_not_a_number": "Input should be a valid number",
-    "fault_not_a_text": "Input should be a valid string",
+    "fault_at_most_items": Plural("it must have at most 1 item", "it must have at most {n} items"),
+    "fault_at_least_items": Plural("it must have at least 1 item", "it must have at least {n} items"),
+    "fault_at_least": "it must be at least {limit}",
+    "fault_at_most": "it must be at most {limit}",
+    "fault_more_than": "it must be more than {limit}",
+    "fault_less_than": "it must be less than {limit}",
+    "fault_allowed": "it must be one of {values}",
+    "fault_pattern": "it must match the pattern '{text}'",
+    "fault_integer_too_large": "it is too large an integer",
+    "fault_not_an_integer": "it must be an integer",
+    "fault_not_a_number": "it must be a finite number",
+    "fault_not_a_text": "it must be a text",
+    "fault_not_a_list": "it must be a list",
+    "fault_not_a_mapping": "it must be an object with named fields",
+    "fault_not_a_time": "it must be a time in ISO 8601 with its zone, like 2026-11-22T06:00:00Z",
+    "fault_not_true_or_false": "it must be true or false",
+    "fault_malformed": "it is malformed",
     "control_character": "character {n} is a control character ({code}); leave it out",
     "number_given_twice": "{number} is given twice",
     "raw_or_value": "give either raw (the integer on the wire) or value (as shown)",

@@ -1,4 +1,4 @@
-"""What a review says of a unit: why it cannot take a command, and what may be unexpected."""
+"""Texts of a review: why a unit cannot take a command, and what may be unexpected."""
 
 from __future__ import annotations
 

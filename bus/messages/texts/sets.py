@@ -1,4 +1,4 @@
-"""What is said of parameter sets, batches and restores."""
+"""Texts about parameter sets, batches and restores."""
 
 from __future__ import annotations
 
@@ -56,6 +56,8 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "at_row": "#{number}: {why}",
     "nothing_more_sent": "nothing more was sent",
+    "changed_at_panel": "at the panel",
+    "changed_by": "by {who}",
     "no_golden_set": "unit {unit} on {bus} has no golden set",
     "set_numbered": "set {set}",
     "set_of_unit": "set {set} of unit {unit}",
@@ -104,7 +106,7 @@ TEXTS: dict[str, EnglishText] = {
     "row_not_in_remote": (
         "the unit is not in REMOTE and rejects every write; set #19 to 1 at its keypad, then plan again"
     ),
-    # What is to be known before a restore.
+    # Warnings before a restore.
     "restore_runs": "the unit runs: the marked rows change the speed of the machine immediately",
     "restore_may_run": (
         "whether the unit runs is not known: the marked rows may change the speed of the machine immediately"

@@ -1,4 +1,4 @@
-"""What is said of the stores on disk."""
+"""Texts about the stores on disk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of unit replacement."""
+"""Texts about unit replacement."""
 
 from __future__ import annotations
 

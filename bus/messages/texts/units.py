@@ -1,4 +1,4 @@
-"""What a unit itself says: the error byte of a NAK (manual, the command pages)."""
+"""Texts of a unit's errors: the error byte of a NAK (manual, the command pages)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the app says of a bus worker, and of a command whose result it does not have."""
+"""Texts about a bus worker, and about a command whose result the app does not have."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""What one request does to a unit, and what the unit says to it.
+"""What one request does to a unit, and how the unit responds.
 
 The rules, with their places in the manual:
 
-* reads are answered in every mode, writes only in REMOTE, else NAK 80h (1.0, and every write command);
-* nothing on the link leads out of LOCAL or KEYLOCK (4.0 ***), for that would be a write;
+* reads get a response in every mode, writes only in REMOTE, else NAK 80h (1.0, and every write command);
+* nothing on the link leads out of LOCAL or KEYLOCK (4.0 ***), because that would be a write;
 * a speed above #2, or a ratio outside #38-#31 in a follower, is NAK 81h;
 * #8 while RUN is on, any set-up while RUN is on and #16 is 0, and #17 always, are NAK 83h: the parameter
-  is there and can be read, so no value is legal now, and 82h would say that the number is not;
+  is there and can be read, so no value is legal now, and 82h would mean that the number does not exist;
 * 88h needs #28 = 2, else NAK 87h, and a value from #29 to #30, else NAK 88h;
 * an unknown command, or one with the wrong amount of data, is NAK 89h.
 """
@@ -37,14 +37,16 @@ from bus.wire.commands import (
 )
 
 ALL_UNITS = 0
-"""The UID of an 83h to every unit, which nobody answers."""
+"""The UID of an 83h to every unit, which has no response."""
 
 Rejection = UnitErrorCode | None
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What one request led to. ``acted``: a write was carried out. ``reply`` None: silence is right."""
+    """The effect of one request. ``acted``: a write was carried out. ``reply`` None: the unit does not
+    respond.
+    """
 
     request: Request | None
     reply: Reply | None
@@ -71,7 +73,7 @@ def respond(unit: Unit, body: bytes) -> Turn:
 
 
 def encode(unit: Unit, turn: Turn) -> bytes:
-    """The frame of a reply as ``unit`` writes it, or nothing where silence is right."""
+    """Return the frame of a reply as ``unit`` writes it, empty where the unit does not respond."""
     return b"" if turn.reply is None else encode_reply(turn.reply, unit.traits.dialect)
 
 

@@ -1,0 +1,125 @@
+"""No text of the API comes without the code and the params that it was rendered from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from app.main import create_app
+from app.web.schema import openapi_document
+from tests.app.whole_app import settings_in
+
+AS_DATA = {
+    "Bus.diagnosis": "diagnosis_messages",
+    "BusStatistics.diagnosis": "diagnosis_messages",
+    "Cause.detail": "code",
+    "CommandResult.message": "reason",
+    "Event.message": "messages",
+    "Event.new": "messages",
+    "Event.old": "messages",
+    "Event.what": "messages",
+    "Event.who": "messages",
+    "Event.origin": "messages",
+    "EventFrame.meaning": "meanings",
+    "Frame.meaning": "meanings",
+    "HistoryMark.new": "messages",
+    "HistoryMark.old": "messages",
+    "HistoryMark.what": "messages",
+    "HistoryStatus.message": "reason",
+    "InvalidField.message": "code",
+    "Message.detail": "code",
+    "Problem.detail": "reason",
+    "Problem.message": "reason",
+    "Restore.remarks": "remark_messages",
+    "RestoreRow.message": "outcome_message",
+    "RestoreRow.words": "meaning_message",
+    "UnitResult.message": "reason",
+}
+"""By text: the field that has it as data, where that is not called ``…_message``."""
+OF_A_NUMBER = {
+    "NakCount.unit_error_name": "unit_error",
+    "CommandResult.unit_error_name": "unit_error",
+    "Problem.unit_error_name": "unit_error",
+    "Problem.title": "status",
+    "UnitResult.unit_error_name": "unit_error",
+    "Parameter.dangerous": "number",
+    "Parameter.group": "number",
+    "Parameter.meaning": "number",
+    "Parameter.value": "raw",
+    "ParameterSetParameter.value": "raw",
+}
+"""A fixed text of a number that stands beside it."""
+CODES = {
+    *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
+    *("ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
+}
+TYPED_BY_PEOPLE = {
+    *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
+    *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
+}
+IN_THE_READERS_LANGUAGE = {f"HistoryMarkText.{name}" for name in ("what", "old", "new")}
+"""The messages of the mark, rendered."""
+REQUESTS = {"Quantity"}
+TIMES = {
+    *("acknowledged_at", "at", "changed_at", "from", "lapses_at", "link_since", "loaded_at", "proven_at"),
+    *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
+}
+NUMBERS_AND_BYTES = {
+    *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),
+    *("recipe", "staged", "HistorySeries.value", "RecipeDryRunStep.new", "RecipeSetpoint.value"),
+}
+NO_TEXT = CODES | IN_THE_READERS_LANGUAGE | TYPED_BY_PEOPLE | TIMES | NUMBERS_AND_BYTES
+
+
+@pytest.fixture(scope="module")
+def schemas(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    document = openapi_document(create_app(settings_in(tmp_path_factory.mktemp("texts"))))
+    found: dict[str, Any] = document["components"]["schemas"]
+    return found
+
+
+def holds_text(schema: Any) -> bool:
+    """Whether a value may be a text that no list of the description names."""
+    if "enum" in schema or "const" in schema or "$ref" in schema:
+        return False
+    kinds = schema.get("type", [])
+    if "string" in ([kinds] if isinstance(kinds, str) else kinds):
+        return True
+    inner = [*schema.get("anyOf", []), *schema.get("items", {}).get("anyOf", [])]
+    return any(holds_text(each) for each in [*inner, schema.get("items", {})] if each)
+
+
+def texts(schemas: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for name, schema in schemas.items():
+        for field, described in schema.get("properties", {}).items():
+            if name not in REQUESTS and not name.endswith("Request") and holds_text(described):
+                yield f"{name}.{field}", field, schema["properties"]
+
+
+def test_every_text_has_its_code(schemas: dict[str, Any]) -> None:
+    without = [
+        place
+        for place, field, fields in texts(schemas)
+        if (AS_DATA | OF_A_NUMBER).get(place, f"{field}_message") not in fields
+        and not {field, place} & NO_TEXT
+    ]
+    assert not without, without
+
+
+def test_every_text_that_is_named_is_there(schemas: dict[str, Any]) -> None:
+    there = {place for place, _, _ in texts(schemas)}
+    assert sorted((AS_DATA.keys() | OF_A_NUMBER.keys()) - there) == []
+
+
+def test_a_message_is_described_as_one(schemas: dict[str, Any]) -> None:
+    assert schemas["Message"]["required"] == ["code", "params", "detail"]
+    named = {
+        f"{name}.{field}": str(described)
+        for name, schema in schemas.items()
+        for field, described in schema.get("properties", {}).items()
+        if field.endswith(("_message", "_messages"))
+    }
+    assert len(named) > 20
+    assert [place for place, described in named.items() if "schemas/Message'" not in described] == []
