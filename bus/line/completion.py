@@ -18,31 +18,23 @@ T = TypeVar("T")
 class Completion(Generic[T]):
     """One result, set once and awaited by one coroutine that ``run_at_once`` runs."""
 
-    __slots__ = ("_result", "_resume", "is_set")
+    __slots__ = ("is_set", "result", "resume")
 
     def __init__(self) -> None:
         self.is_set = False
-        self._result: T
-        self._resume: Callable[[], None] | None = None
+        self.result: T
+        self.resume: Callable[[], None] | None = None
 
     def set(self, result: T) -> None:
         """Run the coroutine that awaits it."""
-        self._result, self.is_set = result, True
-        if self._resume is not None:
-            self._resume()
-
-    def when_set(self, resume: Callable[[], None]) -> None:
-        """Call ``resume`` from ``set``."""
-        self._resume = resume
-
-    def result(self) -> T:
-        """What was set."""
-        return self._result
+        self.result, self.is_set = result, True
+        if self.resume is not None:
+            self.resume()
 
     def __await__(self) -> Generator[Completion[T], None, T]:
         if not self.is_set:
             yield self
-        return self._result
+        return self.result
 
 
 async def run_at_once(coroutine: Coroutine[Completion[Any], None, T]) -> T:
@@ -53,7 +45,7 @@ async def run_at_once(coroutine: Coroutine[Completion[Any], None, T]) -> T:
         if ended.done():
             return
         try:
-            coroutine.send(None).when_set(step)
+            coroutine.send(None).resume = step
         except StopIteration as end:
             ended.set_result(end.value)
         except Exception as error:

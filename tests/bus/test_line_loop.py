@@ -22,6 +22,7 @@ from bus.contract import (
     SetLine,
     SetSpeed,
     UnitLink,
+    Update,
     Watch,
     WriteAnalogOutput,
     WriteOutput,
@@ -314,6 +315,42 @@ def test_a_cable_pulled_during_the_first_request_costs_no_unit_its_polls() -> No
         await line.until(lambda: all(line.readings(unit) for unit in line.units))
 
     run(scene, 3)
+
+
+def test_the_next_poll_leaves_before_the_reading_is_reported() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        put, reports = line.worker.outbox.put, []
+
+        def noted(updates: list[Update]) -> None:
+            if any(isinstance(update, Reading) for update in updates):
+                reports.append((line.loop.time(), line.written[-1]))
+            put(updates)
+
+        line.worker.outbox.put = noted  # type: ignore[method-assign]
+        await asyncio.sleep(1)
+        at_once = [at for at, (sent_at, _) in reports if at == sent_at]
+        assert len(at_once) > 0.9 * len(reports) > 20
+
+    run(scene, 4)
+
+
+def test_the_next_poll_leaves_before_the_reading_is_reported() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        put, reports = line.worker.outbox.put, []
+
+        def noted(updates: list[Update]) -> None:
+            if any(isinstance(update, Reading) for update in updates):
+                reports.append((line.loop.time(), line.written[-1]))
+            put(updates)
+
+        line.worker.outbox.put = noted  # type: ignore[method-assign]
+        await asyncio.sleep(1)
+        at_once = [at for at, (sent_at, _) in reports if at == sent_at]
+        assert len(at_once) > 0.9 * len(reports) > 20
+
+    run(scene, 4)
 
 
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
