@@ -73,7 +73,7 @@ class TooCostlyError(StoreError):
 
 
 def system_error(error: Exception) -> Message:
-    """What the system says of a failure, in its own words."""
+    """The operating system's text for a failure."""
     return Message.of("system_error", error=getattr(error, "strerror", None) or str(error))
 
 
@@ -81,7 +81,7 @@ class Problem(LinesideError):
     """A refusal that goes to the client: problem+json for programs, a page or a fragment for people.
 
     ``code`` is the kind of reason for programs, ``message`` the reason, ``detail`` its text in English.
-    ``extra`` are members of the answer (RFC 9457, 3.2); one of them may be called ``message``, too.
+    ``extra`` are members of the response (RFC 9457, 3.2); one of them may be called ``message``, too.
     """
 
     def __init__(self, status: int, code: ProblemCode, message: Message, /, **extra: Any) -> None:

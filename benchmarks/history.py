@@ -243,8 +243,8 @@ def _line() -> BusSettings:
 
 
 def _query(database: Database, end: int, days: float) -> None:
-    question = SeriesQuery(_line(), 1, VALUES["actual"], end - round(days * DAY), end, 1000)
-    found = database.read_now(lambda connection: run_query(connection, Tail(), question))
+    query = SeriesQuery(_line(), 1, VALUES["actual"], end - round(days * DAY), end, 1000)
+    found = database.read_now(lambda connection: run_query(connection, Tail(), query))
     assert len(found.series.at) > 200
 
 

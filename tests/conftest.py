@@ -1,5 +1,6 @@
-"""What holds for every test: examples are the same in every run, and none has a time limit of its own.
-The tests of whole sites come first: the many small ones fill the time in which the last of those wait."""
+"""Settings for every test: examples are the same in every run, and no test sets a time limit. The tests of
+complete sites come first: the many small ones fill the time in which the last of those wait.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +20,13 @@ from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("lineside")
 
-WHOLE_SITES = {"e2e", "path"}
+COMPLETE_SITES = {"e2e", "path"}
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With ``--no-loadscope-reorder``, xdist hands out files in this order."""
-    items.sort(key=lambda item: item.path.parent.name not in WHOLE_SITES)
+    """Keep the order of files that xdist hands out with ``--no-loadscope-reorder``."""
+    items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 
 def pytest_collection_finish() -> None:

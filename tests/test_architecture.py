@@ -50,7 +50,7 @@ def test_a_file_holds_one_idea() -> None:
     assert relative(path for path in code if len(text_of(path).splitlines()) > LONGEST_FILE) == []
 
 
-def test_names_say_something() -> None:
+def test_names_are_meaningful() -> None:
     vague = (path for path in tracked() if {path.stem, *path.relative_to(ROOT).parts} & MEANINGLESS_NAMES)
     assert relative(vague) == []
 

@@ -49,19 +49,19 @@ def made(kind: Callable[..., object]) -> object:
 
 
 @pytest.mark.parametrize(("kind", "names"), METHODS.items())
-def test_what_is_overridden_is_there(kind: type, names: str) -> None:
+def test_overridden_members_exist(kind: type, names: str) -> None:
     gone = [name for name in names.split() if not callable(getattr(kind, name, None))]
     assert gone == [], f"{kind.__name__} has no {', '.join(gone)} any more. {HOW}"
 
 
 @pytest.mark.parametrize(("kind", "names"), ATTRIBUTES.items())
-async def test_what_is_read_is_there(kind: type, names: str) -> None:
+async def test_used_members_exist(kind: type, names: str) -> None:
     protocol = made(kind)
     gone = [name for name in names.split() if not hasattr(protocol, name)]
     assert gone == [], f"{kind.__name__} has no {', '.join(gone)} any more. {HOW}"
 
 
-def test_what_is_read_of_fastapi_is_there() -> None:
+def test_used_members_of_fastapi_exist() -> None:
     """Used by app.web.routes and app.web.api_route: what a route declares, and the app that serves it."""
     app = FastAPI()
 
@@ -76,13 +76,13 @@ def test_what_is_read_of_fastapi_is_there() -> None:
     assert [context.path for context in iter_route_contexts([route])] == ["/units/{unit}"]
 
 
-def test_what_is_overridden_of_serialx_is_there() -> None:
+def test_overridden_members_of_serialx_exist() -> None:
     names = ["_data_received", "_negotiate", "_send_and_wait", "_send_command"]
     gone = [name for name in names if not callable(getattr(RFC2217SerialTransport, name, None))]
     assert gone == [], f"RFC2217SerialTransport has no {', '.join(gone)} any more: bus/line/port/rfc2217.py"
 
 
-async def test_what_is_read_and_replaced_of_serialx_is_there() -> None:
+async def test_used_and_replaced_members_of_serialx_exist() -> None:
     transport = RFC2217SerialTransport(asyncio.get_running_loop(), asyncio.Protocol())
     parts = {
         "_tcp_transport": transport,

@@ -60,7 +60,7 @@ def test_a_name_in_two_modules_is_a_duplicate_and_one_twice_in_a_module_is_not()
         ("wholesale", "whole", False),
     ],
 )
-def test_a_word_is_found_as_a_whole_word(identifier: str, word: str, is_in: bool) -> None:
+def test_a_word_is_found_between_word_boundaries(identifier: str, word: str, is_in: bool) -> None:
     assert vocabulary.contains(identifier, word) is is_in
 
 

@@ -24,8 +24,8 @@ from bus.bucket import Bucket
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
+from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot
-from tests.app.whole_app import House, whole_app
 from tests.bus.virtual_line import VirtualLine, run
 from tests.test_architecture import ROOT, text_of
 
@@ -192,7 +192,7 @@ def test_a_walk_has_at_most_fifteen_stations(heading: str) -> None:
 async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:
     calls = Calls()
     await asyncio.to_thread(worker_calls_of_a_reading, calls)
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await app_calls_of_a_reading(house, await connected(house), calls)
     walk = [name for name in stations(READING) if not name.startswith("static/")]
     assert calls.of(walk) == walk
@@ -200,7 +200,7 @@ async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:
 
 async def test_a_click_takes_the_walk(tmp_path: Path) -> None:
     calls = Calls()
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         connection = await connected(house)
         await app_calls_of_a_click(house, calls)
         assert connection.command is not None

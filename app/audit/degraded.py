@@ -1,4 +1,4 @@
-"""The notice on the pages while the audit log proves less than it should."""
+"""The notice on the pages while the audit log is verifiable only in part."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bus.messages import Message
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
-    """None while the log is anchored and whole. ``now``: Unix time in seconds."""
+    """None while the log is anchored and intact. ``now``: Unix time in seconds."""
     if status.altered is not None:
         return Message("audit_altered_after_anchor")
     if status.unwritten is not None:

@@ -100,7 +100,7 @@ def _written(path: Path, ring: KeyRing) -> Path:
 
 
 def _sync_folder(path: Path) -> None:
-    """Have the name on disk too: a key that a power failure takes away proves nothing any more."""
+    """Sync the folder, so that a power failure cannot remove the name of the new key."""
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(folder)

@@ -32,7 +32,7 @@ class Keys:
         return self.ring
 
     def rotate(self) -> None:
-        """Make a newer key, which seals new entries; the others still prove what they sealed.
+        """Make a newer key, which seals new entries; the others still verify the entries they sealed.
 
         Raises KeyFileError.
         """

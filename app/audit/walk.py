@@ -15,7 +15,7 @@ from bus.messages import Message
 class Verdict:
     """Whether a log is intact; ``broken``: the first entry that is not, ``fault``: the reason.
 
-    ``unsealed``: the entries from 1 up to this one are older than the key. They are proven to be as they
+    ``unsealed``: the entries from 1 up to this one are older than the key. They are verified to be as they
     were when it was made, and no further back. ``anchored``: the newest entry that an anchor names.
     """
 

@@ -10,7 +10,7 @@ from starlette.types import Message, Send
 
 RECHECK_S = 20.0
 NO_LONGER_SIGNED_IN = 4401
-"""Close code: 4000 and the status that a request would be answered with."""
+"""Close code: 4000 and the HTTP status of the same refusal."""
 
 IsAllowed = Callable[[], Awaitable[bool]]
 

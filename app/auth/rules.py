@@ -19,7 +19,7 @@ LONGEST_NAME = 40
 _LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
 """Of a name, each with or without accents: no letter of one script looks like one of another."""
 _SAME_SHAPE = str.maketrans("01i", "oll")
-"""What a sans-serif font does not tell apart, in small letters: ``I``, ``l`` and 1."""
+"""Look-alikes in a sans-serif font, in small letters: ``I``, ``l`` and 1."""
 
 HOUR = 3600.0
 DAY = 24 * HOUR

@@ -117,11 +117,13 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
 def read_backup(
     file: Path, data: Path, key_files: Sequence[Path], main: str = "lineside.db"
 ) -> tuple[list[str], Withheld | None]:
-    """Put the stores of a backup into a data folder; gives their names, and what was withheld from the
-    ``main`` one where the backup holds it, whose log goes on under the key in the first of ``key_files``.
+    """Put the stores of a backup into a data folder; return their names, and what was withheld from the
+    ``main``
+    one where the backup contains it, whose log continues under the key in the first of ``key_files``.
 
-    Raises StoreError; then all is as it was: every store of the backup is proved, and the main one made
-    ready, before the first is put in its place."""
+    Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
+    main one prepared, before the first is put in its place.
+    """
     make_private(data)
     with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
         proved, taken_at = _unpack(file, Path(folder))
@@ -136,7 +138,7 @@ def read_backup(
 
 
 def _unpack(file: Path, folder: Path) -> tuple[list[Path], UnixTime]:
-    """The proved stores, and when they were backed up."""
+    """Return the checked stores, and the time of the backup."""
     with _archive(file) as archive:
         extracted = archive.extractfile(MANIFEST)
         assert extracted is not None

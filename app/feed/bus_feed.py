@@ -73,7 +73,7 @@ class BusFeed:
         self._watches: set[asyncio.Task[None]] = set()
 
     def watch(self, units: list[int], trace: bool) -> None:
-        """Tell the worker which units are on an open page, and whether its trace is followed."""
+        """Send the worker the units that are on an open page, and whether its trace is followed."""
         watch = asyncio.create_task(self._channel.watch(units, trace=trace))
         self._watches.add(watch)
         watch.add_done_callback(self._watches.discard)

@@ -1,7 +1,7 @@
-"""How far a worker's clock is from the app's, from messages that say when they were sent. Pure.
+"""The offset of a worker's clock from the app's, from messages with their time of sending. Pure.
 
-A message in transit while the app's clock was set back seems to have arrived long before it was
-sent. After a step of the app's clock nothing is judged until such messages are in.
+A message in transit while the app's clock was set back seems to have arrived long before it was sent. After a
+step of the app's clock nothing is judged until such messages are in.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ from bus.instants import UnixTime
 AHEAD_S = 5.0
 """The offset of a clock is known to within the delay of a message."""
 LIVE_S = 60.0
-"""An older reading says nothing about the present, whatever its mark."""
+"""An older reading is no present state, whatever its mark."""
 MOST_FRAMES_OF_A_COMMAND = 300
 
 

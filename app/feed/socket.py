@@ -22,7 +22,7 @@ router = APIRouter()
 GOING_AWAY = 1001
 POLICY_VIOLATION = 1008
 SEND_WITHIN_S = 5.0
-"""Bounds a worker that does not read: it must delay neither commands nor the end of its own connection."""
+"""Bounds a worker that does not read: it must delay neither commands nor the end of its connection."""
 REASON_BYTES = 123
 """What a close frame has room for (RFC 6455, 5.5)."""
 

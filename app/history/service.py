@@ -85,9 +85,9 @@ class History:
         """Whether history is well, and if not, why."""
         return self._writer.status
 
-    async def query(self, questions: Sequence[SeriesQuery]) -> list[QueryResult]:
+    async def query(self, queries: Sequence[SeriesQuery]) -> list[QueryResult]:
         """What each value was. Raises StoreError when the store cannot be read."""
-        found = await self.read(lambda c, tail: [run_query(c, tail, question) for question in questions])
+        found = await self.read(lambda c, tail: [run_query(c, tail, one) for one in queries])
         for each in found:
             self.report(each.damaged)
         return found

@@ -1,8 +1,8 @@
 """Ids of commands between app and bus worker.
 
-The worker carries out an id once and repeats its result when it gets the id again. Therefore no id is ever
-used twice: the id given by a sender, which another sender or a later day may use as well, is only a part of
-it, by which a page finds the progress of its own command.
+The worker carries out an id once and repeats its result when it gets the id again. Therefore no id is used
+twice: the id given by a sender, which another sender or a later day may use as well, is only a part of it, by
+which a page finds the progress of its command.
 """
 
 from __future__ import annotations

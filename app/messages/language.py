@@ -35,8 +35,8 @@ class Language:
         """The text in this language (in English when it is not translated), ``{names}`` filled in."""
         if isinstance(text, Message):
             return text.render(self)
-        said = self.term(text)
-        return said.format(**values) if values else said
+        text = self.term(text)
+        return text.format(**values) if values else text
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
         """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);

@@ -96,7 +96,7 @@ class RecipeBook:
     async def load(
         self, person: Person, recipe: Recipe, made_at: Monotonic, *, confirm: bool, command_id: str | None
     ) -> Result:
-        """Load it as one change: staged, broadcast, proven. Problem 409 where a unit cannot take it."""
+        """Load it as one change: staged, broadcast, read back. Problem 409 where a unit cannot take it."""
         run = self.try_out(person, recipe)
         if not run.loadable:
             why: list[int | str | Message] = [

@@ -70,7 +70,7 @@ class RecipeStore:
         )
 
     async def mark_loaded(self, bus: str, recipe_id: int, who: str, at: UnixTime) -> None:
-        """Remember that a recipe was loaded and proven. ``at``: seconds since the epoch."""
+        """Record that a recipe was loaded and verified. ``at``: seconds since the epoch."""
         await self._database.write(
             lambda connection: connection.execute(
                 "INSERT OR REPLACE INTO loaded_recipe (bus, recipe_id, who, loaded_at) VALUES (?, ?, ?, ?)",

@@ -19,7 +19,7 @@ NO_ROOM_S = 0.1
 async def accept_connections(
     listening: socket.socket, make_protocol: Callable[[], asyncio.Protocol], tls: SSLContext | None = None
 ) -> None:
-    """Serve each connection with a protocol of its own, until cancelled."""
+    """Serve each connection with a new protocol, until canceled."""
     loop = asyncio.get_running_loop()
     listening.setblocking(False)
     while True:

@@ -1,8 +1,8 @@
-"""When what a connection delivers arrived, at the earliest. Pure: all times are monotonic and passed in.
+"""The earliest arrival time of what a connection delivers. Pure: all times are monotonic and passed in.
 
-A process that stands still, a full backlog before it accepts, and a request in front of another in one
-connection keep bytes in the kernel, which says of the last of them alone how long they have been there. Of
-the first of them it is certain only that they were not there when the connection was last found empty.
+A stalled process, a full backlog before it accepts, and a request ahead of another in one connection keep
+bytes in the kernel, which reports the waiting time of the last of them only. Of the first of them it is
+certain only that they were not there when the connection was last found empty.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class ConnectionArrivals:
         self._arrived_at = opened_at
 
     def received(self, now: float, size: int, *, polled_after: float, waited_s: float) -> float:
-        """The earliest moment at which these ``size`` bytes can have come.
+        """Return the earliest time at which these ``size`` bytes can have arrived.
 
-        ``polled_after``: the loop has looked for bytes in every open socket since; ``waited_s``: how long the
-        kernel has had the last of them, 0 where it does not say.
+        ``polled_after``: the loop has polled every open socket since; ``waited_s``: how long the kernel has
+        had the last of them, 0 where it is not reported.
         """
         self._arrived_at = min(self._not_there_at(now, polled_after), now - waited_s)
         self._empty_at = now if size < FULL_READ_BYTES else self._arrived_at

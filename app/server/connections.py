@@ -1,8 +1,8 @@
 """How many connections may be open: for each address, for each account, and in all.
 
-Nobody new is turned away. Beyond a limit the oldest of the group with the most is dropped, one that waits for
-its client before one that is being served: connections that are held open push out one another, nobody else.
-Who has signed in, the bus workers among them, is counted by account, apart from strangers.
+New clients are not turned away. Beyond a limit the oldest of the group with the most is dropped, one that
+waits for its client before one that is being served: connections that are held open displace one another, and
+no others. Signed-in users, the bus workers among them, are counted by account, apart from strangers.
 """
 
 from __future__ import annotations

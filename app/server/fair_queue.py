@@ -130,7 +130,7 @@ class FairQueue(Generic[K]):
                 turn.set_result(None)
 
     def _next(self) -> tuple[K, asyncio.Future[None]] | None:
-        """Of the two classes in turn, where both have somebody."""
+        """Return the next of the two classes in turn, where both are waiting."""
         for known in (self._known_next, not self._known_next):
             found = self._waiting[known].next(self._busy, self._at_once_of_key)
             if found is not None:

@@ -1,6 +1,6 @@
-"""Who asks, behind proxies: what the ones that are trusted say in X-Forwarded-For, -Proto and -Host.
+"""The client of a request behind proxies: X-Forwarded-For, -Proto and -Host of trusted ones.
 
-Nobody else is believed: the address reaches the audit log and the limits of sign-ins.
+No others are believed: the address reaches the audit log and the limits of sign-ins.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """What a trusted proxy says of a request; ``scheme`` and ``host`` are empty where it says nothing."""
+    """The client that a trusted proxy reports; ``scheme`` and ``host`` are empty where it does not report
+    them.
+    """
 
     address: str
     scheme: str = ""
@@ -34,10 +36,10 @@ class Origin:
 
 
 def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Origin:
-    """Who asks. ``peer``: the other end of the connection, believed only when it is ``trusted``.
+    """Return the client. ``peer``: the other end of the connection, believed only when it is ``trusted``.
 
-    Each proxy appends the address it was asked from, so the right-most one that is no trusted proxy is the
-    client; what stands left of it can be made up.
+    Each proxy appends the address of its client, so the right-most one that is no trusted proxy is the
+    client; what is left of it can be made up.
     """
     if not is_within(peer, trusted):
         return Origin(canonical(peer))

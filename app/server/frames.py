@@ -1,8 +1,8 @@
-"""The short way out of a WebSocket: one frame made once, written to many sockets as it is.
+"""The fast path out of a WebSocket: one frame made once, written to many sockets unchanged.
 
-A server's frames carry no mask (RFC 6455, 5.1) and nothing here is compressed, so a message that many are
-told is the same bytes for each. The server puts an :class:`Outlet` into the scope as an ASGI extension; where
-it does not, everything goes by ``send``, which is slower and says the same.
+A server's frames carry no mask (RFC 6455, 5.1) and nothing here is compressed, so a message to many clients
+is the same bytes for each. The server puts an :class:`Outlet` into the scope as an ASGI extension; where it
+does not, everything goes by ``send``, which is slower and has the same effect.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ class Outlet(Protocol):
     """One WebSocket, beside its ``send``. Both may be used, one after the other."""
 
     def write(self, frame: bytes, /) -> bool:
-        """Hand over a whole frame in this turn of the loop, if the socket is open and everything before
-        has left; else nothing happens, and the answer is False. Raises nothing."""
+        """Write a complete frame in this turn of the loop, if the socket is open and everything before has
+        left; otherwise do nothing and return False. Raises nothing.
+        """
 
 
 class NoOutlet:

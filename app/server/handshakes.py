@@ -13,7 +13,7 @@ AT_ONCE_A_SECOND, MOST_TOGETHER = 60.0, 10
 
 
 class Handshakes:
-    """Delays the handshakes of an account beyond their rate: who is refused asks again at once."""
+    """Delays the handshakes of an account beyond their rate: refused clients retry at once."""
 
     def __init__(self) -> None:
         self._buckets: dict[str, tuple[Bucket, Bucket]] = {}

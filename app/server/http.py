@@ -101,7 +101,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     # --- of the parser -------------------------------------------------------------------------------
 
     def on_message_begin(self) -> None:
-        """A request, perhaps before the one before it is answered."""
+        """A request starts, perhaps before the response to the previous one."""
         if len(self.pipeline) >= MOST_PIPELINED:
             raise BeyondBoundsError("too many requests wait for a response")
         super().on_message_begin()
@@ -114,12 +114,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """A whole header."""
+        """A header is complete."""
         self._count_head(len(name) + len(value))
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """It is known what is asked; the app may begin."""
+        """The headers are complete; the app may start."""
         version = self.parser.get_http_version()
         if version not in VERSIONS:
             self._give_up(NO_SUCH_VERSION)
@@ -139,18 +139,18 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """The whole request is here."""
+        """The request is complete."""
         self._pace.expect(Awaited.NOTHING, self.loop.time())
         super().on_message_complete()
         if self.cycle is not None and self.cycle.response_complete:
             self._pace.expect(Awaited.NEXT, self.loop.time())
 
     def on_response_complete(self) -> None:
-        """The client may ask for more, and must not send for ever what nobody reads."""
+        """The client may send the next request, but not endlessly without reading."""
         super().on_response_complete()
         if self.cycle.response_complete and self._pace.awaited in (Awaited.BODY, Awaited.NOTHING):
-            is_whole = self._pace.awaited is Awaited.NOTHING
-            self._pace.expect(Awaited.NEXT if is_whole else Awaited.REST, self.loop.time())
+            is_complete = self._pace.awaited is Awaited.NOTHING
+            self._pace.expect(Awaited.NEXT if is_complete else Awaited.REST, self.loop.time())
 
     # --- how it stands -------------------------------------------------------------------------------
 
@@ -188,8 +188,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self.transport.close()
 
     def _refuse(self, refusal: Refusal) -> None:
-        """End the connection. Requests that are whole are answered before, and nothing is read after them;
-        else the refusal is the response where one is awaited and none has begun."""
+        """End the connection. Complete requests get their responses first, and nothing is read after them;
+        otherwise the refusal is the response where one is awaited and none has begun.
+        """
         if self._is_answering() and not self.cycle.more_body:
             self.cycle.keep_alive = False
         elif self._is_answering() and (self.pipeline or self.cycle.response_started):

@@ -9,7 +9,7 @@ from math import inf
 
 TICK_S = 0.05
 AGAIN_S = 0.001
-"""After a stall: so that what comes after it is soon told from what came during it."""
+"""After a stall: separates what arrives after it from what arrived during it."""
 
 
 class LoopWatch:

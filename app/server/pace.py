@@ -34,14 +34,14 @@ LONGEST_BODY_S = 300.0
 
 @dataclass(slots=True)
 class Pace:
-    """What is awaited, since when, and how many bytes of it have come."""
+    """What is awaited, since when, and how many of its bytes have arrived."""
 
     since: float
     awaited: Awaited = Awaited.FIRST
     received: int = 0
 
     def expect(self, awaited: Awaited, now: float) -> None:
-        """From now on this is owed."""
+        """Await this from now on."""
         self.awaited, self.since, self.received = awaited, now, 0
 
     def is_overdue(self, now: float) -> bool:

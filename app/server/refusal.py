@@ -23,7 +23,7 @@ class Refusal:
     detail: str
 
     def response(self) -> bytes:
-        """The whole HTTP response."""
+        """The complete HTTP response."""
         phrase, body = HTTPStatus(self.status).phrase, self._body()
         headers = {**HEADERS, "Content-Type": MEDIA_TYPE, "Content-Length": len(body), "Connection": "close"}
         lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())

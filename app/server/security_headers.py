@@ -23,7 +23,9 @@ _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 
 
 class SecurityHeaders:
-    """Adds the headers above to every response. One that does not say how long it holds is not cached."""
+    """Adds the headers above to every response; without a Cache-Control of its route a response is not
+    cached.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

@@ -13,7 +13,7 @@ from collections.abc import Collection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 HEALTH = "/healthz"
-"""Costs nothing, and is asked to learn whether this server is well."""
+"""Costs nothing, and is polled to check that this server works."""
 _CREDENTIALS = (b"authorization", b"cookie")
 
 

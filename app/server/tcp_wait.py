@@ -33,7 +33,7 @@ class TcpWait:
 
 
 def tcp_wait(connection: TcpSocket | None) -> TcpWait | None:
-    """None where the system does not say."""
+    """None where the system does not report it."""
     option = getattr(socket, "TCP_INFO", None)
     if connection is None or option is None:
         return None

@@ -18,7 +18,7 @@ from bus.bucket import Bucket
 from bus.instants import Monotonic
 
 FEED_PATH = "/feed"
-"""Where bus workers say what they have read: large messages, and many after a break."""
+"""Where bus workers send their updates: large messages, and many after a break."""
 MOST_MESSAGE_BYTES = 32 * 1024
 """Of any other socket: a page names the units that it shows."""
 FRAMES_A_SECOND = 10.0
@@ -31,8 +31,9 @@ MOST_UNREAD_BYTES = 64 * 1024
 
 
 class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
-    """Handshake, control frames, close and every ``send`` are uvicorn's; only whole frames that are ready
-    may pass it by. It writes what it has in the same turn too, so the two cannot mix within a message."""
+    """Handshake, control frames, close and every ``send`` are uvicorn's; only complete frames that are ready
+    may bypass it. It writes what it has in the same turn too, so the two cannot mix within a message.
+    """
 
     def __init__(self, *args: Any, connection: Connection, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -69,7 +70,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
             super().data_received(data[start : start + SLICE_BYTES])
 
     def handle_connect(self, event: Request) -> None:
-        """The handshake, which says what it is for."""
+        """The handshake, with its path and headers."""
         self._is_feed = event.path.partition("?")[0] == FEED_PATH
         if not self._is_feed:
             self.conn.max_message_size = MOST_MESSAGE_BYTES
@@ -103,7 +104,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
             super().handle_ping()
 
     async def run_asgi(self) -> None:
-        """The app, told of the short way."""
+        """Run the app, with the fast path in its scope."""
         offered = cast(dict[str, Any], self.scope["extensions"])
         offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify}
         try:

@@ -1,1 +1,1 @@
-"""Parameter sets: stored, compared, restored, proven."""
+"""Parameter sets: stored, compared, restored, verified."""

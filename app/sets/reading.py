@@ -19,7 +19,7 @@ READ_TIMEOUT_S = 300.0
 
 
 def rows_of(values: Iterable[ParameterValue]) -> dict[int, ParameterRow]:
-    """What units answered, by parameter number."""
+    """Values of responses, by parameter number."""
     return {
         value.number: ParameterRow(value.number, value.raw, value.available, value.at, value.frame)
         for value in values

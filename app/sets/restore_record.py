@@ -39,8 +39,9 @@ class RowResult:
 @dataclass(slots=True)
 class Restore:
     """``wanted``: the requested rows; ``before``: the unit's values; ``proven``: those of a full read
-    afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was
-    planned, None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs."""
+    afterwards (None until that read). ``running``, ``remote``: the Run input and REMOTE when it was planned,
+    None where not known. ``cause``, ``cause_code``: why it stopped, for people and programs.
+    """
 
     id: str
     bus: str

@@ -1,4 +1,4 @@
-"""One restore from start to end: the review checked, each row verified, all proven by a full read."""
+"""One restore from start to end: the review checked, each row verified, all verified by a full read."""
 
 from __future__ import annotations
 

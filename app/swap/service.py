@@ -106,14 +106,14 @@ class SwapService:
         await self._store.save(swap)
 
     async def give_up(self, person: Person, swap: Swap) -> None:
-        """It is not gone on with, or was proven and is put away."""
+        """Close a swap that is not continued, or that was verified."""
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
             await self._record(swap, person.name, Message("event_swap_given_up"), swap.story)
 
     async def ended(self, restore: Restore) -> None:
-        """A restore is over: where it belongs to a swap and proved equal, so is the swap."""
+        """A restore is over: where it belongs to a swap and the full read was equal, so is the swap."""
         swap = self.of(restore.bus, restore.unit)
         if swap is None or restore.planned_at < swap.began_at or swap.proven:
             return

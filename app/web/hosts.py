@@ -23,7 +23,7 @@ OPEN_PATH = "/healthz"
 
 
 class AllowedHosts:
-    """Answers 421 under any name but these; an empty list allows all."""
+    """Responds 421 under any name but these; an empty list allows all."""
 
     def __init__(self, app: ASGIApp, allowed: Collection[str]) -> None:
         self._app = app

@@ -65,7 +65,7 @@ class _ProblemResponse(JSONResponse):
 
 
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
-    """The problem as ``application/problem+json``; ``detail`` instead of its own English sentence."""
+    """The problem as ``application/problem+json``; ``detail`` replaces its English text."""
     content = {
         "type": "about:blank",
         "title": HTTPStatus(problem.status).phrase,

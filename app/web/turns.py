@@ -80,7 +80,7 @@ class ReadInTurn:
         async with AsyncExitStack() as turn:
 
             async def sending(message: AsgiMessage) -> None:
-                # What is sent is made: a stream that lasts keeps nobody waiting.
+                # The response is made: a stream that lasts delays no other request.
                 await turn.aclose()
                 await send(message)
 

@@ -1,4 +1,4 @@
-"""The stage that many tests play on, and its worker, who does nothing until it is told how."""
+"""The stage that many tests use, and its worker, which does nothing until the test sets its play."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A line of one unit for the tests of history: a store in a folder, readings at chosen times, answers."""
+"""A line of one unit for the tests of history: a store in a folder, readings at chosen times, queries."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ NOON = 1_795_262_400.0
 def reading(
     at: float, actual: int = 1000, *, unit: int = 1, inputs: int = 0b11, outputs: int = 0xC0
 ) -> Reading:
-    """One answer to 81h."""
+    """Return one response to 81h."""
     return Reading(unit, at, 1000, actual, 51, outputs, inputs)
 
 
 def parameter(number: int, raw: int, at: float = NOON - 86_400, unit: int = 1) -> ParameterValue:
-    """One answer to 85h."""
+    """Return one response to 85h."""
     return ParameterValue(unit, number, at, raw)
 
 
 def polls(start: float, end: float, value: Callable[[int], int] = lambda i: 1000 + i % 7) -> list[Update]:
-    """Five answers a second."""
+    """Return five readings a second."""
     count = round((end - start) * 5)
     return [reading(start + i / 5, value(i)) for i in range(count)]
 
@@ -66,8 +66,8 @@ class Shelf:
         self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS
     ) -> QueryResult:
         """What a value was."""
-        question = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
-        return self.database.read_now(lambda connection: run_query(connection, self.tail, question))
+        query = SeriesQuery(bus, 1, VALUES[value], micros(start), micros(end), most)
+        return self.database.read_now(lambda connection: run_query(connection, self.tail, query))
 
     def close(self) -> None:
         """The journal keeps what is in the tail."""

@@ -1,4 +1,4 @@
-"""A desk that is played: units with a parameter memory, which answer, refuse or fall silent as told."""
+"""A scripted command service: units with a parameter memory, which respond, refuse or stop responding."""
 
 from __future__ import annotations
 
@@ -44,9 +44,10 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 
 @dataclass
 class PlayedCommands:
-    """``memory``: unit → number → raw. ``silent_after``: writes after which nothing answers any more;
-    ``hangs_after``: writes after which the next one never gets its fate; ``objects``: by parameter the
-    Problem with which a write of it is not sent; ``before_write``: called as each write arrives."""
+    """``memory``: unit → number → raw. ``silent_after``: writes after which no unit responds;
+    ``hangs_after``: writes after which the next one gets no result; ``objects``: by parameter the Problem
+    with which a write of it is not sent; ``before_write``: called as each write arrives.
+    """
 
     live: LiveState
     memory: dict[int, dict[int, int]]
@@ -54,7 +55,7 @@ class PlayedCommands:
     objects: dict[int, Problem] = field(default_factory=dict)
     before_write: Callable[[WriteParameter], None] = lambda _: None
     lacks: frozenset[int] = frozenset()
-    silent_after: int | None = None
+    timeout_after: int | None = None
     hangs_after: int | None = None
     hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
@@ -93,11 +94,11 @@ class PlayedCommands:
             raise problem_of(error) from error
 
     @property
-    def _silent(self) -> bool:
-        return self.silent_after is not None and len(self.written) >= self.silent_after
+    def _timed_out(self) -> bool:
+        return self.timeout_after is not None and len(self.written) >= self.timeout_after
 
     def _read(self, action: ReadParameters) -> Result:
-        if self._silent:
+        if self._timed_out:
             return Result(id="r", at=time.time(), outcome="unverified", message=term("no response"))
         values = [self._value(action.unit, number) for number in action.numbers]
         return Result(id="r", at=time.time(), outcome="verified", values=values)
@@ -110,7 +111,7 @@ class PlayedCommands:
     def _write(self, action: WriteParameter) -> Result:
         if action.number in self.objects:
             raise self.objects[action.number]
-        if self._silent:
+        if self._timed_out:
             return Result(id="w", at=time.time(), outcome="unverified", message=term("no response"))
         if action.number in self.refuses:
             return Result(id="w", at=time.time(), outcome="refused", unit_error=self.refuses[action.number])
@@ -126,9 +127,9 @@ class Noted:
     events: list[dict[str, Any]] = field(default_factory=list)
     noted: asyncio.Event = field(default_factory=asyncio.Event)
 
-    async def record(self, **said: Any) -> int:
+    async def record(self, **fields: Any) -> int:
         self.events.append(
-            {name: str(value) if isinstance(value, Message) else value for name, value in said.items()}
+            {name: str(value) if isinstance(value, Message) else value for name, value in fields.items()}
         )
         self.noted.set()
         return len(self.events)
@@ -150,7 +151,7 @@ def a_bus() -> LiveState:
 
 
 def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
-    """Both units have answered, with all that is needed to show them."""
+    """Give both units a reading and all parameters that are needed to show them."""
     outputs, inputs = REMOTE if remote else 0, HEALTHY | (RUN if run else 0)
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
     for unit in (1, 2):
@@ -173,7 +174,7 @@ def factory() -> dict[int, int]:
 
 
 class SetScene:
-    """A keeper of sets before two units that answer, with its store in ``folder``."""
+    """A keeper of sets with two units that respond, and its store in ``folder``."""
 
     def __init__(self, folder: Path) -> None:
         self.live = a_bus()
@@ -187,7 +188,7 @@ class SetScene:
         self.drift = BusDrift(bus, self.store, self.events)  # type: ignore[arg-type]
         self.keeper = SetKeeper(bus, reader, self.drift, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
-    def tells(self, unit: int, *numbers: int, raw: int = 30) -> None:
-        """A unit says that these of its parameters are ``raw``."""
+    def report(self, unit: int, *numbers: int, raw: int = 30) -> None:
+        """Report ``raw`` for these parameters of a unit."""
         values = [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number in numbers]
         self.live.buses["dry-end"].apply(values)

@@ -1,4 +1,4 @@
-"""Two units behind the app without a worker, a socket or a port: they answer every command at once."""
+"""Two units behind the app without a worker, a socket or a port: they respond to every command at once."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class PlayedLine:
     written: list[tuple[int, int, int]] = field(default_factory=list)
     held: list[Command] = field(default_factory=list)
     cancelled: list[str] = field(default_factory=list)
-    _answers: set[asyncio.Task[None]] = field(default_factory=set)
+    _responses: set[asyncio.Task[None]] = field(default_factory=set)
 
     async def send(self, message: AppMessage) -> None:
         """As the connection of a worker."""
         if isinstance(message, Command):
-            task = asyncio.create_task(self._answer(message))
-            self._answers.add(task)
-            task.add_done_callback(self._answers.discard)
+            task = asyncio.create_task(self._respond(message))
+            self._responses.add(task)
+            task.add_done_callback(self._responses.discard)
         elif isinstance(message, Cancel):
             self.cancelled.append(message.id)
 
@@ -62,7 +62,7 @@ class PlayedLine:
         """Give the command that was held last its result."""
         self.channel.on_update(Result(self.held[-1].id, time.time(), outcome), self)
 
-    async def _answer(self, command: Command) -> None:
+    async def _respond(self, command: Command) -> None:
         match command.action:
             case ReadParameters(unit=unit, numbers=numbers):
                 values = [_value(unit, number, self.memory[unit][number]) for number in numbers]

@@ -8,7 +8,7 @@ from bus.messages import Message
 
 
 class PlayedRights:
-    """Everyone may do what they ask for, but those in ``withdrawn``: by name why not."""
+    """Permits every request, except of those in ``withdrawn``: the reason by name."""
 
     def __init__(self) -> None:
         self.withdrawn: dict[str, str] = {}
@@ -22,7 +22,7 @@ class PlayedRights:
             )
 
     def on_withdrawn(self, _subscriber: AccountSubscriber) -> None:
-        """Nobody is told what a test withdraws."""
+        """Do nothing: subscribers are not notified of what a test withdraws."""
 
     def on_signed_out(self, _subscriber: AccountSubscriber) -> None:
         """Everyone stays signed in."""

@@ -1,4 +1,4 @@
-"""What is shown beside the live state, as a test sets it."""
+"""Data shown beside the live state, as a test sets it."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def reading(
 
 
 def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:
-    """What is shown, brought up to date at the time 100."""
+    """Return the screen, updated at the time 100."""
     made = Screen(live, translator(tag), played_sources(live.buses, blocks))
     made.refresh(100.0)
     return made

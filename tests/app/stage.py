@@ -85,13 +85,13 @@ def bus_settings(**changes: Any) -> BusSettings:
 
 
 def reading(unit: int, commanded: int = 1000, **changes: Any) -> Reading:
-    """A fresh answer to 81h."""
-    said: dict[str, Any] = {"actual": commanded, "analog": 51, "outputs": REMOTE, "inputs": HEALTHY}
-    return Reading(unit=unit, at=time.time(), commanded=commanded, **{**said, **changes})
+    """Return a new response to 81h."""
+    fields: dict[str, Any] = {"actual": commanded, "analog": 51, "outputs": REMOTE, "inputs": HEALTHY}
+    return Reading(unit=unit, at=time.time(), commanded=commanded, **{**fields, **changes})
 
 
 def unit_state(unit: int, parameters: dict[int, int] | None = None) -> UnitState:
-    """A unit that answers, with the parameters a page needs."""
+    """Return a unit that responds, with the parameters that a page needs."""
     now = time.time()
     known = PARAMETERS if parameters is None else parameters
     values = [ParameterValue(unit=unit, number=number, at=now, raw=raw) for number, raw in known.items()]
@@ -99,7 +99,7 @@ def unit_state(unit: int, parameters: dict[int, int] | None = None) -> UnitState
 
 
 def snapshot(seq: int = 0, units: Sequence[UnitState] | None = None, link: str = "open") -> Snapshot:
-    """The whole state of the three units."""
+    """Return the complete state of the three units."""
     now = time.time()
     states = [unit_state(number) for number in (1, 2, 16)] if units is None else list(units)
     port = BusLink(
@@ -133,32 +133,32 @@ class History:
 
 
 class PlayedWorker:
-    """A worker whose every word is the test's. ``play`` answers commands; ``heard`` is what the app said."""
+    """A worker that the test controls. ``play`` responds to commands; ``received`` has the app's messages."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
         self.seq = 0
-        self.heard: list[AppMessage] = []
+        self.received: list[AppMessage] = []
         self.commands: list[Command] = []
         self.play: Play | None = None
         self.closed: ConnectionClosed | None = None
         self._listening = asyncio.create_task(self._listen())
 
-    async def say(self, message: WorkerMessage) -> None:
+    async def send(self, message: WorkerMessage) -> None:
         """One message."""
         await self._socket.send(encode(message))
 
-    async def say_raw(self, data: bytes | str) -> None:
+    async def send_raw(self, data: bytes | str) -> None:
         """Anything at all."""
         await self._socket.send(data)
 
     async def update(self, *updates: Update) -> None:
         """The next batch."""
         self.seq += 1
-        await self.say(Batch(seq=self.seq, sent_at=time.time(), updates=list(updates)))
+        await self.send(Batch(seq=self.seq, sent_at=time.time(), updates=list(updates)))
 
-    async def hear(self, kind: type[AppMessage], count: int = 1) -> AppMessage:
-        """Wait until the app said this ``count`` times; the last of them."""
+    async def receive(self, kind: type[AppMessage], count: int = 1) -> AppMessage:
+        """Wait for ``count`` messages of this kind; return the last one."""
         await until(lambda: len(self._of(kind)) >= count, f"{count} times {kind.__name__}")
         return self._of(kind)[count - 1]
 
@@ -174,7 +174,7 @@ class PlayedWorker:
         await self._listening
 
     def _of(self, kind: type[AppMessage]) -> list[AppMessage]:
-        return [message for message in self.heard if isinstance(message, kind)]
+        return [message for message in self.received if isinstance(message, kind)]
 
     async def _listen(self) -> None:
         try:
@@ -186,7 +186,7 @@ class PlayedWorker:
             self.closed = closed
 
     async def _take(self, message: AppMessage) -> None:
-        self.heard.append(message)
+        self.received.append(message)
         if isinstance(message, Command):
             self.commands.append(message)
             if self.play is not None:
@@ -207,7 +207,7 @@ def _templates() -> Templates:
 
 
 class Stage:
-    """Everything between the browser and the worker. ``http`` asks as a role."""
+    """Everything between the browser and the worker. ``http`` sends requests as a role."""
 
     def __init__(
         self, folder: Path, settings: BusSettings, *, control: bool = False, missed_ticks: int = 1000
@@ -260,7 +260,7 @@ class Stage:
             *(live_router, commands_router, safeguards_router),
             *(trace_router, feed_router, events_router),
         ):
-            # As in `create_app`: to build every route anew is most of what a stage costs.
+            # As in `create_app`: rebuilding every route is most of the cost of a stage.
             self.app.router.routes.extend(router.routes)
         install(self.app)
         self.url = ""
@@ -272,7 +272,7 @@ class Stage:
         return CommandService(live, self.channel, record, IdempotencyCache(), self.guards, self.rights)
 
     def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
-        """A client signed in as somebody with this role."""
+        """Return a client signed in as a user with this role."""
         key = f"{role}:{name or role}"
         if key not in self._people:
             self._people[key] = httpx.AsyncClient(
@@ -293,23 +293,23 @@ class Stage:
     async def worker(
         self, first: Hello | None = None, state: Snapshot | None = None, name: str = ""
     ) -> PlayedWorker:
-        """A worker that said hello and, unless ``state`` is told otherwise, its whole state."""
+        """Connect a worker and send hello and, unless ``state`` is given, the complete state."""
         played = await self.connect(name=name)
-        await played.say(first or hello())
-        welcome = await played.hear(Welcome)
+        await played.send(first or hello())
+        welcome = await played.receive(Welcome)
         assert isinstance(welcome, Welcome)
         assert welcome.refused == ""
-        whole = state or snapshot()
-        played.seq = whole.seq
+        present = state or snapshot()
+        played.seq = present.seq
         before = self.live.buses["dry-end"].worker_connected
-        await played.say(whole)
+        await played.send(present)
         if not before:
             await until(lambda: self.live.buses["dry-end"].worker_connected, "the snapshot taken in")
         await until(lambda: self.channel.connected, "the way down open")
         return played
 
     async def connect(self, role: str = "worker", bus: str = "dry-end", name: str = "") -> PlayedWorker:
-        """A connection to /feed that has said nothing yet, by the token ``name`` of ``bus``."""
+        """Connect to /feed by the token ``name`` of ``bus``, without sending anything."""
         headers = {"X-Role": role, "X-Bus": bus, "X-Name": name or role}
         return PlayedWorker(await connect(f"ws://{self.url}/feed", additional_headers=headers))
 
@@ -371,7 +371,7 @@ async def until(condition: Callable[[], object], what: str) -> None:
 
 
 def result_of(command: Command, outcome: str, **more: Any) -> Result:
-    """A command's end as the worker tells it."""
+    """Return a command's result as the worker reports it."""
     return Result(id=command.id, at=time.time(), outcome=outcome, **more)  # type: ignore[arg-type]
 
 

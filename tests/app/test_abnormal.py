@@ -1,4 +1,4 @@
-"""What is abnormal about a unit besides the rungs, and what is said once for a whole bus."""
+"""What is abnormal about a unit besides the run conditions, and what is reported once for a bus."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
 
 
 @pytest.mark.parametrize(
-    ("said", "found"),
+    ("update", "found"),
     [
         (ParameterValue(1, 17, NOW, 1), None),
         (ParameterValue(1, 17, NOW, None, available=False), None),
@@ -69,12 +69,12 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
         ),
     ],
 )
-def test_a_unit_in_whose_name_another_may_answer_is_abnormal(
-    said: ParameterValue | BusFigures, found: str | None
+def test_a_unit_for_which_another_may_respond_is_abnormal(
+    update: ParameterValue | BusFigures, found: str | None
 ) -> None:
     live = line()
     bus = live.buses["dry"]
-    live.buses["dry"].apply([reading(), said])
+    live.buses["dry"].apply([reading(), update])
     cause = shown_cause(bus, bus.units[1], NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
     assert unit_json(bus, bus.units[1], NOW, lambda _unit: None, translator())["suspect"] == found
@@ -92,7 +92,7 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     assert suspicion(bus, bus.units[2]) is None
 
 
-def test_a_bus_says_worker_or_port_and_since_when() -> None:
+def test_a_bus_names_worker_or_port_and_since_when() -> None:
     live = line()
     bus = live.buses["dry"]
     assert bus_cause(bus, 100.5) is None

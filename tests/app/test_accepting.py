@@ -14,7 +14,7 @@ COUNT = 50
 
 
 class Greeting(asyncio.Protocol):
-    """Says hello, and ends."""
+    """Sends hello, and closes."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)

@@ -1,4 +1,4 @@
-"""Deny by default: every route and every WebSocket, as nobody and as each role."""
+"""Deny by default: every route and every WebSocket, without an account and as each role."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from app.main import create_app
 from app.server.connections import EXTENSION
 from app.web.access import Person, Requires, Role
 from app.web.routes import demands, refuse_undeclared
-from tests.app.whole_app import EVERY_ROLE, HOST, PASSWORD, House, settings_in, whole_app
+from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
 HAS = {
@@ -29,14 +29,14 @@ HAS = {
     Role.ADMIN: {Role.VIEWER, Role.OPERATOR, Role.ENGINEER, Role.ADMIN},
     Role.WORKER: {Role.WORKER},
 }
-"""Whose rights each role has. A worker has nothing but the feed, which nobody else has."""
+"""Which rights each role includes. A worker has only the feed, and is the only role that has it."""
 SIGNING_IN = {"/login", "/login/panel"}
 """They refuse an empty form by 401."""
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -59,28 +59,28 @@ def may(role: Role, roles: set[Role | None]) -> bool:
     return roles <= {None, *HAS[role]}
 
 
-def is_refusal_for_role(answer: httpx.Response) -> bool:
-    if answer.status_code != 403:
+def is_refusal_for_role(response: httpx.Response) -> bool:
+    if response.status_code != 403:
         return False
-    return "this needs the role" in answer.text
+    return "this needs the role" in response.text
 
 
-async def test_nobody_gets_nothing_but_what_is_public(house: House) -> None:
+async def test_an_anonymous_client_gets_only_public_routes(house: House) -> None:
     client = house.client(accept="text/html")
     seen = 0
     for method, path, roles in http_calls(house.app):
-        answer = await client.request(method, path)
+        response = await client.request(method, path)
         seen += 1
         if None in roles:
-            assert path in SIGNING_IN or answer.status_code not in (401, 403), path
+            assert path in SIGNING_IN or response.status_code not in (401, 403), path
             assert path in PUBLIC_PATHS or path.startswith("/static/"), path
         elif path.startswith("/api/") or path == "/metrics":
-            assert answer.status_code == 401, (method, path)
-            assert answer.headers["www-authenticate"] == "Bearer"
-            assert answer.json()["code"] == "unauthorized"
+            assert response.status_code == 401, (method, path)
+            assert response.headers["www-authenticate"] == "Bearer"
+            assert response.json()["code"] == "unauthorized"
         else:
-            assert answer.status_code == 303, (method, path)
-            assert answer.headers["location"].startswith("/login"), path
+            assert response.status_code == 303, (method, path)
+            assert response.headers["location"].startswith("/login"), path
     assert seen > 50
 
 
@@ -90,10 +90,10 @@ async def test_each_role_gets_what_it_may_and_nothing_else(house: House, role: R
     for method, path, roles in http_calls(house.app):
         if path in SIGNING_IN:
             continue
-        answer = await program.request(method, path, headers={"accept": "application/json"})
-        assert answer.status_code != 401, (method, path)
-        assert answer.status_code < 500 or answer.status_code in (503, 504), (method, path, answer.text)
-        assert is_refusal_for_role(answer) is not may(role, roles), (method, path, role, answer.text)
+        response = await program.request(method, path, headers={"accept": "application/json"})
+        assert response.status_code != 401, (method, path)
+        assert response.status_code < 500 or response.status_code in (503, 504), (method, path, response.text)
+        assert is_refusal_for_role(response) is not may(role, roles), (method, path, role, response.text)
 
 
 @pytest.mark.parametrize("role", [None, *EVERY_ROLE])
@@ -164,17 +164,17 @@ async def test_an_app_guards_no_routes_of_another(tmp_path: Path, monkeypatch: p
         return await check(self, connection)
 
     monkeypatch.setattr(Requires, "__call__", counting)
-    async with whole_app(tmp_path / "one") as one:
+    async with complete_app(tmp_path / "one") as one:
         viewer = await one.program(Role.VIEWER)
         await viewer.get("/api/v1/line")
         once = len(checked)
-        async with whole_app(tmp_path / "other"):
+        async with complete_app(tmp_path / "other"):
             await viewer.get("/api/v1/line")
     assert once > 0
     assert len(checked) == 2 * once
 
 
-async def test_an_unknown_path_tells_nobody_anything(house: House) -> None:
+async def test_an_unknown_path_reveals_nothing(house: House) -> None:
     assert (await house.client().get("/api/v1/nowhere")).status_code == 401
     assert (await house.client(accept="text/html").get("/nowhere")).status_code == 303
 
@@ -195,8 +195,8 @@ async def test_a_route_that_declares_nothing_stops_the_start() -> None:
 )
 async def test_a_bad_token_is_refused_even_with_a_good_cookie(house: House, header: str) -> None:
     client = await house.signed_in(Role.ADMIN)
-    answer = await client.get("/api/v1/line", headers={"authorization": header})
-    assert (answer.status_code, answer.json()["code"]) == (401, "unauthorized")
+    response = await client.get("/api/v1/line", headers={"authorization": header})
+    assert (response.status_code, response.json()["code"]) == (401, "unauthorized")
 
 
 async def test_a_token_opens_pages_and_a_cookie_the_api(house: House) -> None:
@@ -241,15 +241,15 @@ async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPa
 async def test_the_demo_signs_in_this_machine_only(
     tmp_path: Path, client: str, host: str, is_let_in: bool
 ) -> None:
-    async with whole_app(tmp_path, demo=True) as house:
+    async with complete_app(tmp_path, demo=True) as house:
         house.address = client
-        answer = await house.client(host=host).get("/api/v1/me")
-        assert answer.status_code == (200 if is_let_in else 401)
+        response = await house.client(host=host).get("/api/v1/me")
+        assert response.status_code == (200 if is_let_in else 401)
         wrong = await house.client(host=host, authorization="Bearer x").get("/api/v1/me")
         assert wrong.status_code == 401
 
 
-async def test_without_demo_this_machine_is_nobody(house: House) -> None:
+async def test_without_demo_this_machine_is_anonymous(house: House) -> None:
     house.address = "127.0.0.1"
     assert (await house.client(host="127.0.0.1").get("/api/v1/me")).status_code == 401
 
@@ -270,8 +270,8 @@ async def test_the_cookie_is_kept_from_scripts_and_other_sites(house: House) -> 
     for scheme, secure in (("http", False), ("https", True)):
         client = house.client()
         url = f"{scheme}://{HOST}/login"
-        answer = await client.post(url, data={"name": "ann", "password": PASSWORD})
-        said = answer.headers["set-cookie"]
-        assert "HttpOnly" in said
-        assert "SameSite=lax" in said
-        assert ("Secure" in said) is secure
+        response = await client.post(url, data={"name": "ann", "password": PASSWORD})
+        set_cookie = response.headers["set-cookie"]
+        assert "HttpOnly" in set_cookie
+        assert "SameSite=lax" in set_cookie
+        assert ("Secure" in set_cookie) is secure

@@ -54,7 +54,7 @@ async def test_a_token_is_named_once(accounts: Accounts) -> None:
         await accounts.create_token("plc", Role.VIEWER, **BY)
 
 
-async def test_nobody_and_nothing(accounts: Accounts) -> None:
+async def test_no_account_and_no_password(accounts: Accounts) -> None:
     with pytest.raises(CallerError, match="no user eve"):
         await accounts.set_role("eve", Role.ADMIN, **BY)
     with pytest.raises(CallerError, match="no user eve"):
@@ -121,19 +121,19 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
     assert {event["who"] for event in found} == {"root"}
 
 
-async def test_who_listens_hears_of_each_change_and_whose_session_is_kept(accounts: Accounts) -> None:
-    heard: list[str] = []
+async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts: Accounts) -> None:
+    received: list[str] = []
 
-    async def hear(kept: str) -> None:
-        heard.append(kept)
+    async def receive(kept: str) -> None:
+        received.append(kept)
 
-    accounts.on_changed(hear)
+    accounts.on_changed(receive)
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
     await accounts.set_password("ann", "another good one", keep=b"session", **BY)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
-    assert heard == ["", "", "ann", "", ""]
+    assert received == ["", "", "ann", "", ""]
 
 
 async def test_every_way_to_a_password_or_pin_has_the_same_rules(accounts: Accounts) -> None:

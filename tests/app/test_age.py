@@ -1,4 +1,4 @@
-"""Whether a word is still trusted: by what the worker says and by its age, whichever is worse."""
+"""Whether a quality is still trusted: by the worker's report and by its age, whichever is worse."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tests.app.stage import bus_settings, reading
 READ_AT = 1000.0
 
 
-def bus_of(said: UnitLinkState = "online", *, port: str = "open", scan_s: float | None = None) -> BusLive:
+def bus_of(reported: UnitLinkState = "online", *, port: str = "open", scan_s: float | None = None) -> BusLive:
     """Unit 1 was read at READ_AT."""
     live = LiveState([bus_settings()], 0.0)
     read = reading(1)
     word = type(read)(1, READ_AT, read.commanded, read.actual, read.analog, read.outputs, read.inputs)
-    live.buses["dry-end"].apply([word, UnitLink(unit=1, at=READ_AT, link=said)])
+    live.buses["dry-end"].apply([word, UnitLink(unit=1, at=READ_AT, link=reported)])
     live.buses["dry-end"].apply([BusLink(at=0.0, link="open" if port == "open" else "closed")])
     if scan_s is not None:
         live.buses["dry-end"].apply([BusFigures(0.0, 1 / scan_s, scan_s, 0.9, scan_s)])
@@ -28,7 +28,7 @@ def bus_of(said: UnitLinkState = "online", *, port: str = "open", scan_s: float 
 
 
 @pytest.mark.parametrize(
-    ("said", "port", "age_s", "link"),
+    ("reported", "port", "age_s", "link"),
     [
         ("online", "open", 0.0, "online"),
         ("online", "open", 2.0, "online"),
@@ -41,9 +41,9 @@ def bus_of(said: UnitLinkState = "online", *, port: str = "open", scan_s: float 
     ],
 )
 def test_the_worse_of_word_port_and_age(
-    said: UnitLinkState, port: str, age_s: float, link: UnitLinkState
+    reported: UnitLinkState, port: str, age_s: float, link: UnitLinkState
 ) -> None:
-    bus = bus_of(said, port=port)
+    bus = bus_of(reported, port=port)
     assert unit_link_now(bus, bus.units[1], READ_AT + age_s) == link
 
 
@@ -54,7 +54,7 @@ def test_a_long_scan_is_given_its_time() -> None:
     assert unit_link_now(bus, bus.units[1], READ_AT + 34.0) == "offline"
 
 
-def test_a_unit_that_never_answered_is_unknown_whatever_is_said() -> None:
+def test_a_unit_that_never_responded_is_unknown_whatever_is_reported() -> None:
     bus = bus_of()
     assert unit_link_now(bus, bus.units[2], READ_AT) == "unknown"
 

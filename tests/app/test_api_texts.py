@@ -9,7 +9,7 @@ import pytest
 
 from app.main import create_app
 from app.web.schema import openapi_document
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 AS_DATA = {
     "Bus.diagnosis": "diagnosis_messages",

@@ -1,4 +1,6 @@
-"""Static files: kept for ever under the address of their version, packed, and nothing else served."""
+"""Static files: cached indefinitely under the address of their version, compressed, and nothing else
+served.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from starlette.requests import Request
 from app.errors import Problem
 from app.web.access import Role
 from app.web.assets import Assets, static_dir, templates_dir
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 
 @pytest.fixture
@@ -26,11 +28,11 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
-def asked(accept_encoding: str = "gzip, br") -> Request:
+def request(accept_encoding: str = "gzip, br") -> Request:
     headers = [(b"accept-encoding", accept_encoding.encode())]
     return Request({"type": "http", "method": "GET", "path": "/", "headers": headers})
 
@@ -45,13 +47,13 @@ def test_the_address_changes_with_any_file(folder: Path) -> None:
 
 
 def test_text_is_packed_for_who_takes_it(folder: Path) -> None:
-    packed = Assets(folder).response(asked(), "js/a.js", forever=True)
+    packed = Assets(folder).response(request(), "js/a.js", forever=True)
     assert packed.headers["content-encoding"] == "gzip"
     assert packed.headers["vary"] == "Accept-Encoding"
     assert gzip.decompress(bytes(packed.body)) == (folder / "js" / "a.js").read_bytes()
-    plain = Assets(folder).response(asked(""), "js/a.js", forever=True)
+    plain = Assets(folder).response(request(""), "js/a.js", forever=True)
     assert "content-encoding" not in plain.headers
-    picture = Assets(folder).response(asked(), "logo.png", forever=True)
+    picture = Assets(folder).response(request(), "logo.png", forever=True)
     assert "content-encoding" not in picture.headers
 
 
@@ -63,17 +65,17 @@ def test_only_what_was_there_at_the_start_is_served(folder: Path, name: str) -> 
     assert caught.value.status == 404
 
 
-async def test_nobody_need_sign_in_for_a_stylesheet(house: House) -> None:
+async def test_a_stylesheet_needs_no_sign_in(house: House) -> None:
     url = house.services.assets.url("css/tokens.css")
-    answer = await house.client().get(url)
-    assert answer.status_code == 200
-    assert answer.headers["content-type"].startswith("text/css")
-    assert answer.headers["cache-control"] == "public, max-age=31536000, immutable"
+    result = await house.client().get(url)
+    assert result.status_code == 200
+    assert result.headers["content-type"].startswith("text/css")
+    assert result.headers["cache-control"] == "public, max-age=31536000, immutable"
     other = await house.client().get("/static/older/css/tokens.css")
     assert (other.status_code, other.headers["cache-control"]) == (200, "no-cache")
 
 
-async def test_every_file_that_the_frame_asks_for_is_there(house: House) -> None:
+async def test_every_file_that_the_frame_requests_exists(house: House) -> None:
     page = (await house.client().get("/login")).text
     urls = [part.split('"')[0] for part in page.split('"/static/')[1:]]
     assert urls
@@ -96,7 +98,7 @@ def test_a_stylesheet_is_sent_with_what_it_imports_in_its_place(tmp_path: Path) 
     assert Assets(tmp_path).get("css/all.css").body.split() == b"a {} a {} b {}".split()
 
 
-def test_every_stylesheet_imports_what_is_there() -> None:
+def test_every_import_of_a_stylesheet_exists() -> None:
     assets = Assets(static_dir())
     for name in assets:
         if name.endswith(".css"):
@@ -115,12 +117,12 @@ def test_all_that_a_module_imports_is_known_at_once(tmp_path: Path) -> None:
     assert set(assets.imports("js/main.js")) == wanted
 
 
-async def test_a_page_asks_for_what_its_first_module_imports_and_for_nothing_else(house: House) -> None:
+async def test_a_page_preloads_exactly_the_imports_of_its_first_module(house: House) -> None:
     client = await house.program(Role.VIEWER)
     for path, first in (("/", "main"), ("/trends", "trends")):
         page = (await client.get(path)).text
-        asked = re.findall(r'<link rel="modulepreload" href="([^"]+)">', page)
-        assert asked == house.services.assets.imports(f"js/{first}.js")
+        request = re.findall(r'<link rel="modulepreload" href="([^"]+)">', page)
+        assert request == house.services.assets.imports(f"js/{first}.js")
         assert re.findall(r'<script type="module" src="([^"]+)">', page) == [
             house.services.assets.url(f"js/{first}.js"),
             *([house.services.assets.url("js/sparkline.js")] if path == "/" else []),

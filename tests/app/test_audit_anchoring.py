@@ -1,4 +1,4 @@
-"""The anchor: the head of the log on a medium of the site, and what is said while it is not there."""
+"""The anchor: the head of the log on a medium of the site, and the report while it is absent."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from app.web.access import Role
 from app.web.formats import Formats
 from app.wiring import running
 from bus.messages import Message
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 RING = KeyRing((b"k" * 32,))
 
@@ -63,7 +63,7 @@ class Scene:
     def lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.path.read_bytes().splitlines()]
 
-    async def said(self) -> list[tuple[str, str]]:
+    async def logged_events(self) -> list[tuple[str, str]]:
         """The events about the audit itself, oldest first."""
         found, _ = await self.events.page(Filter(kind="audit"), 100)
         return [(event["what"], event["message"]) for event in reversed(found)]
@@ -124,17 +124,17 @@ async def test_a_file_that_can_only_be_added_to_is_enough(
     assert all(wanted & os.O_APPEND and not wanted & os.O_TRUNC for wanted in flags)
 
 
-async def test_an_export_that_fails_is_said_once_and_made_up_for(scene: Scene) -> None:
+async def test_a_failed_export_is_reported_once_and_made_up_for(scene: Scene) -> None:
     await scene.happen()
     scene.path.mkdir()
     for _ in range(3):
         await scene.anchoring.export()
     assert str(scene.anchoring.status.unwritten) == "Is a directory"
-    assert await scene.said() == [("audit anchor not written", "Is a directory")]
+    assert await scene.logged_events() == [("audit anchor not written", "Is a directory")]
     scene.path.rmdir()
     await scene.anchoring.export()
     assert scene.anchoring.status.unwritten is None
-    assert (await scene.said())[-1] == ("audit anchor written again", "")
+    assert (await scene.logged_events())[-1] == ("audit anchor written again", "")
     assert scene.lines()[-1]["id"] == 2
 
 
@@ -177,7 +177,7 @@ async def test_a_log_that_was_altered_is_not_anchored(scene: Scene, statement: s
         await scene.anchoring.export()
     assert scene.anchoring.status.altered
     assert [line["id"] for line in scene.lines()] == [2]
-    assert ("audit log altered", "lineside audit verify names the entry") in await scene.said()
+    assert ("audit log altered", "lineside audit verify names the entry") in await scene.logged_events()
 
 
 async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scene) -> None:
@@ -192,7 +192,7 @@ async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scen
     assert str(again.status.altered) == "entry 5 is not the one that the anchor names"
 
 
-async def test_a_long_log_is_proved_without_holding_up_the_event_loop(scene: Scene) -> None:
+async def test_a_long_log_is_verified_without_blocking_the_event_loop(scene: Scene) -> None:
     """In chunks: between two of them others have their turn, and the store can be written."""
     await scene.happen(1)
     for _ in range(3):
@@ -211,8 +211,8 @@ async def test_a_long_log_is_proved_without_holding_up_the_event_loop(scene: Sce
 
 def test_lines_that_a_power_failure_cut_off_take_no_others_with_them(tmp_path: Path) -> None:
     path = tmp_path / "anchor"
-    whole = anchor_line(Head(1, "a" * 64), 1.0, RING)
-    path.write_bytes(whole + whole[:40])
+    complete = anchor_line(Head(1, "a" * 64), 1.0, RING)
+    path.write_bytes(complete + complete[:40])
     append_line(path, anchor_line(Head(2, "b" * 64), 2.0, RING))
     anchors = read_anchors(path.read_bytes().splitlines(), RING)
     assert anchors.heads == {1: "a" * 64, 2: "b" * 64}
@@ -222,7 +222,7 @@ def test_lines_that_a_power_failure_cut_off_take_no_others_with_them(tmp_path: P
     assert newest.id == 2
 
 
-def test_a_line_of_somebody_without_the_key_is_named() -> None:
+def test_a_line_made_without_the_key_is_named() -> None:
     good = anchor_line(Head(1, "a" * 64), 1.0, RING)
     for forged in (
         good.replace(b'"id":1', b'"id":2'),
@@ -265,7 +265,7 @@ async def test_a_running_server_anchors_its_head_every_minute(
                 await asyncio.sleep(0.01)
 
 
-async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path) -> None:
+async def test_audit_faults_are_on_the_page_and_in_the_metrics(tmp_path: Path) -> None:
     settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path)})
     app = create_app(settings)
     services = app.state.services
@@ -281,7 +281,7 @@ async def test_what_is_not_well_is_on_the_page_and_in_the_metrics(tmp_path: Path
     assert "ist das Audit-Protokoll nicht verankert. Ursache: Is a directory" in page
 
 
-def test_a_log_that_was_altered_is_said_before_all_else() -> None:
+def test_an_altered_log_is_reported_before_all_else() -> None:
     language = Languages()["en"]
     formats = Formats(language.locale, "UTC")
     status = AnchorStatus(Message("anchor_is_link"), Message("anchor_no_file"), 1_700_000_000.0)

@@ -16,14 +16,14 @@ import pytest
 from app.web.access import Role
 from bus.messages import Message
 from bus.messages import number as decimal
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 CONTRACT = {"id", "time", "kind", "who", "bus", "unit", "what", "old", "new", "old_raw", "new_raw", "outcome"}
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path, time_zone="Europe/Berlin") as house:
+    async with complete_app(tmp_path, time_zone="Europe/Berlin") as house:
         yield house
 
 
@@ -33,17 +33,17 @@ async def viewer(house: House) -> httpx.AsyncClient:
 
 
 async def command(house: House, unit: int = 1, what: str = "set speed") -> int:
-    said: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": unit, "what": what}
-    return await house.services.events.intend(**said, old="48.0", new="50.0", old_raw=480, new_raw=500)
+    fields: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": unit, "what": what}
+    return await house.services.events.intend(**fields, old="48.0", new="50.0", old_raw=480, new_raw=500)
 
 
-async def test_a_command_with_its_fate(house: House, viewer: httpx.AsyncClient) -> None:
+async def test_a_command_with_its_outcome(house: House, viewer: httpx.AsyncClient) -> None:
     number = await command(house)
     await house.services.events.conclude(number, "verified")
-    answer = (await viewer.get("/api/v1/events", params={"kind": "command"})).json()
-    [event] = answer["events"]
+    response = (await viewer.get("/api/v1/events", params={"kind": "command"})).json()
+    [event] = response["events"]
     assert set(event) >= CONTRACT
-    assert answer["next"] is None
+    assert response["next"] is None
     assert {name: event[name] for name in ("kind", "old", "new_raw", "outcome")} == {
         "kind": "command",
         "old": "48.0",
@@ -53,10 +53,10 @@ async def test_a_command_with_its_fate(house: House, viewer: httpx.AsyncClient) 
     assert datetime.fromisoformat(event["time"]).tzinfo is not None
 
 
-async def test_one_whose_fate_is_not_known_yet(house: House, viewer: httpx.AsyncClient) -> None:
+async def test_a_command_without_an_outcome_yet(house: House, viewer: httpx.AsyncClient) -> None:
     await command(house)
-    answer = await viewer.get("/api/v1/events", params={"limit": 1})
-    assert answer.json()["events"][0]["outcome"] is None
+    response = await viewer.get("/api/v1/events", params={"limit": 1})
+    assert response.json()["events"][0]["outcome"] is None
 
 
 async def test_newest_first_and_on_by_the_cursor(house: House, viewer: httpx.AsyncClient) -> None:
@@ -71,8 +71,8 @@ async def test_newest_first_and_on_by_the_cursor(house: House, viewer: httpx.Asy
 async def test_of_one_unit(house: House, viewer: httpx.AsyncClient) -> None:
     await command(house, unit=1)
     wanted = await command(house, unit=2)
-    answer = await viewer.get("/api/v1/events", params={"bus": "dry-end", "unit": 2})
-    assert [event["id"] for event in answer.json()["events"]] == [wanted]
+    response = await viewer.get("/api/v1/events", params={"bus": "dry-end", "unit": 2})
+    assert [event["id"] for event in response.json()["events"]] == [wanted]
 
 
 @pytest.mark.parametrize(
@@ -89,37 +89,37 @@ async def test_of_one_unit(house: House, viewer: httpx.AsyncClient) -> None:
     ],
 )
 async def test_what_makes_no_sense_is_invalid(viewer: httpx.AsyncClient, query: str) -> None:
-    answer = await viewer.get(f"/api/v1/events?{query}")
-    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    response = await viewer.get(f"/api/v1/events?{query}")
+    assert (response.status_code, response.json()["code"]) == (422, "invalid")
 
 
-async def test_a_kind_that_there_is_not_is_said_with_those_that_there_are(viewer: httpx.AsyncClient) -> None:
+async def test_an_unknown_kind_is_refused_with_the_known_ones(viewer: httpx.AsyncClient) -> None:
     for path in ("/api/v1/events", "/api/v1/events.csv"):
-        answer = await viewer.get(path, params={"kind": "nope"})
-        assert answer.status_code == 422
-        assert "'command'" in answer.json()["detail"]
+        response = await viewer.get(path, params={"kind": "nope"})
+        assert response.status_code == 422
+        assert "'command'" in response.json()["detail"]
         assert (await viewer.get(path, params={"kind": "swap"})).status_code == 200
 
 
 async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
     await house.services.events.record(kind="estop", what="then", at=1_700_000_000.0)
     span = {"from": "2023-11-14T22:13:20Z", "to": "2023-11-14T23:13:21+01:00"}
-    answer = await viewer.get("/api/v1/events", params=span)
-    assert [event["what"] for event in answer.json()["events"]] == ["then"]
+    response = await viewer.get("/api/v1/events", params=span)
+    assert [event["what"] for event in response.json()["events"]] == ["then"]
 
 
 async def test_csv_has_every_event_and_no_formula(house: House, viewer: httpx.AsyncClient) -> None:
     for number in range(1200):
         await house.services.events.record(kind="secret", what=str(number))
     await house.services.events.record(kind="secret", what="=HYPERLINK(1)", old="-5.0")
-    answer = await viewer.get("/api/v1/events.csv", params={"kind": "secret"})
-    assert answer.headers["content-type"].startswith("text/csv")
-    rows = list(csv.DictReader(io.StringIO(answer.text)))
+    response = await viewer.get("/api/v1/events.csv", params={"kind": "secret"})
+    assert response.headers["content-type"].startswith("text/csv")
+    rows = list(csv.DictReader(io.StringIO(response.text)))
     assert len(rows) == 1201
     assert (rows[0]["what"], rows[0]["old"]) == ("'=HYPERLINK(1)", "-5.0")
 
 
-async def test_an_admin_has_the_log_proved(house: House) -> None:
+async def test_an_admin_verifies_the_log(house: House) -> None:
     admin = await house.program(Role.ADMIN)
     number = await command(house)
     proof = (await admin.get("/api/v1/events/proof")).json()
@@ -183,8 +183,14 @@ async def test_the_page_passes_over_what_it_cannot_read(house: House, query: str
 
 async def test_a_german_reads_and_searches_numbers_in_german_writing(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    said: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": 2, "what": "set speed"}
-    number = await house.services.events.intend(**said, old=decimal("48.0"), new=decimal("1250.5"))
+    fields: dict[str, Any] = {
+        "who": "ann",
+        "origin": "page",
+        "bus": "dry-end",
+        "unit": 2,
+        "what": "set speed",
+    }
+    number = await house.services.events.intend(**fields, old=decimal("48.0"), new=decimal("1250.5"))
     message = Message.of("parameter_reads", value=decimal("48.0"))
     await house.services.events.conclude(number, "unverified", message)
     for query in ("kind=command", "search=1250,5"):
@@ -196,11 +202,11 @@ async def test_a_german_reads_and_searches_numbers_in_german_writing(house: Hous
 
 async def test_what_people_have_named_and_written_is_not_translated(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    said: dict[str, Any] = {"who": "ann", "bus": "dry-end", "unit": 1}
+    fields: dict[str, Any] = {"who": "ann", "bus": "dry-end", "unit": 1}
     await house.services.events.record(
-        kind="control", what="control handed over", old="operator", new="user", **said
+        kind="control", what="control handed over", old="operator", new="user", **fields
     )
-    await house.services.events.record(kind="block", what="commands blocked", new="ramping", **said)
+    await house.services.events.record(kind="block", what="commands blocked", new="ramping", **fields)
     page = (await viewer.get("/events", headers={"Accept-Language": "de"})).text
     assert '<td class="event__old number">operator</td>' in page
     assert '<td class="event__new number">user</td>' in page

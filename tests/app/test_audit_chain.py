@@ -46,7 +46,7 @@ def written_without_key(count: int) -> tuple[Log, Head]:
 
 
 def rebuilt(log: Log, since: int) -> tuple[Log, Head]:
-    """What somebody without the key makes of a log that they have changed: every hash fits."""
+    """Return a changed log with all hashes recomputed, as made without the key."""
     for place in range(since - 1, len(log)):
         row = log[place]
         row["previous"] = log[place - 1]["hash"] if place else BEGINNING
@@ -54,7 +54,7 @@ def rebuilt(log: Log, since: int) -> tuple[Log, Head]:
     return log, Head(len(log), log[-1]["hash"], log[-1]["key"], log[-1]["seal"])
 
 
-def test_a_whole_log() -> None:
+def test_an_intact_log() -> None:
     log, head = written(5)
     assert verify(log, head).broken is None
     assert verify([], None).broken is None
@@ -76,7 +76,7 @@ def test_any_changed_field_of_an_entry_without_a_key_is_named(number: int, field
     assert verify(log, head, KeyRing(RING.keys, KeyOrigin(head.id, head.hash))).broken == number
 
 
-def test_a_changed_entry_that_is_hashed_anew_breaks_the_next() -> None:
+def test_a_changed_entry_that_is_rehashed_breaks_the_next() -> None:
     log, head = written_without_key(9)
     log[3]["what"] = "nothing happened"
     log[3]["hash"] = entry_hash(log[3]["previous"], log[3])
@@ -99,7 +99,7 @@ def test_entries_cut_off_at_the_end() -> None:
     assert (verdict.broken, str(verdict.fault)) == (8, "the log ends at entry 7, but 9 were written")
 
 
-def test_the_whole_log_removed() -> None:
+def test_the_complete_log_removed() -> None:
     assert verify([], Head(9, "x")).broken == 1
 
 
@@ -167,7 +167,7 @@ def test_a_log_that_was_cut_off_before_its_key_was_made() -> None:
     )
 
 
-def test_a_newer_key_takes_over_and_the_older_one_still_proves_what_it_sealed() -> None:
+def test_a_newer_key_takes_over_and_the_older_one_still_verifies_its_entries() -> None:
     log, _ = written(5)
     ring = RING.with_key(b"n" * 32)
     log, head = written(9, ring, log)

@@ -83,7 +83,7 @@ def test_one_of_another_user_is_refused(path: Path, store: Path) -> None:
     assert opened(path, store), "an auditor who is root reads the key of the server's user"
 
 
-def test_a_folder_in_which_everybody_can_replace_it_is_refused(path: Path, store: Path) -> None:
+def test_a_folder_in_which_all_users_can_replace_it_is_refused(path: Path, store: Path) -> None:
     opened(path, store)
     path.parent.chmod(0o777)
     with pytest.raises(KeyFileError, match="everybody can replace the audit key"):
@@ -108,7 +108,7 @@ def test_something_that_is_no_file_is_refused(path: Path, store: Path) -> None:
         opened(path, store)
 
 
-def test_a_place_where_none_can_be_made_is_said(store: Path) -> None:
+def test_a_place_where_none_can_be_made_is_reported(store: Path) -> None:
     with pytest.raises(StoreError, match=r"cannot be made: .*name another place as key_file in \[audit\]"):
         opened(store.parent / "nowhere" / "key", store)
 
@@ -164,7 +164,9 @@ def test_where_key_and_anchor_are(tmp_path: Path) -> None:
 
 
 def test_a_service_that_can_write_to_its_data_folder_alone_has_its_key_there(store: Path) -> None:
-    """Worse than elsewhere, and said at every start, but no reason to leave a machine without a dashboard."""
+    """Weaker than elsewhere, and reported at every start, but no reason to leave a machine without a
+    dashboard.
+    """
     nowhere = [store.parent / "nowhere" / "key", store.parent / "neither" / "key"]
     keys = open_keys([*nowhere, store.parent / "key"], store, HEAD)
     assert keys.path == store.parent / "key"

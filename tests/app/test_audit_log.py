@@ -1,4 +1,4 @@
-"""The event log: on disk before anything is sent, never changed, every command with one fate."""
+"""The event log: on disk before anything is sent, never changed, every command with one outcome."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def log(database: Database) -> EventLog:
     return EventLog(database, Clock())
 
 
-async def intent(log: EventLog, unit: int = 1, **said: Any) -> int:
-    wish: dict[str, Any] = {"who": "ann", "origin": "api", "bus": "dry-end", "what": "set speed", **said}
-    return await log.intend(**wish, unit=unit, old="48.0", new="50.0", old_raw=480, new_raw=500)
+async def intent(log: EventLog, unit: int = 1, **fields: Any) -> int:
+    entry: dict[str, Any] = {"who": "ann", "origin": "api", "bus": "dry-end", "what": "set speed", **fields}
+    return await log.intend(**entry, unit=unit, old="48.0", new="50.0", old_raw=480, new_raw=500)
 
 
 async def newest(log: EventLog, **wanted: Any) -> list[Event]:
@@ -57,7 +57,7 @@ async def test_an_intent_is_on_disk_when_it_returns(log: EventLog, database: Dat
         ]
 
 
-async def test_a_fate_is_folded_into_its_command(log: EventLog) -> None:
+async def test_an_outcome_is_merged_into_its_command(log: EventLog) -> None:
     number = await intent(log)
     frame = Frame(at=1.5, direction="out", data=b"\x10\x02", meanings=[term("81h")])
     await log.conclude(number, "verified", "reads 50.0", [frame])
@@ -67,7 +67,7 @@ async def test_a_fate_is_folded_into_its_command(log: EventLog) -> None:
     assert json.loads(event["frames"])[0]["data"] == "10 02"
 
 
-async def test_a_message_is_kept_as_its_text_and_as_what_it_says(log: EventLog) -> None:
+async def test_a_message_is_stored_as_its_text_and_its_params(log: EventLog) -> None:
     number = await intent(log)
     what = Message.of("event_role_changed", name="half \ud800", role=term("viewer"))
     await log.record(kind="user", what=what, old="typed")
@@ -81,7 +81,7 @@ async def test_a_message_is_kept_as_its_text_and_as_what_it_says(log: EventLog) 
     assert (await log.prove()).broken is None
 
 
-async def test_a_command_has_one_fate(log: EventLog) -> None:
+async def test_a_command_has_one_outcome(log: EventLog) -> None:
     number = await intent(log)
     await log.conclude(number, "verified")
     with pytest.raises(sqlite3.IntegrityError):
@@ -174,7 +174,7 @@ async def test_filters(log: EventLog, wanted: dict[str, Any], found: list[str]) 
     assert [event["what"] for event in reversed(await newest(log, **wanted))] == found
 
 
-async def test_a_fates_message_is_searched_too(log: EventLog) -> None:
+async def test_the_message_of_an_outcome_is_searched_too(log: EventLog) -> None:
     number = await intent(log)
     await log.conclude(number, "refused", "unit is not in REMOTE mode")
     assert [event["id"] for event in await newest(log, search="not in remote")] == [number]
@@ -185,23 +185,23 @@ async def test_something_that_happened_earlier_keeps_its_time(log: EventLog) -> 
     assert (await newest(log))[0]["time"] == 12.5
 
 
-async def test_subscribers_hear_of_the_event_and_of_its_fate(log: EventLog) -> None:
-    heard: list[tuple[int, str | None]] = []
-    end = log.subscribe(lambda event: heard.append((event["id"], event["outcome"])))
+async def test_subscribers_get_the_event_and_its_outcome(log: EventLog) -> None:
+    received: list[tuple[int, str | None]] = []
+    end = log.subscribe(lambda event: received.append((event["id"], event["outcome"])))
     number = await intent(log)
     await log.conclude(number, "verified")
     end()
     await log.record(kind="x", what="unheard")
-    assert heard == [(number, None), (number, "verified")]
+    assert received == [(number, None), (number, "verified")]
 
 
-async def test_a_subscriber_that_fails_harms_nobody(log: EventLog) -> None:
-    heard: list[int] = []
+async def test_a_subscriber_that_fails_affects_no_other(log: EventLog) -> None:
+    received: list[int] = []
 
     def fail(_: Event) -> None:
         raise ZeroDivisionError
 
     log.subscribe(fail)
-    log.subscribe(lambda event: heard.append(event["id"]))
+    log.subscribe(lambda event: received.append(event["id"]))
     assert await log.record(kind="x", what="y") == 1
-    assert heard == [1]
+    assert received == [1]

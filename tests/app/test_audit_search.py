@@ -21,7 +21,7 @@ from app.audit.store import Filter
 from app.database import Database, connection
 from app.errors import TooCostlyError
 from app.web.access import Role
-from tests.app.whole_app import whole_app
+from tests.app.complete_app import complete_app
 
 WORDS = ["speed", "Speed set", "unit 3", "ramp_up 50%", "Ärger", "a!b", 'say "so"', "", "x", "ab", "no\0text"]
 words = st.sampled_from(WORDS)
@@ -34,7 +34,7 @@ def database(folder: Path) -> Iterator[Database]:
         yield opened
 
 
-def add(database: Database, count: int, say: Callable[[int], dict[str, Any]]) -> None:
+def add(database: Database, count: int, entry: Callable[[int], dict[str, Any]]) -> None:
     """So many entries; each second one is the result of the one before."""
     nothing: dict[str, Any] = dict.fromkeys(store.FIELDS)
     keys = passing_keys()
@@ -42,19 +42,25 @@ def add(database: Database, count: int, say: Callable[[int], dict[str, Any]]) ->
 
     def write(into: sqlite3.Connection) -> None:
         for number in range(count):
-            store.append(into, {**nothing, **blank, "time": float(number), **say(number)}, keys)
+            store.append(into, {**nothing, **blank, "time": float(number), **entry(number)}, keys)
 
     database.write_now(write)
 
 
 def texts(seed: int) -> Callable[[int], dict[str, Any]]:
-    def say(number: int) -> dict[str, Any]:
+    def entry(number: int) -> dict[str, Any]:
         word = [WORDS[(seed + number * step) % len(WORDS)] for step in (1, 3, 5, 7)]
         about = number if number % 3 == 2 else None
-        whole = {"what": word[0], "who": word[1], "old": word[2], "message": word[3], "unit": number % 2 + 1}
-        return {"about": about, "message": word[3]} if about else whole
+        searched = {
+            "what": word[0],
+            "who": word[1],
+            "old": word[2],
+            "message": word[3],
+            "unit": number % 2 + 1,
+        }
+        return {"about": about, "message": word[3]} if about else searched
 
-    return say
+    return entry
 
 
 def found(database: Database, wanted: Filter, limit: int) -> list[int]:
@@ -115,7 +121,7 @@ def test_without_fts5_events_are_written_and_searched_all_the_same(
 
 
 async def test_the_log_is_indexed_from_the_start_of_the_server(tmp_path: Path) -> None:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         events, rows = house.services.events, house.services.database.read_now
         await events.index()
         assert rows(search.lowest_indexed) == 1
@@ -132,12 +138,12 @@ async def test_a_search_beyond_its_budget_ends_in_words(
 ) -> None:
     monkeypatch.setattr(connection, "COSTLY_S", -1.0)
     monkeypatch.setattr(connection, "STEPS", 10)
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         for _ in range(20):
             await house.services.events.record(kind="server", what="hay")
         client = await house.program(Role.VIEWER)
-        answer = await client.get("/api/v1/events?search=needle")
-        assert (answer.status_code, answer.json()["code"]) == (503, "too_costly")
+        response = await client.get("/api/v1/events?search=needle")
+        assert (response.status_code, response.json()["code"]) == (503, "too_costly")
         page = await house.signed_in(Role.OPERATOR)
         german = await page.get("/events?search=x", headers={"accept-language": "de"})
         assert "dauert zu lange" in german.text

@@ -14,7 +14,7 @@ from app.audit.repeated import MANY
 from app.audit.store import Filter
 from app.audit.tally import MOST_KEYS, WINDOW_S, Tally
 from app.database import Database
-from tests.app.whole_app import whole_app
+from tests.app.complete_app import complete_app
 
 
 class Scene:
@@ -73,14 +73,14 @@ async def test_who_comes_back_later_is_an_event_at_once_again(scene: Scene) -> N
 
 
 async def test_the_end_of_the_server_loses_no_count(tmp_path: Path) -> None:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         for _ in range(7):
             await house.services.events.count("login_refused", "login refused")
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         assert [event["count"] for event in await house.events("login_refused")] == [6, None]
 
 
-async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
+async def test_many_addresses_are_distinguished_only_so_far(scene: Scene) -> None:
     for number in range(1000):
         await scene.refuse(2, origin=f"2001:db8::{number:x}")
     scene.now += WINDOW_S
@@ -91,7 +91,7 @@ async def test_many_addresses_are_told_apart_only_so_far(scene: Scene) -> None:
     assert (str(MANY), 2 * (1000 - MOST_KEYS) - 1) in [(origin, count) for origin, count, _ in item]
 
 
-async def test_the_count_is_part_of_what_is_proven(scene: Scene) -> None:
+async def test_the_count_is_part_of_the_chain(scene: Scene) -> None:
     await scene.refuse(5)
     await scene.events.repeated.record_rest()
     await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
@@ -103,14 +103,14 @@ async def test_the_count_is_part_of_what_is_proven(scene: Scene) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 60), st.floats(-100, 100)), max_size=60))
-def test_nothing_is_lost_or_told_twice_whatever_the_clock_does(steps: list[tuple[int, float]]) -> None:
+def test_nothing_is_lost_or_reported_twice_whatever_the_clock_does(steps: list[tuple[int, float]]) -> None:
     tally: Tally[int] = Tally()
-    now, told, happened = 1000.0, 0, 0
+    now, reported, happened = 1000.0, 0, 0
     for key, step in steps:
         now += step
         happened += 1
         first = tally.note("x", key, now)
-        told += first.count if first else 0
-        told += sum(counted.count for counted in tally.due(now))
-    told += sum(counted.count for counted in tally.rest(now))
-    assert told == happened
+        reported += first.count if first else 0
+        reported += sum(counted.count for counted in tally.due(now))
+    reported += sum(counted.count for counted in tally.rest(now))
+    assert reported == happened

@@ -1,4 +1,4 @@
-"""Login, account and users as pages: what is typed, what is answered."""
+"""Login, account and users as pages: input and response."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from app.auth.pages import DEVICE_COOKIE
 from app.auth.throttle import FREE
 from app.web.access import Role
-from tests.app.whole_app import PASSWORD, House, whole_app
+from tests.app.complete_app import PASSWORD, House, complete_app
 
 HTML = {"accept": "text/html"}
 PIN = "471193"
@@ -20,7 +20,7 @@ PIN = "471193"
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -34,11 +34,11 @@ async def names(house: House) -> dict[str, str]:
 
 
 async def can_sign_in(house: House, name: str, password: str) -> bool:
-    answer = await house.client().post("/login", data={"name": name, "password": password})
-    return answer.status_code == 303
+    response = await house.client().post("/login", data={"name": name, "password": password})
+    return response.status_code == 303
 
 
-async def test_an_empty_house_says_how_to_begin(house: House) -> None:
+async def test_a_site_without_users_shows_how_to_begin(house: House) -> None:
     assert "lineside user add NAME" in (await house.client().get("/login")).text
     await house.add("ann", Role.VIEWER)
     assert "lineside user add NAME" not in (await house.client().get("/login")).text
@@ -51,8 +51,8 @@ async def test_login_goes_where_one_wanted_to_go(house: House) -> None:
     form = await client.get(wanted.headers["location"])
     assert 'name="next" value="/events?unit=2"' in form.text
     data = {"name": " ann ", "password": PASSWORD, "next": "/events?unit=2"}
-    answer = await client.post("/login", data=data)
-    assert (answer.status_code, answer.headers["location"]) == (303, "/events?unit=2")
+    response = await client.post("/login", data=data)
+    assert (response.status_code, response.headers["location"]) == (303, "/events?unit=2")
     assert (await client.get("/login?next=/account")).headers["location"] == "/account"
 
 
@@ -67,20 +67,20 @@ async def test_login_never_leads_elsewhere(house: House, target: str) -> None:
 
 async def test_a_wrong_password_keeps_the_name_but_not_the_password(house: House) -> None:
     await house.add("ann", Role.VIEWER)
-    answer = await house.client().post("/login", data={"name": "ann", "password": "my-wrong-one"})
-    assert answer.status_code == 401
-    assert 'value="ann"' in answer.text
-    assert "my-wrong-one" not in answer.text
-    assert "wrong name or password" in answer.text
+    response = await house.client().post("/login", data={"name": "ann", "password": "my-wrong-one"})
+    assert response.status_code == 401
+    assert 'value="ann"' in response.text
+    assert "my-wrong-one" not in response.text
+    assert "wrong name or password" in response.text
 
 
-async def test_too_many_failures_are_said_with_the_time_to_wait(house: House) -> None:
+async def test_too_many_failures_are_refused_with_the_time_to_wait(house: House) -> None:
     client = house.client()
     for _ in range(FREE):
         await client.post("/login", data={"name": "ann", "password": "x"})
-    answer = await client.post("/login", data={"name": "ann", "password": "x"})
-    assert (answer.status_code, answer.headers["retry-after"]) == (429, "2")
-    assert "try again in 2 s" in answer.text
+    response = await client.post("/login", data={"name": "ann", "password": "x"})
+    assert (response.status_code, response.headers["retry-after"]) == (429, "2")
+    assert "try again in 2 s" in response.text
 
 
 async def test_a_panel_begins_at_its_home_page(house: House) -> None:
@@ -88,13 +88,13 @@ async def test_a_panel_begins_at_its_home_page(house: House) -> None:
     await house.services.accounts.add_panel("p1", Role.VIEWER, PIN, "/units/dry-end/1", **by)
     client = house.client()
     assert 'name="pin"' in (await client.get("/login?panel=true")).text
-    answer = await client.post("/login/panel", data={"name": "p1", "pin": PIN})
-    assert answer.headers["location"] == "/units/dry-end/1"
+    response = await client.post("/login/panel", data={"name": "p1", "pin": PIN})
+    assert response.headers["location"] == "/units/dry-end/1"
     assert (await client.post("/account/password", data={"password": "x"})).status_code == 403
 
 
 @pytest.mark.parametrize(
-    ("present", "password", "again", "said"),
+    ("present", "password", "repeated", "expected"),
     [
         (PASSWORD, "short", "short", "12 to 256 characters"),
         (PASSWORD, "passwordpassword", "passwordpassword", "easy to guess"),
@@ -103,13 +103,13 @@ async def test_a_panel_begins_at_its_home_page(house: House) -> None:
     ],
 )
 async def test_ones_own_password_is_not_changed_for_nothing(
-    house: House, present: str, password: str, again: str, said: str
+    house: House, present: str, password: str, repeated: str, expected: str
 ) -> None:
     client = await house.signed_in(Role.VIEWER, "ann")
-    form = {"present": present, "password": password, "again": again}
-    answer = await client.post("/account/password", data=form)
-    assert answer.status_code == 422
-    assert said in answer.text
+    form = {"present": present, "password": password, "again": repeated}
+    response = await client.post("/account/password", data=form)
+    assert response.status_code == 422
+    assert expected in response.text
     assert await can_sign_in(house, "ann", PASSWORD)
 
 
@@ -122,9 +122,7 @@ async def test_ones_own_password_is_changed_and_every_other_device_is_out(house:
     assert (await other.get("/api/v1/me")).status_code == 401
 
 
-async def test_a_password_that_is_too_weak_is_told_to_the_admin(
-    house: House, admin: httpx.AsyncClient
-) -> None:
+async def test_a_weak_password_is_reported_to_the_admin(house: House, admin: httpx.AsyncClient) -> None:
     assert "still in use" not in (await admin.get("/users")).text
     await house.services.database.write(lambda c: c.execute("UPDATE users SET weak_secret = 1"))
     assert "must change theirs: ada." in (await admin.get("/users")).text
@@ -134,11 +132,11 @@ async def test_a_browser_that_signed_in_is_known_again(house: House) -> None:
     client = await house.signed_in(Role.VIEWER, "ann")
     device = client.cookies[DEVICE_COOKIE]
     await client.post("/logout")
-    answer = await client.post("/login", data={"name": "ann", "password": PASSWORD})
-    assert device in answer.headers["set-cookie"]
+    response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+    assert device in response.headers["set-cookie"]
     client.cookies.set(DEVICE_COOKIE, "x" * 4000)
-    answer = await client.post("/login", data={"name": "ann", "password": PASSWORD})
-    assert "x" * 44 not in answer.headers["set-cookie"]
+    response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+    assert "x" * 44 not in response.headers["set-cookie"]
 
 
 async def test_a_worker_and_an_expiry_are_shown_with_their_token(
@@ -176,7 +174,7 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
 
 
 @pytest.mark.parametrize(
-    ("path", "form", "said"),
+    ("path", "form", "expected"),
     [
         ("/users", {"name": "a b", "password": "a good new one"}, "1 to 40 letters"),
         ("/users", {"name": "bob", "password": "short"}, "12 to 256 characters"),
@@ -204,12 +202,12 @@ async def test_an_admin_adds_changes_and_removes_people(house: House, admin: htt
         ("/users/tokens/none/revoke", {}, "there is no token none"),
     ],
 )
-async def test_what_is_refused_says_why(
-    house: House, admin: httpx.AsyncClient, path: str, form: dict[str, str], said: str
+async def test_a_refusal_states_its_reason(
+    house: House, admin: httpx.AsyncClient, path: str, form: dict[str, str], expected: str
 ) -> None:
-    answer = await admin.post(path, data=form, headers=HTML)
-    assert answer.status_code == 422
-    assert said in answer.text
+    response = await admin.post(path, data=form, headers=HTML)
+    assert response.status_code == 422
+    assert expected in response.text
     assert await names(house) == {"ada": "admin"}
 
 
@@ -223,8 +221,8 @@ async def test_a_panel_is_given_a_new_pin(house: House, admin: httpx.AsyncClient
 
 
 async def test_a_token_is_shown_once(house: House, admin: httpx.AsyncClient) -> None:
-    answer = await admin.post("/users/tokens", data={"token": "plc", "token_role": "operator"})
-    found = re.search(r"data-token>([\w-]+)<", answer.text)
+    response = await admin.post("/users/tokens", data={"token": "plc", "token_role": "operator"})
+    found = re.search(r"data-token>([\w-]+)<", response.text)
     assert found
     program = house.client(authorization=f"Bearer {found[1]}")
     assert (await program.get("/api/v1/me")).json()["role"] == "operator"
@@ -233,13 +231,13 @@ async def test_a_token_is_shown_once(house: House, admin: httpx.AsyncClient) -> 
     assert (await program.get("/api/v1/me")).status_code == 401
 
 
-async def test_what_cannot_be_undone_is_asked_first_and_answers_in_the_dialog(
+async def test_an_irreversible_action_is_confirmed_and_ends_in_the_dialog(
     house: House, admin: httpx.AsyncClient
 ) -> None:
     await admin.post("/users/tokens", data={"token": "plc"})
-    asked = await admin.get("/users/tokens/plc/revoke", headers=HTML)
-    assert "are refused from now on" in asked.text
-    assert 'hx-post="/users/tokens/plc/revoke"' in asked.text
+    page = await admin.get("/users/tokens/plc/revoke", headers=HTML)
+    assert "are refused from now on" in page.text
+    assert 'hx-post="/users/tokens/plc/revoke"' in page.text
     fragment = HTML | {"hx-request": "true"}
     refused = await admin.post("/users/tokens/none/revoke", headers=fragment)
     assert (refused.status_code, "there is no token none" in refused.text) == (422, True)

@@ -1,4 +1,4 @@
-"""What is asked of names, passwords, PINs, redirects and sessions."""
+"""The rules for names, passwords, PINs, redirects and sessions."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_a_workers_token_is_for_one_bus_and_no_other_is(role: Role, bus: str, re
         rules.check_token_bus(role, bus, ["dry", "wet"])
 
 
-def test_a_site_without_a_bus_says_so() -> None:
+def test_a_site_without_a_bus_reports_it() -> None:
     with pytest.raises(CallerError, match="there are: none"):
         rules.check_token_bus(Role.WORKER, "dry", [])
 

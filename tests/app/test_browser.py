@@ -11,7 +11,7 @@ def diff(n: int, **fields: str) -> Diff:
     return Diff(n - 1, n, 100.0 + n, {"dry/1": fields} if fields else {})
 
 
-async def told(browser: Browser) -> list[dict[str, Any]]:
+async def sent(browser: Browser) -> list[dict[str, Any]]:
     return [json.loads(text) for text in await browser.next()]
 
 
@@ -28,7 +28,7 @@ async def test_newest_wins_for_a_slow_browser_and_nothing_is_queued() -> None:
     for n in range(1, 1001):
         browser.send_diff(diff(n, actual=str(n)))
     browser.send_diff(diff(1001, mode="local"))
-    (only,) = await told(browser)
+    (only,) = await sent(browser)
     assert only["f"] == {"dry/1": {"actual": "1000", "mode": "local"}}
     assert (only["p"], only["n"], only["t"]) == (0, 1001, 1101.0)
 
@@ -54,7 +54,7 @@ async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
     browser.send_diff(diff(1, actual="1"))
     browser.send({"is": "snapshot", "n": 1})
     browser.send_diff(diff(2, actual="2"))
-    assert [(message["is"], message["n"]) for message in await told(browser)] == [
+    assert [(message["is"], message["n"]) for message in await sent(browser)] == [
         ("snapshot", 1),
         ("diff", 2),
     ]
@@ -63,7 +63,7 @@ async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
 async def test_frames_are_bounded() -> None:
     browser = Browser("anna", "operator", "en")
     browser.show_frames([{"hex": str(n)} for n in range(MOST_FRAMES + 50)])
-    (message,) = await told(browser)
+    (message,) = await sent(browser)
     assert len(message["frames"]) == MOST_FRAMES
     assert message["frames"][0] == {"hex": "50"}
 
@@ -82,14 +82,14 @@ class Socket:
 
 
 async def waiting(socket: Socket) -> tuple[Browser, asyncio.Task[list[str]]]:
-    """A browser with everything handed over, and whoever waits for what comes next."""
+    """Return a browser with an empty queue, and a task that waits for its next message."""
     browser = Browser("anna", "operator", "en", socket)
     task = asyncio.create_task(browser.next())
     await asyncio.sleep(0)
     return browser, task
 
 
-async def test_a_free_socket_is_told_in_the_same_turn() -> None:
+async def test_a_free_socket_gets_a_diff_in_the_same_turn() -> None:
     socket = Socket()
     browser, task = await waiting(socket)
     one = diff(1, actual="1")

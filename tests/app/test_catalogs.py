@@ -23,7 +23,7 @@ TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
 BRACES = re.compile(r"\{(\w*)\}")
 MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
 NEVER_ONE = {"{n} values differ from the golden set: {parts}", "{name}, {n} units with drift"}
-"""What is said of two at least."""
+"""Texts of two or more."""
 
 
 def each_text(text: str | tuple[str, ...] | list[str]) -> list[str]:
@@ -46,8 +46,8 @@ def test_a_translation_has_the_names_of_its_text(path: Path) -> None:
     for message in catalog_at(path):
         if message.id:
             names = {frozenset(BRACES.findall(text)) for text in each_text(message.id)[-1:]}
-            said = {frozenset(BRACES.findall(text)) for text in each_text(message.string)[-1:]}
-            assert names == said, message.id
+            used = {frozenset(BRACES.findall(text)) for text in each_text(message.string)[-1:]}
+            assert names == used, message.id
 
 
 def test_a_code_stands_in_one_group_only() -> None:
@@ -127,7 +127,7 @@ def test_the_extraction_finds_texts_at_all() -> None:
     assert "verified" in in_code()
 
 
-def test_what_is_counted_has_a_text_for_one() -> None:
+def test_a_text_with_a_count_has_a_singular() -> None:
     """A script that counts takes the texts of a ``tn`` from the page."""
     found = in_templates() | in_code()
     counted = {text for pair in found if isinstance(pair, tuple) for text in pair}

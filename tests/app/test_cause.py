@@ -35,7 +35,7 @@ def cause_of(live: LiveState, now: float) -> Cause | None:
     return unit_cause(bus, bus.units[1], now)
 
 
-def said(live: LiveState, now: float = NOW + 10, tag: str = "en") -> tuple[str, str]:
+def shown_cause(live: LiveState, now: float = NOW + 10, tag: str = "en") -> tuple[str, str]:
     """Level and first line."""
     found = cause_of(live, now)
     return (found.level, cause_line(found, translator(tag), now)) if found is not None else ("", "")
@@ -100,8 +100,8 @@ def test_the_first_broken_rung_is_named_with_its_time(
     changes: dict[str, int], level: str, text: str, german: str
 ) -> None:
     live = after(changes)
-    assert said(live) == (level, text)
-    assert said(live, tag="de") == (level, german)
+    assert shown_cause(live) == (level, text)
+    assert shown_cause(live, tag="de") == (level, german)
 
 
 @pytest.mark.parametrize(
@@ -119,17 +119,17 @@ def test_a_rung_hides_those_that_need_it(changes: dict[str, int], code: str) -> 
     assert found.code == code
 
 
-def test_while_it_slows_down_it_is_not_said_to_be_stopped() -> None:
+def test_while_it_slows_down_it_is_not_shown_as_stopped() -> None:
     live = line()
     live.buses["dry"].apply([reading(1, at=NOW - 0.2)])
     slowing = [reading(1, at=NOW + 0.2 * n, inputs=HEALTHY, actual=1200 - 50 * n) for n in range(10)]
     live.buses["dry"].apply(slowing)
-    assert said(live, NOW + 2) == ("high", "Still turning: run input off since 02:22")
+    assert shown_cause(live, NOW + 2) == ("high", "Still turning: run input off since 02:22")
 
 
 def test_slowing_down_to_a_commanded_zero_without_run_is_not_abnormal() -> None:
     live = after({"inputs": HEALTHY, "commanded": 0, "actual": 300}, seconds=1.0)
-    assert said(live, NOW + 1) == ("", "Still turning: run input off since 02:22")
+    assert shown_cause(live, NOW + 1) == ("", "Still turning: run input off since 02:22")
 
 
 def test_turning_is_dated_from_when_it_began_and_not_from_when_run_went_off() -> None:
@@ -137,7 +137,7 @@ def test_turning_is_dated_from_when_it_began_and_not_from_when_run_went_off() ->
     live.buses["dry"].apply(
         [reading(1, at=NOW + 10 + 0.2 * n, inputs=HEALTHY, actual=40) for n in range(620)]
     )
-    assert said(live, NOW + 134)[1] == "Turning without run since 02:22"
+    assert shown_cause(live, NOW + 134)[1] == "Turning without run since 02:22"
     found = cause_of(live, NOW + 134)
     assert found is not None
     assert found.onset == Onset(NOW + 10)
@@ -145,40 +145,44 @@ def test_turning_is_dated_from_when_it_began_and_not_from_when_run_went_off() ->
 
 def test_the_link_comes_after_what_was_last_read_and_before_the_ramp() -> None:
     late = after(OFF_SPEED, link="stale")
-    assert said(late, NOW + 13) == ("low", "Response overdue since 02:22")
-    assert said(after(OFF_SPEED, link="stale"), NOW + 11)[1] == "Off speed since 02:22", "one poll missed"
-    assert said(after(STOPPED | {"inputs": HEALTHY}, link="stale"), NOW + 13)[1].startswith("Stopped: run")
+    assert shown_cause(late, NOW + 13) == ("low", "Response overdue since 02:22")
+    assert shown_cause(after(OFF_SPEED, link="stale"), NOW + 11)[1] == "Off speed since 02:22", (
+        "one poll missed"
+    )
+    assert shown_cause(after(STOPPED | {"inputs": HEALTHY}, link="stale"), NOW + 13)[1].startswith(
+        "Stopped: run"
+    )
 
 
 def test_of_a_unit_that_is_offline_nothing_else_is_claimed() -> None:
     live = after(STOPPED | {"inputs": RUN}, link="offline")
-    assert said(live, NOW + 700) == ("high", "Offline since 02:22")
+    assert shown_cause(live, NOW + 700) == ("high", "Offline since 02:22")
 
 
 def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
     live = after({})
     live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
-    assert said(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
+    assert shown_cause(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
 
 
-def test_a_silent_worker_is_the_cause_of_its_units() -> None:
+def test_a_worker_that_does_not_respond_is_the_cause_of_its_units() -> None:
     live = after({})
     live.buses["dry"].apply(
         [BusFigures(at=NOW + 10, scan_hz=5, scan_s=0.2, wire_utilisation=0.9, scan_s_with_one_more=0.3)],
     )
-    assert said(live, NOW + 70)[1] == "Bus worker does not respond since 02:22"
+    assert shown_cause(live, NOW + 70)[1] == "Bus worker does not respond since 02:22"
     live.buses["dry"].lose_worker(NOW + 80)
-    assert said(live, NOW + 90)[1] == "Bus worker not connected since 02:23"
+    assert shown_cause(live, NOW + 90)[1] == "Bus worker not connected since 02:23"
 
 
-def test_a_unit_never_read_says_so_and_a_unit_lost_before_the_start_says_since_when() -> None:
+def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> None:
     live = line()
     bus = live.buses["dry"]
     bus.units[1].reading = None
-    assert said(live, 200.0) == ("low", "No response yet")
+    assert shown_cause(live, 200.0) == ("low", "No response yet")
     bus.units[1].last_response = 60.0
-    assert said(live, 105.0) == ("low", "No response yet"), "it has its time to respond"
-    assert said(live, 111.0) == ("high", "Offline since 00:01")
+    assert shown_cause(live, 105.0) == ("low", "No response yet"), "it has its time to respond"
+    assert shown_cause(live, 111.0) == ("high", "Offline since 00:01")
 
 
 RAMPING: list[tuple[dict[int, int | None], str]] = [
@@ -193,30 +197,28 @@ RAMPING: list[tuple[dict[int, int | None], str]] = [
 
 
 @pytest.mark.parametrize(("parameters", "text"), RAMPING)
-def test_a_ramp_says_where_to_and_how_long_where_that_is_known(
-    parameters: dict[int, int | None], text: str
-) -> None:
+def test_a_ramp_shows_its_target_and_known_duration(parameters: dict[int, int | None], text: str) -> None:
     live = after({"outputs": REMOTE, "actual": 900}, seconds=1.0)
     values = [ParameterValue(1, n, NOW, raw, available=raw is not None) for n, raw in parameters.items()]
     live.buses["dry"].apply(values)
-    assert said(live, NOW + 1) == ("", text)
+    assert shown_cause(live, NOW + 1) == ("", text)
 
 
 def test_a_ramp_down_takes_the_deceleration() -> None:
     live = line()
     live.buses["dry"].apply([reading(1, at=NOW, commanded=0, actual=1000, outputs=REMOTE)])
-    assert said(live, NOW)[1] == "Ramping to 0.0, about 10 s left"
+    assert shown_cause(live, NOW)[1] == "Ramping to 0.0, about 10 s left"
 
 
 def test_what_was_there_at_the_start_is_first_seen_then() -> None:
     live = line()
     live.buses["dry"].units[1] = LiveState([live.buses["dry"].settings], 0.0).buses["dry"].units[1]
     live.buses["dry"].apply([reading(1, at=NOW, **(STOPPED | {"inputs": HEALTHY}))])
-    assert said(live)[1] == "Stopped: run input off since at least 02:22"
-    assert said(live, tag="de")[1] == "Steht: Lauf-Eingang aus mindestens seit 02:22"
+    assert shown_cause(live)[1] == "Stopped: run input off since at least 02:22"
+    assert shown_cause(live, tag="de")[1] == "Steht: Lauf-Eingang aus mindestens seit 02:22"
 
 
-def test_what_is_shown_in_the_strip_has_no_time_in_it() -> None:
+def test_the_text_of_the_strip_has_no_time() -> None:
     found = cause_of(after(STOPPED | {"inputs": HEALTHY}), NOW + 10)
     assert found is not None
     assert cause_text(found, translator()) == "Stopped: run input off"
@@ -228,17 +230,17 @@ def test_every_text_that_is_checked_has_a_cause() -> None:
     assert set(CHECK_TEXTS) - set(CAUSE_TEXTS) == {"not_at_speed"}
 
 
-def test_keylock_is_named_where_19_says_so() -> None:
+def test_keylock_is_named_where_19_reports_it() -> None:
     live = after({"outputs": AT_SPEED})
     live.buses["dry"].apply([ParameterValue(1, 19, NOW, 2)])
-    assert said(live)[1] == "In KEYLOCK since 02:22"
+    assert shown_cause(live)[1] == "In KEYLOCK since 02:22"
 
 
-def test_units_that_read_ratios_are_not_said_to_stand_or_turn() -> None:
+def test_units_that_read_ratios_are_not_shown_as_stopped_or_turning() -> None:
     settings = line().buses["dry"].settings.model_copy(update={"follower_speed": "ratio"})
     live = LiveState([settings], 0.0)
     live.buses["dry"].worker_lost = None
     values: list[Any] = [BusLink(at=NOW, link="open"), ParameterValue(1, 8, NOW, 1)]
     ratio: list[Reading] = [reading(1, at=NOW + n, inputs=HEALTHY, outputs=REMOTE) for n in range(10)]
     live.buses["dry"].apply([*values, UnitLink(unit=1, at=NOW, link="online"), *ratio])
-    assert said(live)[1] == "Run input off since at least 02:22"
+    assert shown_cause(live)[1] == "Run input off since at least 02:22"

@@ -40,17 +40,17 @@ def test_a_changed_bit(
     assert seen(first, second) == [change]
 
 
-def test_the_first_sight_and_the_same_again_are_no_change() -> None:
+def test_the_first_reading_and_an_equal_one_are_no_change() -> None:
     assert seen(reading(1), reading(1, 2000), reading(2, outputs=0), reading(1, outputs=REMOTE | 3)) == []
 
 
-def test_the_dialect_says_what_an_emergency_stop_is() -> None:
+def test_the_dialect_defines_the_emergency_stop_level() -> None:
     assert seen(reading(1, inputs=HEALTHY), reading(1, inputs=0), estop_healthy=0) == [
         ("estop", 1, "active", "healthy")
     ]
 
 
-def test_a_unit_lost_and_back_but_not_a_late_answer() -> None:
+def test_a_unit_lost_and_back_but_not_a_late_response() -> None:
     assert seen(link("online"), link("stale"), link("online")) == []
     assert seen(link("unknown"), link("online"), link("stale"), link("offline"), link("online")) == [
         ("unit", 1, "online", "offline"),

@@ -1,4 +1,4 @@
-"""The way down to a bus when the worker is silent, gone, or its connection breaks under a word."""
+"""Commands to a bus when the worker does not respond, is gone, or its connection breaks during a message."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ async def test_without_a_worker_nothing_is_sent() -> None:
     assert result.outcome == "bus_closed"
 
 
-async def test_a_worker_that_never_says_leaves_it_unverified() -> None:
+async def test_a_worker_without_a_result_leaves_it_unverified() -> None:
     channel, connection = Channel(patience_s=0.0), Connection()
     await channel.opened(connection, "w")
     result = await channel.send(COMMAND)
@@ -53,7 +53,7 @@ def quick_looks(monkeypatch: pytest.MonkeyPatch) -> float:
 
 
 @pytest.mark.usefixtures("quick_looks")
-async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
+async def test_the_wait_for_a_worker_ends_at_the_deadline() -> None:
     channel = Channel()
     await channel.opened(Connection(), "w")
     result = await channel.send(COMMAND)
@@ -64,12 +64,12 @@ async def test_a_silent_worker_is_not_waited_for_past_the_deadline() -> None:
 async def test_a_worker_that_speaks_of_other_things_is_waited_for(quick_looks: float) -> None:
     channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.send(COMMAND))
+    sending = asyncio.create_task(channel.send(COMMAND))
     for _ in range(3 * STUCK_AFTER_LOOKS):
         channel.on_message()
-        assert not (await asyncio.wait({asked}, timeout=quick_looks))[0]
+        assert not (await asyncio.wait({sending}, timeout=quick_looks))[0]
     channel.on_update(verified(), connection)
-    assert (await asked).outcome == "verified"
+    assert (await sending).outcome == "verified"
 
 
 async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
@@ -81,39 +81,39 @@ async def test_a_worker_that_does_not_come_back_leaves_it_unverified() -> None:
     assert (await channel.send(COMMAND)).outcome == "bus_closed"
 
 
-async def test_a_broken_send_is_said_again_to_the_same_worker() -> None:
+async def test_a_broken_send_is_repeated_to_the_same_worker() -> None:
     channel, back = Channel(), Connection()
     await channel.opened(Connection(broken=True), "w")
-    asked = asyncio.create_task(channel.send(COMMAND))
+    sending = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     await channel.opened(back, "w")
     channel.on_update(verified(), back)
-    assert (await asked).outcome == "verified"
+    assert (await sending).outcome == "verified"
     assert back.sent == [COMMAND]
 
 
-async def test_the_first_fate_counts_and_old_news_is_passed_over() -> None:
+async def test_the_first_result_counts_and_old_updates_are_ignored() -> None:
     channel, connection = Channel(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.send(COMMAND))
+    sending = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     channel.on_update(verified(), connection)
     channel.on_update(Result(id="a", at=2.0, outcome="refused"), connection)
     channel.on_update(Progress(id="a", at=2.0, stage="sent"), connection)
     channel.on_update(Progress(id="nobody", at=2.0, stage="sent"), connection)
-    assert (await asked).outcome == "verified"
+    assert (await sending).outcome == "verified"
     channel.on_update(verified(), connection)
 
 
 async def test_a_result_counts_only_from_the_connection_that_the_command_was_sent_to() -> None:
     channel, connection, other = Channel(patience_s=0.2), Connection(), Connection()
     await channel.opened(connection, "w")
-    asked = asyncio.create_task(channel.send(COMMAND))
+    sending = asyncio.create_task(channel.send(COMMAND))
     await asyncio.sleep(0)
     channel.on_update(verified(), other)
     await channel.opened(other, "w")
     channel.on_update(verified(), connection)
-    assert (await asked).outcome == "unverified"
+    assert (await sending).outcome == "unverified"
     assert connection.sent == other.sent == [COMMAND]
 
 
@@ -139,7 +139,7 @@ async def test_an_older_connection_that_ends_later_closes_nothing() -> None:
 
 
 @pytest.mark.parametrize("units", [[], [2, 1]])
-async def test_what_is_watched_is_said_once_and_to_the_next_worker(units: list[int]) -> None:
+async def test_watched_units_are_sent_once_and_to_the_next_worker(units: list[int]) -> None:
     channel, connection, later = Channel(), Connection(), Connection()
     await channel.opened(connection, "w")
     await channel.watch(units, trace=False)

@@ -1,4 +1,4 @@
-"""The command as a person types it: check, user, token, audit; exit codes and one sentence on stderr."""
+"""The command as a person types it: check, user, token, audit; exit codes and one line on stderr."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_every_command_is_there_and_explains_itself() -> None:
         assert "Usage:" in result.stdout
 
 
-def test_it_says_its_version() -> None:
+def test_it_prints_its_version() -> None:
     result = CliRunner().invoke(cli, ["--version"])
     assert (result.exit_code, result.stdout) == (0, f"lineside {version('lineside')}\n")
 
@@ -83,7 +83,7 @@ def test_wrong_use_is_2(words: list[str]) -> None:
     assert result.stdout == ""
 
 
-def test_check_says_what_is_wrong(lineside: Shell) -> None:
+def test_check_reports_faults(lineside: Shell) -> None:
     lineside.config.write_text(CONFIG.replace("id = 1", "id = 0"))
     code, out, err = lineside("check")
     assert (code, out) == (1, "")
@@ -108,14 +108,14 @@ def test_users(lineside: Shell) -> None:
     assert lineside("user", "list")[1] == ""
 
 
-def test_a_password_typed_by_hand_is_asked_for_twice(lineside: Shell) -> None:
+def test_a_typed_password_is_prompted_for_twice(lineside: Shell) -> None:
     code, out, _ = lineside("user", "add", "ann", "--role", "viewer", typed="correct horse\ncorrect horse\n")
     assert code == 0
     assert "correct horse" not in out
 
 
-def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: Shell) -> None:
-    """README, step 4: typed at a terminal, it must not wait in silence."""
+def test_a_terminal_prompts_for_the_password_without_echo(lineside: Shell) -> None:
+    """README, step 4: at a terminal, the command must not wait without a prompt."""
     master, slave = pty.openpty()
     words = ("user", "add", "ann", "--role", "admin", "--password-stdin", "--config", str(lineside.config))
     with subprocess.Popen(
@@ -124,7 +124,7 @@ def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: 
         stdout=slave,
         stderr=slave,
         start_new_session=True,
-    ) as asked:
+    ) as process:
         os.close(slave)
         shown = b""
         for prompt in (b"Password: ", b"confirmation: "):
@@ -132,14 +132,14 @@ def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: 
                 assert select.select([master], [], [], PATIENCE_S)[0], f"nothing asked for: {shown!r}"
                 shown += os.read(master, 1024)
             os.write(master, b"correct horse battery\n")
-        assert asked.wait(PATIENCE_S) == 0
+        assert process.wait(PATIENCE_S) == 0
     os.close(master)
     assert b"horse" not in shown
     assert lineside("user", "list")[1] == "ann\tadmin\n"
 
 
 @pytest.mark.parametrize(
-    ("words", "typed", "said"),
+    ("words", "typed", "error"),
     [
         (["user", "add", "ann", "--role", "king", "--password-stdin"], PASSWORD, "there is no role 'king'"),
         (["user", "add", "a b", "--role", "viewer", "--password-stdin"], PASSWORD, "1 to 40 letters"),
@@ -163,10 +163,10 @@ def test_a_terminal_is_asked_for_the_password_and_shows_nothing_of_it(lineside: 
         (["token", "create", "t", "--role", "viewer", "--expires", "0"], "", "after 1 to 3650 days"),
     ],
 )
-def test_what_cannot_be_done_as_asked_is_2(lineside: Shell, words: list[str], typed: str, said: str) -> None:
+def test_wrong_use_exits_with_2(lineside: Shell, words: list[str], typed: str, error: str) -> None:
     code, out, err = lineside(*words, typed=typed)
     assert (code, out) == (2, "")
-    assert said in err
+    assert error in err
 
 
 def test_tokens(lineside: Shell) -> None:
@@ -189,7 +189,7 @@ def tamper(store: Path, sql: str) -> None:
         connection.commit()
 
 
-def test_the_log_is_proved_whole(lineside: Shell) -> None:
+def test_the_log_is_verified(lineside: Shell) -> None:
     for name in ("a", "b", "c"):
         lineside("token", "create", name, "--role", "viewer")
     assert lineside("audit", "verify") == (0, "the audit log is intact: 3 entries\n", "")
@@ -244,7 +244,7 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "error"),
     [
         (["simulate", "--link", "/nonexistent/line"], 1, "the link /nonexistent/line cannot be made"),
         (
@@ -259,8 +259,8 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
         ),
     ],
 )
-def test_what_cannot_be_is_said_in_a_sentence(words: list[str], code: int, said: str) -> None:
+def test_an_impossible_call_prints_one_line(words: list[str], code: int, error: str) -> None:
     done = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True)
     assert (done.returncode, done.stderr.count("\n")) == (code, 1)
     assert done.stderr.startswith("lineside: ")
-    assert said in done.stderr
+    assert error in done.stderr

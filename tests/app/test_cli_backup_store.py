@@ -1,4 +1,4 @@
-"""backup-store and restore-store: while it runs, whole or not at all, and never over an open store."""
+"""backup-store and restore-store: while it runs, completely or not at all, and never over an open store."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def test_a_damaged_backup_changes_nothing(tmp_path: Path, damage: str) -> None:
     shelf.close()
     backup = tmp_path / "one.tar"
     write_backup(data, backup)
-    whole = backup.read_bytes()
+    content = backup.read_bytes()
     if damage == "cut":
-        backup.write_bytes(whole[: len(whole) // 2])
+        backup.write_bytes(content[: len(content) // 2])
     elif damage == "other":
         backup.write_bytes(b"something else " * 1000)
     elif damage == "changed":
-        backup.write_bytes(whole.replace(b"SQLite format 3", b"sqlite format 3"))
+        backup.write_bytes(content.replace(b"SQLite format 3", b"sqlite format 3"))
     else:
         with tarfile.open(backup, "w") as archive:
             (tmp_path / "manifest.json").write_text(json.dumps({"nothing": 1}))
@@ -96,7 +96,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
         write_backup(tmp_path / "empty", tmp_path / "two.tar")
 
 
-def test_the_commands_speak_in_sentences(tmp_path: Path) -> None:
+def test_the_commands_print_one_line(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text('[site]\nname = "Test"\n[server]\ndata = "data"\n')
     Database(tmp_path / "data" / "lineside.db").close()

@@ -1,4 +1,4 @@
-"""``lineside check``: each thing that would keep Lineside from working is said, and the exit is 1."""
+"""``lineside check``: each obstacle to Lineside's work is reported, with exit code 1."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def test_an_absent_adapter_is_waited_for(config: Path) -> None:
     )
 
 
-def test_a_bus_without_units_is_said(config: Path) -> None:
+def test_a_bus_without_units_is_reported(config: Path) -> None:
     result = run(config, bus("/dev/ttyUSB99").replace(UNIT, ""))
     assert result.exit_code == 0
     assert "'lineside scan --port /dev/ttyUSB99' lists the addresses that respond" in result.stdout
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", '[site]\nname = "Mill 7"\n'])
-def test_without_a_bus_it_says_what_to_write(config: Path, text: str) -> None:
+def test_without_a_bus_it_prints_what_to_write(config: Path, text: str) -> None:
     result = run(config, text)
     assert result.exit_code == 1
     assert "lineside: there is no [[bus]]" in result.stderr
@@ -105,7 +105,7 @@ def test_a_data_folder_is_tried_and_left_as_it_was(config: Path) -> None:
     assert list(config.parent.iterdir()) == [config]
 
 
-def test_every_fault_is_said_at_once(config: Path) -> None:
+def test_every_fault_is_reported_at_once(config: Path) -> None:
     result = run(config, '[server]\nhost = "a..b"\n' + bus("/dev/null") + bus("socket://a..b:1", "b"))
     assert result.exit_code == 1
     assert result.stderr.count("lineside: ") == 3
@@ -159,7 +159,7 @@ def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
 # --- the audit log ------------------------------------------------------------------------------------
 
 
-def test_it_says_where_the_key_and_the_anchor_of_the_audit_log_are(config: Path, tmp_path: Path) -> None:
+def test_it_prints_where_the_key_and_the_anchor_of_the_audit_log_are(config: Path, tmp_path: Path) -> None:
     text = bus("/dev/ttyUSB99") + '[audit]\nanchor = "head.anchor"\n'
     result = run(config, text)
     assert (result.exit_code, result.stderr) == (0, "")
@@ -180,7 +180,7 @@ def test_it_says_where_the_key_and_the_anchor_of_the_audit_log_are(config: Path,
         ('anchor = "/dev/null"', "is no file"),
     ],
 )
-def test_an_audit_log_that_cannot_be_proven_is_a_fault(config: Path, audit: str, words: str) -> None:
+def test_an_audit_log_that_cannot_be_verified_is_a_fault(config: Path, audit: str, words: str) -> None:
     config.touch(0o644)
     result = run(config, f"{bus('/dev/ttyUSB99')}[audit]\n{audit}\n")
     assert result.exit_code == 1

@@ -1,4 +1,4 @@
-"""The commands that talk to a dashboard: which server they trust, with which token, and what they say."""
+"""The commands that use a dashboard: which server they trust, with which token, and what they print."""
 
 from __future__ import annotations
 
@@ -37,11 +37,13 @@ id = 1
 
 
 class PlayedDashboard(HTTPServer):
-    """Answers each path by what stands in ``answers``; keeps the headers and bodies that it was sent."""
+    """Responds to each path with its entry in ``responses``; keeps the headers and bodies that it
+    received.
+    """
 
     def __init__(self, certificate: Path | None = None) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
-        self.answers: dict[str, Any] = {"/api/v1/line": LINE}
+        self.responses: dict[str, Any] = {"/api/v1/line": LINE}
         self.tokens: list[str | None] = []
         self.bodies: list[Any] = []
         self.url = f"http://127.0.0.1:{self.server_port}"
@@ -62,7 +64,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         self.server.tokens.append(self.headers["Authorization"])
-        body = json.dumps(self.server.answers[self.path.partition("?")[0]]).encode()
+        body = json.dumps(self.server.responses[self.path.partition("?")[0]]).encode()
         self.send_response(200)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
@@ -121,11 +123,13 @@ def own_authority(tmp_path: Path) -> Path:
 
 
 def backup(url: str, *more: str) -> Result:
-    """Of a bus that is not there: it comes as far as the answer of the dashboard."""
+    """Back up an unknown bus, up to the dashboard's response."""
     return CliRunner().invoke(cli, ["backup", "--url", url, "--bus", "nix", "--out", "x.toml", *more])
 
 
-def test_the_plant_has_an_authority_of_its_own(own_authority: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plant_has_a_private_certificate_authority(
+    own_authority: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with serving(own_authority) as server:
         stranger = backup(server.url, "--token", "t")
         assert (stranger.exit_code, server.tokens) == (1, [])
@@ -234,7 +238,7 @@ PLAN = {
 def restore(file: Path, *more: str, ended: dict[str, Any] | None = None) -> tuple[Result, list[Any]]:
     end = {**PLAN, "state": "equal", "rows": [row(6, "Acceleration Ramp Rate", outcome="verified")]}
     with serving() as server:
-        server.answers |= {
+        server.responses |= {
             "/api/v1/buses/dry-end/units/1/restores": PLAN,
             "/api/v1/restores/r1/start": PLAN,
             "/api/v1/restores/r1": end | (ended or {}),

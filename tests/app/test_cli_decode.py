@@ -84,12 +84,14 @@ def test_a_bad_frame_beside_a_good_one() -> None:
 
 
 def test_a_trace_file_with_its_directions_apart(tmp_path: Path) -> None:
-    """The answer overlaps the next request, as it may on four wires; each direction is read for itself."""
-    asked, answered = bytes.fromhex("10 02 01 85 06 10 03 74"), bytes.fromhex("10 02 01 06 00 32 10 03 C7")
+    """The response overlaps the next request, as it may on four wires; each direction is decoded
+    separately.
+    """
+    request, response = bytes.fromhex("10 02 01 85 06 10 03 74"), bytes.fromhex("10 02 01 06 00 32 10 03 C7")
     frames = [
-        Frame(1.0, "out", asked, [term("unit 1: read parameter #6")]),
-        Frame(1.01, "in", answered[:4], [term("the first half")]),
-        Frame(1.02, "in", answered[4:], [term("the second half")]),
+        Frame(1.0, "out", request, [term("unit 1: read parameter #6")]),
+        Frame(1.01, "in", response[:4], [term("the first half")]),
+        Frame(1.02, "in", response[4:], [term("the second half")]),
     ]
     trace = tmp_path / "trace.txt"
     trace.write_text("".join(trace_line(frame) + "\n" for frame in frames))

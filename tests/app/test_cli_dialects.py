@@ -1,4 +1,4 @@
-"""Every answer to an open question of the manual: played by ``simulate``, found by ``scan``."""
+"""Every dialect of the manual's open points: simulated by ``simulate``, detected by ``scan``."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ def simulated(*options: str) -> Iterator[str]:
 def scanned(*dialect: str, patience_ms: int = PATIENCE_MS) -> dict[str, Any]:
     """The JSON form of a scan of that unit."""
     with simulated(*dialect) as port:
-        asked = f"--port {port} --baud 9600 --last 1 --turnaround-ms {patience_ms} --json"
-        result = CliRunner().invoke(cli, asked.split())
+        arguments = f"--port {port} --baud 9600 --last 1 --turnaround-ms {patience_ms} --json"
+        result = CliRunner().invoke(cli, arguments.split())
     assert result.exit_code == 0, result.output
-    answer: dict[str, Any] = json.loads(result.stdout)
-    assert [one["kind"] for one in answer["units"]] == ["digimax"]
-    return answer
+    response: dict[str, Any] = json.loads(result.stdout)
+    assert [one["kind"] for one in response["units"]] == ["digimax"]
+    return response
 
 
 def test_as_the_manual_reads() -> None:
-    answer = scanned()
-    assert answer["settings"] == {
+    response = scanned()
+    assert response["settings"] == {
         "checksum_10h": "once",
         "parameter_numbers": "binary",
         "parameter_reply_bytes": 0,
         "estop_healthy": 1,
         "turnaround_ms": PATIENCE_MS,
     }
-    (unit,) = answer["units"]
+    (unit,) = response["units"]
     assert unit["parameter_reply_bytes"] == [1, 2, 4], "as wide as each type"
     assert (unit["parameters"], unit["remarks"]) == (list(range(1, 41)), [])
 
@@ -68,30 +68,30 @@ def test_as_the_manual_reads() -> None:
     ],
 )
 def test_one_that_decides_otherwise(option: str, key: str, value: str | int) -> None:
-    answer = scanned(option, str(value))
-    assert answer["settings"][key] == value
-    assert any(f"set {key} = {json.dumps(value)}" in remark for remark in answer["units"][0]["remarks"])
+    response = scanned(option, str(value))
+    assert response["settings"][key] == value
+    assert any(f"set {key} = {json.dumps(value)}" in remark for remark in response["units"][0]["remarks"])
 
 
 @pytest.mark.parametrize("width", [1, 2, 4])
 def test_one_width_for_every_parameter(width: int) -> None:
-    answer = scanned("--parameter-reply-bytes", str(width), "--last-parameter", "20")
-    (unit,) = answer["units"]
+    response = scanned("--parameter-reply-bytes", str(width), "--last-parameter", "20")
+    (unit,) = response["units"]
     assert unit["parameter_reply_bytes"] == [width]
-    assert answer["settings"]["parameter_reply_bytes"] == width
+    assert response["settings"]["parameter_reply_bytes"] == width
     assert unit["parameters"] == list(range(1, 21))
 
 
 def test_a_unit_that_is_slower_than_it_is_allowed() -> None:
-    """Its answers come into the windows of later questions, and must not pass for theirs."""
-    answer = scanned("--turnaround-ms", "140", patience_ms=100)
-    assert answer["settings"]["turnaround_ms"] > 100
-    assert answer["units"][0]["turnaround_ms"] > 100
-    assert answer["units"][0]["remarks"] == []
-    assert "set turnaround_ms = " in answer["remarks"][0]
+    """Its responses arrive in the windows of later requests, and must not be taken for theirs."""
+    response = scanned("--turnaround-ms", "140", patience_ms=100)
+    assert response["settings"]["turnaround_ms"] > 100
+    assert response["units"][0]["turnaround_ms"] > 100
+    assert response["units"][0]["remarks"] == []
+    assert "set turnaround_ms = " in response["remarks"][0]
 
 
 @pytest.mark.parametrize("wrong", [("--checksum-10h", "thrice"), ("--estop-healthy", "2")])
-def test_an_answer_that_there_is_not(wrong: tuple[str, str]) -> None:
+def test_an_unknown_dialect_value(wrong: tuple[str, str]) -> None:
     with simulated(*wrong) as port:
         assert port == ""

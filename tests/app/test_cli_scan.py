@@ -32,8 +32,9 @@ from bus.simulator.unit import Traits, Unit
 
 PATIENCE_MS = "400"
 GONE = Message.of("port_gone", port="it")
-"""A unit of these tests answers at once, but on a busy machine its process may have to wait its turn. An
-address without a unit costs this at every look, so there are few of those."""
+"""A unit of these tests responds at once, but on a busy machine its process may have to wait. An address
+without a unit costs this at every probe, so there are few of those.
+"""
 
 cli = typer.Typer()
 scan.register(cli)
@@ -58,12 +59,12 @@ def run(port: str, *options: str) -> Result:
 def scanned(port: str, *options: str, last: int = 3) -> dict[str, Any]:
     result = run(port, "--json", "--last", str(last), "--turnaround-ms", PATIENCE_MS, *options)
     assert result.exit_code == 0, result.output
-    answer: dict[str, Any] = json.loads(result.stdout)
-    return answer
+    response: dict[str, Any] = json.loads(result.stdout)
+    return response
 
 
-def by_id(answer: dict[str, Any]) -> dict[int, dict[str, Any]]:
-    return {one["id"]: one for one in answer["units"]}
+def by_id(response: dict[str, Any]) -> dict[int, dict[str, Any]]:
+    return {one["id"]: one for one in response["units"]}
 
 
 def test_units_of_different_age_and_dialect() -> None:
@@ -86,9 +87,9 @@ def test_units_of_different_age_and_dialect() -> None:
 
 def test_the_baud_rate_is_found_from_the_fastest_on() -> None:
     with line(unit(2, baud=4800)) as port:
-        answer = scanned(port)
-    assert [tried["baud"] for tried in answer["bauds"]] == [9600, 4800]
-    assert by_id(answer)[2]["baud"] == 4800
+        response = scanned(port)
+    assert [tried["baud"] for tried in response["bauds"]] == [9600, 4800]
+    assert by_id(response)[2]["baud"] == 4800
 
 
 def test_two_units_at_one_address_garble_each_other() -> None:
@@ -107,21 +108,21 @@ def test_a_device_that_is_no_digimax() -> None:
     assert (found[1]["kind"], found[2]["kind"]) == ("digimax", "foreign")
 
 
-def test_a_unit_that_answers_to_every_address() -> None:
+def test_a_scan_finds_a_unit_that_responds_to_every_address() -> None:
     faults = Faults(1)
     faults.set(FaultKind.EVERYBODY, 1.0, unit=3)
     with line(unit(3), faults=faults) as port:
-        answer = scanned(port, "--baud", "9600", last=6)
-    assert answer["remarks"] == ["unit 3 responds to addresses that are not its own (5 of them)"]
+        response = scanned(port, "--baud", "9600", last=6)
+    assert response["remarks"] == ["unit 3 responds to addresses that are not its own (5 of them)"]
 
 
-def test_an_adapter_that_hears_itself() -> None:
+def test_an_adapter_that_echoes() -> None:
     faults = Faults(1)
     faults.set(FaultKind.ECHO, 1.0)
     with line(unit(2), faults=faults) as port:
-        answer = scanned(port, "--baud", "9600")
-    assert by_id(answer)[2]["kind"] == "digimax"
-    assert "half duplex" in answer["remarks"][0]
+        response = scanned(port, "--baud", "9600")
+    assert by_id(response)[2]["kind"] == "digimax"
+    assert "half duplex" in response["remarks"][0]
 
 
 def test_words_for_people() -> None:
@@ -142,25 +143,25 @@ def test_nothing_there() -> None:
     assert "no unit responded at 9600 baud" in result.stderr
 
 
-def test_nobody_is_called_absent_after_one_question(monkeypatch: pytest.MonkeyPatch) -> None:
-    examine, asked = Prober.examine, list[int]()
+def test_no_unit_is_absent_after_one_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    examine, probed = Prober.examine, list[int]()
 
     async def deaf_at_first(line: Any, address: int) -> Found | None:
-        asked.append(address)
-        return await examine(line, address) if asked.count(address) > 1 else None
+        probed.append(address)
+        return await examine(line, address) if probed.count(address) > 1 else None
 
     monkeypatch.setattr(Prober, "examine", deaf_at_first)
     with line(unit(3), unit(2)) as port:
-        answer = scanned(port, "--baud", "9600", last=4)
-    assert [one["id"] for one in answer["units"]] == [2, 3]
-    assert asked == [1, 2, 3, 4, 1, 2, 3, 4, 1, 4], "and again, as that found somebody"
+        response = scanned(port, "--baud", "9600", last=4)
+    assert [one["id"] for one in response["units"]] == [2, 3]
+    assert probed == [1, 2, 3, 4, 1, 2, 3, 4, 1, 4], "and again, as that found somebody"
 
 
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [(KeyboardInterrupt(), 130, "interrupted"), (WireError(GONE), 1, "it was disconnected")],
 )
-def test_what_was_found_before_the_end_is_told(
+def test_units_found_before_an_early_end_are_printed(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, words: str
 ) -> None:
     examine = Prober.examine
@@ -174,9 +175,9 @@ def test_what_was_found_before_the_end_is_told(
     with line(unit(2), unit(5)) as port:
         result = run(port, "--json", "--baud", "9600", "--last", "6", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == code
-    answer = json.loads(result.stdout)
-    assert [one["id"] for one in answer["units"]] == [2]
-    assert answer["complete"] is False
+    response = json.loads(result.stdout)
+    assert [one["id"] for one in response["units"]] == [2]
+    assert response["complete"] is False
     assert words in result.stderr
     assert "the scan is not complete" in result.stderr
 
@@ -225,7 +226,7 @@ def test_a_device_server_keeps_its_own_baud_rate() -> None:
     assert bauds_to_try("/dev/ttyUSB0", None) == (9600, 4800, 2400, 1200, 600, 300)
 
 
-def test_it_says_beforehand_how_long_it_takes() -> None:
+def test_it_prints_beforehand_how_long_it_takes() -> None:
     every = range(1, 256)
     assert "at 9600 baud: about 35 s;" in announcement("P", (9600,), every, 0.05, False)
     six = announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False)

@@ -62,8 +62,8 @@ def test_a_dashboard_that_serves(config: Path, monkeypatch: pytest.MonkeyPatch) 
     call = ["status", "--config", str(config), "--token", "secret"]
     words = "bus dry-end: 1 of 2 units online, port closed: /dev/ttyUSB0 is not there"
     assert words in CliRunner().invoke(cli, call).stdout
-    told = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
-    assert told["buses"][0] == {**BUS, "units": 2, "units_online": 1}
+    printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
+    assert printed["buses"][0] == {**BUS, "units": 2, "units_online": 1}
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_dashboard_that_serves(config: Path, monkeypatch: pytest.MonkeyPatch) 
     [(200, b'{"status":"ok"}', True), (200, b"<html>", False), (404, b'{"status":"ok"}', False)],
 )
 def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, serves: bool) -> None:
-    class Answer(BaseHTTPRequestHandler):
+    class Responder(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(code)
             self.send_header("Content-Length", str(len(body)))
@@ -81,7 +81,7 @@ def test_another_program_at_that_port_is_no_dashboard(code: int, body: bytes, se
         def log_message(self, format: str, *args: object) -> None:
             """Nothing is printed."""
 
-    with HTTPServer(("127.0.0.1", 0), Answer) as server:
+    with HTTPServer(("127.0.0.1", 0), Responder) as server:
         answering = threading.Thread(target=server.handle_request)
         answering.start()
         assert status.is_serving(f"http://127.0.0.1:{server.server_port}") is serves

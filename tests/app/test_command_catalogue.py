@@ -1,4 +1,4 @@
-"""Every kind of command is described once, and what is said of it holds."""
+"""Every kind of command is described once, and its description is true."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def test_a_step_from_a_speed_that_was_never_read_needs_a_review() -> None:
     assert objection(SetSpeed(unit=1, raw=5), now).code == "confirm_needed"
 
 
-def test_the_movement_within_a_minute_is_limited_whoever_confirms() -> None:
+def test_the_movement_within_a_minute_is_limited_over_all_confirmations() -> None:
     limits = Limits(per_minute=100)
     check(SetSpeed(unit=1, raw=1040), circumstances(limits=limits, moved=60))
     error = objection(SetSpeed(unit=1, raw=1041), circumstances(limits=limits, moved=60, confirm=True))

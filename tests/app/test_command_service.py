@@ -1,4 +1,4 @@
-"""The way from a wish to the wire: written down before it is sent, sent once, one fate whatever happens."""
+"""From a request to the wire: recorded before it is sent, sent once, one outcome in every case."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ async def test_what_cannot_be_written_down_is_not_sent(
         raise StoreError(Message.of("system_error", error="the disk is full"))
 
     monkeypatch.setattr(stage.events, "intend_together", full)
-    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
-    assert (answer.status_code, answer.json()["code"]) == (503, "store")
+    response = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    assert (response.status_code, response.json()["code"]) == (503, "store")
     assert worker.commands == []
 
 
-async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
+async def test_an_outcome_that_cannot_be_stored_is_returned(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: object) -> None:
@@ -76,35 +76,33 @@ async def test_a_fate_that_cannot_be_written_down_is_told_all_the_same(
     assert (await stage.commands.send(ANNA, COMMAND)).outcome == "verified"
 
 
-async def test_progress_is_told_and_a_change_can_be_given_up(stage: Stage, worker: PlayedWorker) -> None:
-    heard: list[Progress] = []
-    asked = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine", listener=heard.append))
-    command = await worker.hear(Command)
+async def test_progress_is_reported_and_a_change_can_be_canceled(stage: Stage, worker: PlayedWorker) -> None:
+    progressed: list[Progress] = []
+    sending = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine", listener=progressed.append))
+    command = await worker.receive(Command)
     assert isinstance(command, Command)
     await worker.update(
         Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
     )
     await stage.commands.cancel(command.id)
-    assert await worker.hear(Cancel) == Cancel(id=command.id)
+    assert await worker.receive(Cancel) == Cancel(id=command.id)
     await worker.update(result_of(command, "not_sent", message=term("given up")))
-    assert (await asked).outcome == "not_sent"
-    assert [progress.stage for progress in heard] == ["sent"]
+    assert (await sending).outcome == "not_sent"
+    assert [progress.stage for progress in progressed] == ["sent"]
 
 
-async def test_whoever_asked_may_go_and_the_fate_is_still_written_down(
-    stage: Stage, worker: PlayedWorker
-) -> None:
-    asked = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine"))
-    command = await worker.hear(Command)
+async def test_the_outcome_is_stored_after_the_client_disconnects(stage: Stage, worker: PlayedWorker) -> None:
+    sending = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine"))
+    command = await worker.receive(Command)
     assert isinstance(command, Command)
-    asked.cancel()
+    sending.cancel()
     await worker.update(result_of(command, "verified"))
     assert (await stage.commands.send(ANNA, COMMAND, id="mine")).outcome == "verified"
     assert [event["outcome"] for event in await commands(stage)] == ["verified"]
     assert len(worker.commands) == 1
 
 
-async def test_whoever_has_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_client_that_lost_the_right_sends_nothing(stage: Stage, worker: PlayedWorker) -> None:
     stage.rights.withdrawn["anna"] = "rights withdrawn: the role was lowered; nothing more was sent"
     for action in (COMMAND, ReadParameters(unit=1, numbers=[6])):
         with pytest.raises(Problem, match="the role was lowered") as refused:
@@ -130,33 +128,33 @@ async def hand_over(stage: Stage) -> str:
     return "ben has control of this line"
 
 
-@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+@pytest.mark.parametrize("cause", [block, withdraw, hand_over])
 @pytest.mark.parametrize(
     "action", [ChangeBaud(baud=4800), SetLine(setpoints={1: 5, 2: 6})], ids=["baud", "line"]
 )
 async def test_a_long_command_is_given_up_when_it_may_not_go_on(
-    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]], action: Action
+    stage: Stage, worker: PlayedWorker, cause: Callable[[Stage], Awaitable[str]], action: Action
 ) -> None:
-    asked = asyncio.create_task(stage.commands.send(ANNA, action, timeout_s=30, confirm=True, id="mine"))
-    command = await worker.hear(Command)
+    sending = asyncio.create_task(stage.commands.send(ANNA, action, timeout_s=30, confirm=True, id="mine"))
+    command = await worker.receive(Command)
     assert isinstance(command, Command)
-    reason = await trouble(stage)
-    assert await worker.hear(Cancel) == Cancel(command.id)
+    reason = await cause(stage)
+    assert await worker.receive(Cancel) == Cancel(command.id)
     await worker.update(result_of(command, "not_sent", message=term("given up: every unit is back")))
-    assert str((await asked).message) == f"{reason}; given up: every unit is back"
+    assert str((await sending).message) == f"{reason}; given up: every unit is back"
     event = next(event for event in await commands(stage) if event["unit"] is None)
     assert (event["outcome"], event["message"]) == ("not_sent", f"{reason}; given up: every unit is back")
 
 
-@pytest.mark.parametrize("trouble", [block, withdraw, hand_over])
+@pytest.mark.parametrize("cause", [block, withdraw, hand_over])
 async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
-    stage: Stage, worker: PlayedWorker, trouble: Callable[[Stage], Awaitable[str]]
+    stage: Stage, worker: PlayedWorker, cause: Callable[[Stage], Awaitable[str]]
 ) -> None:
     """What a unit was is stored between the check and the sending, and a disk may be slow."""
     reasons: list[str] = []
 
     async def keep(*_: object, **__: object) -> None:
-        reasons.append(await trouble(stage))
+        reasons.append(await cause(stage))
 
     worker.play = answering("verified")
     stage.commands.on_write(keep)
@@ -176,7 +174,7 @@ async def test_checking_alone_sends_and_writes_nothing(stage: Stage, worker: Pla
     assert await commands(stage) == []
 
 
-async def test_what_is_wanted_before_a_write_comes_first(stage: Stage, worker: PlayedWorker) -> None:
+async def test_reads_before_a_write_come_first(stage: Stage, worker: PlayedWorker) -> None:
     order: list[str] = []
 
     async def keep(person: Person, units: Sequence[int], *, parameters: bool) -> None:

@@ -39,17 +39,17 @@ async def worker(worker: PlayedWorker) -> PlayedWorker:
     return worker
 
 
-async def test_the_worker_is_told_of_a_write_before_it_comes(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_turn_is_reserved_before_the_write_comes(stage: Stage, worker: PlayedWorker) -> None:
     await stage.request("POST", "/units/1/speed", {"raw": 5})
-    told = [type(message) for message in worker.heard if isinstance(message, ReserveTurn | Command)]
-    assert told == [ReserveTurn, Command]
+    kinds = [type(message) for message in worker.received if isinstance(message, ReserveTurn | Command)]
+    assert kinds == [ReserveTurn, Command]
 
 
 async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: PlayedWorker) -> None:
     assert (await stage.request("POST", "/units/1/speed", {"raw": 5}, role="viewer")).status_code == 403
     await stage.request("GET", "/units/1/parameters?refresh=true")
-    await worker.hear(Command)
-    assert not any(isinstance(message, ReserveTurn) for message in worker.heard)
+    await worker.receive(Command)
+    assert not any(isinstance(message, ReserveTurn) for message in worker.received)
 
 
 @pytest.mark.parametrize(
@@ -79,12 +79,12 @@ async def test_for_who_may_not_write_the_wire_waits_never(stage: Stage, worker: 
         ("PUT", "/units/1/parameters/18", {"raw": 48, "confirm": True}, WriteParameter(1, 18, 48)),
     ],
 )
-async def test_what_is_asked_is_what_the_worker_gets(
+async def test_the_worker_gets_the_requested_action(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any, action: object
 ) -> None:
-    answer = await stage.request(method, path, body)
-    assert answer.status_code == 200, answer.text
-    assert answer.json()["outcome"] == answer.json()["code"] == "verified"
+    response = await stage.request(method, path, body)
+    assert response.status_code == 200, response.text
+    assert response.json()["outcome"] == response.json()["code"] == "verified"
     assert [command.action for command in worker.commands] == [action]
 
 
@@ -126,21 +126,21 @@ async def test_what_is_asked_is_what_the_worker_gets(
         ("PUT", "/units/1/parameters/18", {"raw": 5, "confirm": True}),
     ],
 )
-async def test_bad_input_is_answered_in_words_and_nothing_is_sent(
+async def test_bad_input_is_explained_and_nothing_is_sent(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.request(method, path, body)
-    assert answer.status_code == 422, answer.text
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert answer.json()["code"] == "invalid"
-    assert answer.json()["detail"]
+    response = await stage.request(method, path, body)
+    assert response.status_code == 422, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    assert response.json()["code"] == "invalid"
+    assert response.json()["detail"]
     assert worker.commands == []
 
 
 async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> None:
-    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", content=b'{"raw": ')
-    assert answer.status_code == 422
-    assert answer.json()["code"] == "invalid"
+    response = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", content=b'{"raw": ')
+    assert response.status_code == 422
+    assert response.json()["code"] == "invalid"
     assert worker.commands == []
 
 
@@ -162,16 +162,16 @@ async def test_malformed_json_is_invalid(stage: Stage, worker: PlayedWorker) -> 
 async def test_what_there_is_not(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.request(method, path, body)
-    assert answer.status_code == 404, answer.text
+    response = await stage.request(method, path, body)
+    assert response.status_code == 404, response.text
     assert worker.commands == []
 
 
 async def test_a_bus_there_is_not(stage: Stage) -> None:
     for path, body in (("execute", None), ("speeds", {"setpoints": {"1": {"raw": 1}}})):
-        answer = await stage.http().post(f"/api/v1/buses/nowhere/{path}", json=body)
-        assert answer.status_code == 404
-        assert answer.json()["code"] == "unknown_bus"
+        response = await stage.http().post(f"/api/v1/buses/nowhere/{path}", json=body)
+        assert response.status_code == 404
+        assert response.json()["code"] == "unknown_bus"
 
 
 @pytest.mark.parametrize(
@@ -185,31 +185,31 @@ async def test_a_bus_there_is_not(stage: Stage) -> None:
         ("invalid", 422),
     ],
 )
-async def test_each_fate_has_its_status(
+async def test_each_outcome_has_its_status(
     stage: Stage, worker: PlayedWorker, outcome: str, status: int
 ) -> None:
     worker.play = answering(outcome, message=term("as it was"))
-    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
-    assert answer.status_code == status
-    said = answer.json()
-    assert said["outcome"] == said["code"] == outcome
-    assert said["message"] == "as it was"
+    response = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    assert response.status_code == status
+    result = response.json()
+    assert result["outcome"] == result["code"] == outcome
+    assert result["message"] == "as it was"
     if status != 200:
-        assert said["detail"] == "as it was"
-        assert said["status"] == status
+        assert result["detail"] == "as it was"
+        assert result["status"] == status
 
 
 async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("refused", unit_error=128)
-    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
-    assert answer.status_code == 409
-    said = answer.json()
-    assert (said["outcome"], said["unit_error"]) == ("refused", 128)
-    assert said["unit_error_name"] == "unit is not in REMOTE mode"
-    assert "REMOTE" in said["detail"]
+    response = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    assert response.status_code == 409
+    result = response.json()
+    assert (result["outcome"], result["unit_error"]) == ("refused", 128)
+    assert result["unit_error_name"] == "unit is not in REMOTE mode"
+    assert "REMOTE" in result["detail"]
 
 
-async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_line_action_returns_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
     units = [
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
         UnitOutcome(unit=2, outcome="unverified", message=term("no response")),
@@ -221,20 +221,20 @@ async def test_a_line_action_answers_for_each_unit_with_frames(stage: Stage, wor
         meanings=[term("execute, all")],
     )
     worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
-    answer = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
-    said = answer.json()
-    assert answer.status_code == 504
-    assert said["units"]["1"]["outcome"] == "verified"
-    assert said["units"]["1"]["read_back"] == 100
-    assert said["units"]["2"]["message"] == "no response"
-    assert said["skew_s"] == 0.02
-    assert said["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
+    response = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    result = response.json()
+    assert response.status_code == 504
+    assert result["units"]["1"]["outcome"] == "verified"
+    assert result["units"]["1"]["read_back"] == 100
+    assert result["units"]["2"]["message"] == "no response"
+    assert result["skew_s"] == 0.02
+    assert result["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
 
 
 async def test_dangerous_needs_its_confirmation(stage: Stage, worker: PlayedWorker) -> None:
-    answer = await stage.request("PUT", "/units/1/parameters/19", {"raw": 0})
-    assert answer.status_code == 409
-    assert answer.json()["code"] == answer.json()["outcome"] == "dangerous"
+    response = await stage.request("PUT", "/units/1/parameters/19", {"raw": 0})
+    assert response.status_code == 409
+    assert response.json()["code"] == response.json()["outcome"] == "dangerous"
     assert worker.commands == []
 
 
@@ -256,12 +256,12 @@ async def test_the_time_is_passed_on(stage: Stage, worker: PlayedWorker) -> None
         assert before + seconds - 1 < deadline <= time.time() + seconds
 
 
-async def test_the_same_key_is_sent_once_and_answers_the_same(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_same_key_is_sent_once_and_returns_the_same(stage: Stage, worker: PlayedWorker) -> None:
     key = {"Idempotency-Key": "mine-1"}
     calls = (stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key) for _ in range(3))
-    answers = await asyncio.gather(*calls)
+    responses = await asyncio.gather(*calls)
     again = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=key)
-    assert {answer.text for answer in answers} == {again.text}
+    assert {response.text for response in responses} == {again.text}
     assert again.json()["id"] == "mine-1"
     assert len(worker.commands) == 1
     other = await stage.request("POST", "/units/1/speed", {"raw": 6}, headers=key)
@@ -290,16 +290,16 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
     ]
 
 
-async def test_a_value_for_a_silent_unit_is_unverified_and_not_sent(stage: Stage) -> None:
+async def test_a_value_for_a_unit_that_does_not_respond_is_unverified_and_not_sent(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
     worker.play = answering("unverified", message=term("no response"))
-    answer = await stage.request("POST", "/units/1/speed", {"value": "12.3"})
-    assert answer.status_code == 504
-    assert "nothing was sent" in answer.json()["detail"]
+    response = await stage.request("POST", "/units/1/speed", {"value": "12.3"})
+    assert response.status_code == 504
+    assert "nothing was sent" in response.json()["detail"]
     assert len(worker.commands) == 1
 
 
-async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: PlayedWorker) -> None:
+async def test_parameters_as_last_read_and_refreshed(stage: Stage, worker: PlayedWorker) -> None:
     rows = (await stage.request("GET", "/units/1/parameters")).json()
     assert [row["number"] for row in rows] == list(range(1, 41))
     assert rows[2]["raw"] == 1
@@ -328,12 +328,12 @@ async def test_parameters_as_last_read_and_read_anew(stage: Stage, worker: Playe
 
 async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("unverified", message=term("no response"))
-    answer = await stage.request("GET", "/units/1/parameters?refresh=true")
-    assert answer.status_code == 504
-    assert answer.json()["code"] == "unverified"
+    response = await stage.request("GET", "/units/1/parameters?refresh=true")
+    assert response.status_code == 504
+    assert response.json()["code"] == "unverified"
 
 
-async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
+async def test_the_password_is_in_no_response_and_no_event(stage: Stage, worker: PlayedWorker) -> None:
     frame = Frame(
         at=1.0,
         direction="out",
@@ -341,16 +341,16 @@ async def test_the_password_is_in_no_answer_and_no_event(stage: Stage, worker: P
         meanings=[term("write #21 = 4242")],
     )
     worker.play = answering("verified", read_back=4242, frames=[frame])
-    answer = await stage.request("PUT", "/units/1/parameters/21", {"raw": 4242})
-    assert answer.status_code == 200
-    assert "4242" not in answer.text
+    response = await stage.request("PUT", "/units/1/parameters/21", {"raw": 4242})
+    assert response.status_code == 200
+    assert "4242" not in response.text
     events = await stage.http().get("/api/v1/events?kind=command")
     assert "4242" not in events.text
     assert "10 92" not in events.text
 
 
 @pytest.mark.usefixtures("worker")
-async def test_every_command_is_an_event_with_old_new_and_fate(stage: Stage) -> None:
+async def test_every_command_is_an_event_with_old_new_and_outcome(stage: Stage) -> None:
     await stage.request("POST", "/units/1/speed", {"raw": 1500}, role="operator", name="anna")
     event = (await stage.http().get("/api/v1/events?kind=command")).json()["events"][0]
     expected = {"who": "anna", "bus": "dry-end", "unit": 1, "outcome": "verified", "kind": "command"}
@@ -366,8 +366,8 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
     worker.play = answering("unverified", units=units, message=term("unit 2 did not respond"))
     await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
-    said = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
-    assert said == [
+    result = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]
+    assert result == [
         (None, "1: 100.0, 2: 100.0", "1: 110.0, 2: 120.0", "unverified"),
         (1, "100.0", "110.0", "verified"),
         (2, "100.0", "120.0", "unverified"),
@@ -378,7 +378,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
 
 
 @pytest.mark.usefixtures("worker")
-async def test_a_refused_wish_is_an_event_too(stage: Stage) -> None:
+async def test_a_refused_command_is_an_event_too(stage: Stage) -> None:
     await stage.request("POST", "/units/1/speed", {"raw": 100000})
     await stage.request("PUT", "/units/1/parameters/18", {"raw": 48})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]

@@ -15,7 +15,7 @@ def rendered(source: str, folder: Path) -> str:
     return Environment(loader=loader, bytecode_cache=Compiled(folder)).get_template("page.html").render()
 
 
-def test_what_is_kept_is_used(tmp_path: Path) -> None:
+def test_stored_templates_are_used(tmp_path: Path) -> None:
     assert rendered("one", tmp_path / "kept") == "one"
     (kept,) = (tmp_path / "kept").iterdir()
     kept.write_bytes(kept.read_bytes().replace(b"one", b"two"))

@@ -1,4 +1,4 @@
-"""A changed configuration is an event that says what changed."""
+"""A changed configuration is an event with its changes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from app.audit.configuration import FILE, change_since_last, differences
 from app.audit.store import Filter
 from app.main import create_app
 from app.wiring import running
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 LINE: dict[str, Any] = {
     "site": {"name": "Mill 7"},

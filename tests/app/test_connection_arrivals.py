@@ -44,7 +44,7 @@ def test_what_waited_in_the_backlog_is_as_old_as_its_connection_at_most(polled_a
     assert fresh.received(NOW, 200, polled_after=polled_after, waited_s=0.001) == NOW - 0.002
 
 
-def test_a_write_that_follows_a_read_at_once_is_young_even_where_nobody_watched_the_loop() -> None:
+def test_a_write_directly_after_a_read_is_recent_without_a_loop_watch() -> None:
     arrivals = ConnectionArrivals(opened_at=NOW - 0.01, accepted_at=NOW - 0.01)
     arrivals.received(NOW - 0.005, 200, polled_after=-inf, waited_s=0.0)
     assert arrivals.received(NOW, 200, polled_after=-inf, waited_s=0.0) == NOW - 0.005

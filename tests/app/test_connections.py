@@ -1,4 +1,6 @@
-"""How many connections may be open, how long a client may take, how often it may ask: pure rules."""
+"""How many connections may be open, how long a client may take, how often it may send requests: pure
+rules.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,7 @@ def test_among_many_addresses_the_one_with_the_most_gives_way(world: World) -> N
     assert len(world.dropped) == (MOST_OF_ADDRESS - 1) * len(addresses) + 1 - MOST_STRANGERS
 
 
-def test_who_is_being_served_gives_way_last(world: World) -> None:
+def test_a_connection_being_served_gives_way_last(world: World) -> None:
     world.open("served", waiting=False)
     world.open_many(MOST_OF_ADDRESS)
     assert world.dropped == ["192.0.2.7 0"]
@@ -120,7 +122,7 @@ def test_a_request_is_identified_where_the_server_offers_to() -> None:
 
 
 @pytest.mark.parametrize("awaited", WITHIN_S)
-def test_each_thing_owed_has_its_time(awaited: Awaited) -> None:
+def test_each_awaited_part_has_its_time(awaited: Awaited) -> None:
     pace = Pace(1000.0, awaited)
     assert not pace.is_overdue(1000.0 + WITHIN_S[awaited])
     assert pace.is_overdue(1000.1 + WITHIN_S[awaited])

@@ -45,14 +45,14 @@ def test_what_had_lapsed_is_not_given_back() -> None:
     assert not control.revoke("anna", LAPSES_AFTER_S)
 
 
-def test_nobody_holds_it_says_so() -> None:
+def test_free_control_is_reported() -> None:
     with pytest.raises(ControlledError, match="free"):
         Control(required=True).use("anna", 0.0)
     with pytest.raises(ControlledError, match="free"):
         Control(required=True).release("anna", 0.0)
 
 
-def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
+def test_a_review_names_the_holder_and_takes_nothing() -> None:
     control = Control(required=True)
     assert control.objection("anna", 0.0) == Message("control_not_taken")
     control.take("anna", 0.0)
@@ -63,6 +63,6 @@ def test_a_review_is_told_who_else_holds_it_and_uses_nothing() -> None:
     assert holding.used_at == 0.0
 
 
-def test_where_it_is_not_required_everybody_may() -> None:
+def test_without_the_requirement_all_operators_may() -> None:
     Control(required=False).use("anna", 0.0)
     assert Control(required=False).objection("anna", 0.0) is None

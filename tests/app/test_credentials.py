@@ -42,11 +42,11 @@ def test_the_former_variable_of_the_worker_still_counts(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error"),
     [("", "has no token"), ("\nx", "has no token"), ("a b", "no token has"), ("ü", "no token has")],
 )
-def test_a_file_without_a_token_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(CallerError, match=said):
+def test_a_file_without_a_token_is_refused(tmp_path: Path, text: str, error: str) -> None:
+    with pytest.raises(CallerError, match=error):
         bearer_token("", token_file(tmp_path, text))
 
 

@@ -40,12 +40,12 @@ def names(connection: sqlite3.Connection) -> list[str]:
     return [row["name"] for row in connection.execute("SELECT name FROM things ORDER BY name")]
 
 
-async def test_what_is_written_is_read(database: Database) -> None:
+async def test_written_rows_are_read(database: Database) -> None:
     await asyncio.gather(*(database.write(lambda c, n=n: insert(c, str(n))) for n in range(20)))  # type: ignore[misc]
     assert len(await database.read(names)) == 20
 
 
-async def test_a_transaction_is_whole_or_not_at_all(database: Database) -> None:
+async def test_a_transaction_is_complete_or_not_at_all(database: Database) -> None:
     def half(connection: sqlite3.Connection) -> None:
         insert(connection, "a")
         raise ValueError("midway")
@@ -78,14 +78,14 @@ def test_it_is_durable_and_lets_readers_read_on(database: Database) -> None:
     assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
 
 
-async def test_closed_says_so(tmp_path: Path, steps: Path) -> None:
+async def test_a_closed_database_reports_it(tmp_path: Path, steps: Path) -> None:
     database = Database(tmp_path / "x.db", steps)
     database.close()
     with pytest.raises(StoreError, match="is closed; the server is stopping"):
         await database.read(names)
 
 
-def test_a_damaged_store_is_said(tmp_path: Path, steps: Path) -> None:
+def test_a_damaged_store_is_reported(tmp_path: Path, steps: Path) -> None:
     path = tmp_path / "x.db"
     path.write_bytes(b"this is no store at all, and long enough to be looked at " * 20)
     with pytest.raises(
@@ -100,7 +100,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, steps: Path) -> None:
         Database(tmp_path / "file" / "x.db", steps)
 
 
-async def test_a_full_disk_is_said_and_survived(database: Database) -> None:
+async def test_a_full_disk_is_reported_and_survived(database: Database) -> None:
     database._connection.execute("PRAGMA max_page_count = 8")
 
     def much(connection: sqlite3.Connection) -> None:

@@ -1,4 +1,4 @@
-"""How long a change of several units may take: one answer for the pages, the API, recipes and the worker."""
+"""How long a change of several units may take: the same for the pages, the API, recipes and the worker."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from app.web.deadline import Deadline
 from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS
+from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, a_bus, answering
-from tests.app.whole_app import House, whole_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         answering(house.services.live)
         yield house
 

@@ -18,13 +18,13 @@ from app.audit.store import Filter
 from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
 from bus.messages import number as decimal
+from tests.app.complete_app import House, complete_app
 from tests.app.stage import PlayedWorker, Stage, answering
-from tests.app.whole_app import House, whole_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -38,11 +38,11 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
         intent(n, f"set speed, one of {units}", old=decimal(f"{n}0.0"), new=decimal(f"{n}1.0"), who=who)
         for n in range(1, units + 1)
     ]
-    whole = intent(
+    group_entry = intent(
         None, f"set {units} units at once", who=who, old="1: 10.0, " * units, new="1: 11.0, " * units
     )
     log = house.services.events
-    event, *numbers = await log.intend_together([whole, *parts], lambda c: link_parts(c, units))
+    event, *numbers = await log.intend_together([group_entry, *parts], lambda c: link_parts(c, units))
     outcome = "verified" if failed is None else "unverified"
     results = dict.fromkeys(numbers, ("verified", ""))
     if failed is not None:
@@ -78,7 +78,7 @@ async def test_two_changes_one_after_the_other_keep_their_own_units(house: House
     )
 
 
-async def test_a_part_that_is_wanted_without_its_change_stands_by_itself(house: House) -> None:
+async def test_a_part_found_without_its_change_is_a_separate_row(house: House) -> None:
     group = await change(house, 3)
     found, _ = await rows(house, unit=2)
     assert [(row.event["unit"], row.parts) for row in found] == [(2, [])]
@@ -88,7 +88,7 @@ async def test_a_part_that_is_wanted_without_its_change_stands_by_itself(house: 
     assert [row.event["unit"] for row in found] == [3, 2, 1]
 
 
-async def test_pages_hold_whole_changes_and_nothing_twice(house: House) -> None:
+async def test_pages_have_complete_changes_and_nothing_twice(house: House) -> None:
     numbers = [await change(house, 3) for _ in range(5)]
     seen: list[int] = []
     before = None
@@ -127,8 +127,8 @@ async def test_a_command_to_several_units_is_written_as_one_change(
 async def test_api_and_csv_keep_every_event(house: House) -> None:
     await change(house, 3)
     program = await house.program(Role.VIEWER)
-    answer = await program.get("/api/v1/events", params={"kind": "command"})
-    assert [event["unit"] for event in answer.json()["events"]] == [3, 2, 1, None]
+    response = await program.get("/api/v1/events", params={"kind": "command"})
+    assert [event["unit"] for event in response.json()["events"]] == [3, 2, 1, None]
     table = await program.get("/api/v1/events.csv", params={"kind": "command"})
     assert len(list(csv.DictReader(io.StringIO(table.text)))) == 4
 
@@ -173,13 +173,13 @@ def test_a_store_of_an_earlier_version_has_its_changes_grouped(tmp_path: Path) -
         "set speed, one of 2 at once (82h, 83h)",
         "execute staged speed, with every unit (83h to all)",
     )
-    whole_one, whole_other = "set 2 units at once (82h, 83h)", "execute every staged speed (83h to all)"
+    change_one, change_other = "set 2 units at once (82h, 83h)", "execute every staged speed (83h to all)"
     written = [
-        ("ann", None, whole_one, None),
+        ("ann", None, change_one, None),
         ("ann", 1, one, None),
         ("ann", 2, one, None),
         ("ann", None, "", 1),
-        ("ben", None, whole_other, None),
+        ("ben", None, change_other, None),
         ("ben", 1, other, None),
         ("ben", 2, "set speed (84h)", None),
         ("eve", 3, one, None),

@@ -13,7 +13,7 @@ MOST_OF_ONE, MOST_WAITING = 5, 200
 
 
 class Scene:
-    """Everybody holds the turn until ``go`` says that one may end."""
+    """Every waiter holds the turn until ``go`` lets one of them end."""
 
     def __init__(self, at_once: int = 1) -> None:
         self.turns: FairQueue[str] = FairQueue(at_once, 1, MOST_OF_ONE, MOST_WAITING)

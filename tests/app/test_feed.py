@@ -1,4 +1,4 @@
-"""A worker on the real WebSocket: its order of speech, what is lost, doubled, refused, and what it leaves."""
+"""A worker on the real WebSocket: order of messages, losses, duplicates, refusals, and what it leaves."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ async def test_a_worker_without_a_bus_is_not_let_in(stage: Stage) -> None:
     assert b"--bus BUS" in (refused.value.response.body or b"")
 
 
-@pytest.mark.parametrize(("of_token", "said"), [("dry-end", "wet-end"), ("wet-end", "dry-end")])
-async def test_a_token_speaks_for_its_own_bus_only(stage: Stage, of_token: str, said: str) -> None:
+@pytest.mark.parametrize(("of_token", "bus_name"), [("dry-end", "wet-end"), ("wet-end", "dry-end")])
+async def test_a_token_speaks_for_its_own_bus_only(stage: Stage, of_token: str, bus_name: str) -> None:
     worker = await stage.connect(bus=of_token)
-    await worker.say(hello(bus=said))
-    welcome = await worker.hear(Welcome)
+    await worker.send(hello(bus=bus_name))
+    welcome = await worker.receive(Welcome)
     assert isinstance(welcome, Welcome)
     assert welcome.refused == f"the token is for bus {of_token}; create one for the bus of this worker"
     await worker.gone()
@@ -52,8 +52,8 @@ async def test_a_token_speaks_for_its_own_bus_only(stage: Stage, of_token: str, 
 
 async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(stage: Stage) -> None:
     worker = await stage.connect(bus="wet-end")
-    await worker.say(hello(bus="wet-end"))
-    welcome = await worker.hear(Welcome)
+    await worker.send(hello(bus="wet-end"))
+    welcome = await worker.receive(Welcome)
     assert isinstance(welcome, Welcome)
     assert "no [[bus]] is called wet-end" in welcome.refused
     assert "dry-end" in welcome.refused
@@ -62,24 +62,24 @@ async def test_a_bus_that_is_not_configured_any_more_is_refused_in_words(stage: 
 
 async def test_another_version_of_the_link_is_refused(stage: Stage) -> None:
     worker = await stage.connect()
-    await worker.say(hello(version=99))
-    welcome = await worker.hear(Welcome)
+    await worker.send(hello(version=99))
+    welcome = await worker.receive(Welcome)
     assert isinstance(welcome, Welcome)
     assert "99" in welcome.refused
 
 
-@pytest.mark.parametrize("rubbish", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
-async def test_rubbish_first_ends_the_connection_in_words(stage: Stage, rubbish: bytes | str) -> None:
+@pytest.mark.parametrize("noise", [b"\xff\x00", b"", "text", b"\x81\xa2is\xa4nope"])
+async def test_noise_first_ends_the_connection_with_a_reason(stage: Stage, noise: bytes | str) -> None:
     worker = await stage.connect()
-    await worker.say_raw(rubbish)
+    await worker.send_raw(noise)
     closed = await worker.gone()
     assert closed.rcvd is not None
     assert closed.rcvd.reason
 
 
-async def test_rubbish_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) -> None:
+async def test_noise_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) -> None:
     worker = await stage.worker()
-    await worker.say_raw(b"\x00\x01\x02")
+    await worker.send_raw(b"\x00\x01\x02")
     await worker.gone()
     await until(lambda: stage.live.buses["dry-end"].link.link == "closed", "the bus closed")
     assert stage.live.buses["dry-end"].link.cause == Message("worker_malformed")
@@ -87,8 +87,8 @@ async def test_rubbish_later_ends_it_and_nothing_of_it_is_applied(stage: Stage) 
 
 async def test_a_batch_before_the_snapshot_ends_it(stage: Stage) -> None:
     worker = await stage.connect()
-    await worker.say(hello())
-    await worker.hear(Welcome)
+    await worker.send(hello())
+    await worker.receive(Welcome)
     await worker.update(reading(1, 777))
     await worker.gone()
     assert stage.live.buses["dry-end"].units[1].reading is None
@@ -98,54 +98,54 @@ async def test_readings_arrive_and_are_confirmed(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 1234))
     await until(lambda: _commanded(stage) == 1234, "the reading")
-    delivered = await worker.hear(Delivered)
+    delivered = await worker.receive(Delivered)
     assert delivered == Delivered(seq=1)
-    await worker.hear(ClockSync)
+    await worker.receive(ClockSync)
 
 
 async def test_a_doubled_batch_counts_once(stage: Stage) -> None:
     worker = await stage.worker()
     batch = Batch(seq=1, sent_at=time.time(), updates=[reading(1, 5)])
-    await worker.say(batch)
-    await worker.say(batch)
+    await worker.send(batch)
+    await worker.send(batch)
     worker.seq = 1
     await worker.update(reading(1, 6))
     await until(lambda: _commanded(stage) == 6, "the last reading")
     assert len(stage.history.readings) == 2
 
 
-async def test_a_missing_number_asks_for_a_snapshot_once(stage: Stage) -> None:
+async def test_a_missing_number_requests_a_snapshot_once(stage: Stage) -> None:
     worker = await stage.worker()
     worker.seq = 4
     await worker.update(reading(1, 5))
     await worker.update(reading(1, 6))
-    await worker.hear(WantSnapshot)
-    await worker.say(snapshot(seq=6))
+    await worker.receive(WantSnapshot)
+    await worker.send(snapshot(seq=6))
     await worker.update(reading(1, 7))
     await until(lambda: _commanded(stage) == 7, "the reading after the snapshot")
-    assert sum(isinstance(message, WantSnapshot) for message in worker.heard) == 1
+    assert sum(isinstance(message, WantSnapshot) for message in worker.received) == 1
 
 
 async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(seq=7))
     old = reading(1, 42)
-    await worker.say(Batch(seq=5, sent_at=time.time(), updates=[old], live=False))
-    await worker.hear(Delivered)
+    await worker.send(Batch(seq=5, sent_at=time.time(), updates=[old], live=False))
+    await worker.receive(Delivered)
     assert stage.history.readings == [old]
     assert _commanded(stage) == 1000
     await worker.update(reading(1, 8))
     await until(lambda: _commanded(stage) == 8, "the live reading")
-    assert not any(isinstance(message, WantSnapshot) for message in worker.heard)
+    assert not any(isinstance(message, WantSnapshot) for message in worker.received)
 
 
-async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
+async def test_the_same_worker_gets_its_last_number(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 5))
-    await worker.hear(Delivered)
+    await worker.receive(Delivered)
     await worker.leave()
     back = await stage.connect()
-    await back.say(hello())
-    welcome = await back.hear(Welcome)
+    await back.send(hello())
+    welcome = await back.receive(Welcome)
     assert isinstance(welcome, Welcome)
     assert welcome.seq == 1
 
@@ -153,11 +153,11 @@ async def test_the_same_worker_is_told_where_to_go_on(stage: Stage) -> None:
 async def test_another_worker_begins_at_zero(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 5))
-    await worker.hear(Delivered)
+    await worker.receive(Delivered)
     await worker.leave(GOING_AWAY)
     stranger = await stage.connect()
-    await stranger.say(hello("w2"))
-    welcome = await stranger.hear(Welcome)
+    await stranger.send(hello("w2"))
+    welcome = await stranger.receive(Welcome)
     assert isinstance(welcome, Welcome)
     assert (welcome.version, welcome.seq, welcome.refused) == (CONTRACT_VERSION, 0, "")
 
@@ -165,8 +165,8 @@ async def test_another_worker_begins_at_zero(stage: Stage) -> None:
 async def refused(stage: Stage, worker: str = "w2", name: str = "") -> str:
     """Why a worker is refused; empty where it is admitted."""
     other = await stage.connect(name=name)
-    await other.say(hello(worker))
-    welcome = await other.hear(Welcome)
+    await other.send(hello(worker))
+    welcome = await other.receive(Welcome)
     assert isinstance(welcome, Welcome)
     if welcome.refused:
         await other.gone()
@@ -202,14 +202,14 @@ async def test_a_worker_that_vanished_may_come_back_before_another_gets_its_bus(
     assert await refused(stage, name="other") == ""
 
 
-async def test_a_worker_that_says_that_it_leaves_gives_its_bus_up(stage: Stage) -> None:
+async def test_a_worker_that_announces_its_end_releases_its_bus(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.leave(GOING_AWAY)
     assert await refused(stage, name="other") == ""
 
 
 async def test_a_worker_that_stands_still_keeps_its_bus(tmp_path: Path) -> None:
-    """Suspended for 8 s, it lost its bus to whoever asked, and forged results were taken for verified."""
+    """Suspended for 8 s, it lost its bus to another worker, and forged results were taken for verified."""
     async with staged(tmp_path, missed_ticks=1) as stage:
         worker = await stage.worker()
         await worker.gone()
@@ -256,12 +256,12 @@ async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage
     assert line["link"] == "closed"
     assert line["link_cause"] == "the bus worker is not connected"
     assert {unit["link"] for unit in line["units"]} == {"stale"}
-    answer = await stage.request("POST", "/units/1/speed", {"raw": 5})
-    assert answer.status_code == 503
-    assert answer.json()["code"] == "bus_closed"
+    result = await stage.request("POST", "/units/1/speed", {"raw": 5})
+    assert result.status_code == 503
+    assert result.json()["code"] == "bus_closed"
 
 
-async def test_a_worker_that_says_nothing_any_more_is_taken_for_lost(tmp_path: Path) -> None:
+async def test_a_worker_without_messages_is_taken_for_lost(tmp_path: Path) -> None:
     async with staged(tmp_path, missed_ticks=1) as stage:
         worker = await stage.worker()
         closed = await worker.gone()
@@ -274,53 +274,53 @@ async def test_a_worker_that_says_nothing_any_more_is_taken_for_lost(tmp_path: P
 async def test_times_of_a_worker_with_another_clock_are_shifted(stage: Stage) -> None:
     ahead = 3600.0
     worker = await stage.connect()
-    said = hello()
-    await worker.say(type(said)(**{**_fields(said), "sent_at": said.sent_at + ahead}))
-    await worker.hear(Welcome)
-    whole = snapshot()
-    await worker.say(type(whole)(**{**_fields(whole), "sent_at": whole.sent_at + ahead}))
+    bus_name = hello()
+    await worker.send(type(bus_name)(**{**_fields(bus_name), "sent_at": bus_name.sent_at + ahead}))
+    await worker.receive(Welcome)
+    present = snapshot()
+    await worker.send(type(present)(**{**_fields(present), "sent_at": present.sent_at + ahead}))
     late = reading(1, 11)
     shifted = type(late)(**{**_fields(late), "at": late.at + ahead})
-    await worker.say(Batch(seq=1, sent_at=time.time() + ahead, updates=[shifted]))
+    await worker.send(Batch(seq=1, sent_at=time.time() + ahead, updates=[shifted]))
     await until(lambda: _commanded(stage) == 11, "the reading")
     found = stage.live.buses["dry-end"].units[1].reading
     assert found is not None
     assert abs(found.at - late.at) < 60
 
 
-async def test_a_command_under_way_is_asked_again_of_the_same_worker(stage: Stage) -> None:
+async def test_a_command_under_way_is_repeated_to_the_same_worker(stage: Stage) -> None:
     worker = await stage.worker()
-    asked = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
-    first = await worker.hear(Command)
+    sending = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
+    first = await worker.receive(Command)
     assert isinstance(first, Command)
     await worker.leave()
     back = await stage.connect()
-    await back.say(hello())
-    await back.say(snapshot())
-    again = await back.hear(Command)
+    await back.send(hello())
+    await back.send(snapshot())
+    again = await back.receive(Command)
     assert again == first
     await back.update(result_of(first, "verified", read_back=5))
-    assert (await asked).status_code == 200
+    assert (await sending).status_code == 200
 
 
 async def test_a_command_under_way_is_unverified_with_another_worker(stage: Stage) -> None:
     worker = await stage.worker()
-    asked = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
-    await worker.hear(Command)
+    sending = asyncio.create_task(stage.request("POST", "/units/1/speed", {"raw": 5}))
+    await worker.receive(Command)
     await worker.leave(GOING_AWAY)
     stranger = await stage.worker(hello("w2"))
-    answer = await asked
-    assert answer.status_code == 504
-    assert "restarted" in answer.json()["detail"]
+    result = await sending
+    assert result.status_code == 504
+    assert "restarted" in result.json()["detail"]
     assert stranger.commands == []
 
 
-async def test_what_is_watched_is_told_to_whoever_comes(stage: Stage) -> None:
+async def test_watched_units_are_sent_to_every_new_worker(stage: Stage) -> None:
     stage.feed.watch([2, 1], True)
     worker = await stage.worker()
-    assert await worker.hear(Watch) == Watch(units=[1, 2], trace=True)
+    assert await worker.receive(Watch) == Watch(units=[1, 2], trace=True)
     stage.feed.watch([], False)
-    assert await worker.hear(Watch, 2) == Watch(units=[], trace=False)
+    assert await worker.receive(Watch, 2) == Watch(units=[], trace=False)
 
 
 def _commanded(stage: Stage) -> int | None:

@@ -19,9 +19,9 @@ def test_numbers_are_in_the_unit_s_own_decimals_and_the_language_s_sign() -> Non
     assert fields("de", actual=1195)["actual"] == "119,5"
 
 
-@pytest.mark.parametrize(("actual", "said"), [(1200, "±0.0"), (1203, "+0.3"), (1150, "−5.0")])  # noqa: RUF001
-def test_the_error_has_a_sign(actual: int, said: str) -> None:
-    assert fields(actual=actual)["deviation"] == said
+@pytest.mark.parametrize(("actual", "expected"), [(1200, "±0.0"), (1203, "+0.3"), (1150, "−5.0")])  # noqa: RUF001
+def test_the_error_has_a_sign(actual: int, expected: str) -> None:
+    assert fields(actual=actual)["deviation"] == expected
 
 
 def test_positions_are_parts_of_the_span() -> None:
@@ -49,7 +49,7 @@ def test_without_the_span_there_is_no_position() -> None:
     assert (shown["fill"], shown["mark"], shown["band"]) == ("", "", "")
 
 
-def test_a_unit_never_heard_is_unknown_and_not_zero() -> None:
+def test_a_unit_that_never_responded_is_unknown_and_not_zero() -> None:
     live = line()
     bus = live.buses["dry"]
     bus.units[1].reading = None
@@ -63,7 +63,7 @@ def test_bits_stand_in_the_order_of_the_lamps() -> None:
     assert shown["inputs"] == "1100001", "an open e-stop chain counts as active"
 
 
-def test_local_and_keylock_are_told_apart_by_parameter_19() -> None:
+def test_local_and_keylock_are_distinguished_by_parameter_19() -> None:
     assert fields()["mode"] == "remote"
     assert fields(outputs=0)["mode_text"] == "LOCAL"
     live = line()
@@ -76,13 +76,13 @@ def test_analog_is_in_its_units() -> None:
     assert fields()["analog"] == "254"
 
 
-def test_a_bus_without_figures_says_that_it_does_not_know() -> None:
+def test_a_bus_without_figures_shows_unknown() -> None:
     shown = bus_fields(line().buses["dry"], translator(), 100.5)
     assert (shown["scan"], shown["wire"]) == ("–", "–")  # noqa: RUF001
     assert shown["stale_after"] == "2.00"
 
 
-def test_the_rate_of_a_bus_is_said_wherever_it_is_shown() -> None:
+def test_the_rate_of_a_bus_is_shown_in_every_place() -> None:
     live = line()
     live.buses["dry"].apply([BusLink(at=100.0, link="open", baud=4800)])
     shown = bus_fields(live.buses["dry"], translator("de"), 100.5)

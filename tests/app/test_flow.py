@@ -18,7 +18,7 @@ def test_what_one_wire_brings_is_never_held_up() -> None:
         assert made.pause_s() == 0.0
 
 
-def test_a_flood_is_told_once_in_a_window_until_it_is_over() -> None:
+def test_a_flood_is_sent_once_per_window_until_it_is_over() -> None:
     made, now = flow()
     made.came(FLOOD + 1)
     assert made.pause_s() == 0.0, "a burst is told at once"
@@ -46,7 +46,7 @@ def test_very_many_pages_share_what_the_server_can_send() -> None:
     assert made.pause_s() == 0.0
 
 
-def test_a_few_pages_are_told_of_every_answer() -> None:
+def test_a_few_pages_get_every_response() -> None:
     made, _now = flow()
     made.share(200)
     made.share(FEW_PAGES)

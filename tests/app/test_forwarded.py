@@ -1,4 +1,4 @@
-"""Whom a request is from: believed of trusted proxies, of nobody else."""
+"""The sender of a request: believed of trusted proxies only."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from app.server.forwarded import MOST_HOPS, MOST_UNDER_WAY, Forwarded, Origin, o
 from app.settings import ConfigurationError, load
 from app.web.access import Role
 from app.web.hosts import host_name
-from tests.app.whole_app import PASSWORD, settings_in, whole_app
+from tests.app.complete_app import PASSWORD, complete_app, settings_in
 
 PROXIES = (ip_network("10.0.0.0/28"), ip_network("2001:db8::/64"))
 
 
 def origin(peer: str, **headers: str) -> Origin:
-    said = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
-    return origin_of(peer, Headers(raw=said), PROXIES)
+    forwarded_headers = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    return origin_of(peer, Headers(raw=forwarded_headers), PROXIES)
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,8 @@ def test_the_right_most_address_that_is_no_trusted_proxy(peer: str, forwarded_fo
     ],
 )
 def test_how_a_client_called_the_proxy(headers: dict[str, str], scheme: str, host: str) -> None:
-    asked = origin("10.0.0.5", **headers)
-    assert (asked.scheme, asked.host) == (scheme, host)
+    parsed = origin("10.0.0.5", **headers)
+    assert (parsed.scheme, parsed.host) == (scheme, host)
     assert origin("192.0.2.7", **headers) == Origin("192.0.2.7")
 
 
@@ -79,7 +79,7 @@ def test_how_a_client_called_the_proxy(headers: dict[str, str], scheme: str, hos
         ("unix", "unix"),
     ],
 )
-def test_who_is_counted_as_one(address: str, source: str) -> None:
+def test_addresses_counted_as_one_client(address: str, source: str) -> None:
     assert source_of(address) == source
 
 
@@ -96,7 +96,7 @@ def test_the_name_in_a_host_header(header: str, name: str) -> None:
 
 
 async def test_a_forged_address_reaches_no_log(tmp_path: Path) -> None:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         house.address = "127.0.0.1"
         await house.add("ann", Role.VIEWER)
         forged = {"x-forwarded-for": "203.0.113.66", "x-forwarded-host": "evil.example"}
@@ -107,17 +107,17 @@ async def test_a_forged_address_reaches_no_log(tmp_path: Path) -> None:
 
 async def test_a_trusted_proxy_is_believed(tmp_path: Path) -> None:
     server = settings_in(tmp_path).server.model_copy(update={"trusted_proxies": PROXIES})
-    async with whole_app(tmp_path, server=server) as house:
+    async with complete_app(tmp_path, server=server) as house:
         house.address = "10.0.0.5"
         await house.add("ann", Role.VIEWER)
-        said = {
+        forwarded_headers = {
             "x-forwarded-for": "203.0.113.66",
             "x-forwarded-proto": "https",
             "x-forwarded-host": "mill.example",
         }
-        client = house.client(origin="https://mill.example", **said)
-        answer = await client.post("/login", data={"name": "ann", "password": PASSWORD})
-        assert (answer.status_code, "Secure" in answer.headers["set-cookie"]) == (303, True)
+        client = house.client(origin="https://mill.example", **forwarded_headers)
+        response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+        assert (response.status_code, "Secure" in response.headers["set-cookie"]) == (303, True)
         [event] = await house.events("login")
         assert event["origin"] == "203.0.113.66"
 
@@ -142,21 +142,21 @@ async def test_only_under_its_own_names(
 ) -> None:
     names = {"allowed_hosts": ("mill.example", "10.0.0.7")}
     server = settings_in(tmp_path).server.model_copy(update=names)
-    async with whole_app(tmp_path, server=server) as house:
+    async with complete_app(tmp_path, server=server) as house:
         house.address = address
-        answer = await house.client(accept="application/json").get(path, headers={"host": host})
-        assert answer.status_code == status
-        assert status == 200 or (answer.json()["code"], answer.headers["x-content-type-options"]) == (
+        response = await house.client(accept="application/json").get(path, headers={"host": host})
+        assert response.status_code == status
+        assert status == 200 or (response.json()["code"], response.headers["x-content-type-options"]) == (
             "wrong_host",
             "nosniff",
         )
 
 
 async def test_a_request_has_one_host(tmp_path: Path) -> None:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         headers = [("host", "plant.example"), ("host", "evil.example")]
-        answer = await house.client().get("/healthz", headers=headers)
-        assert (answer.status_code, answer.json()["code"]) == (400, "malformed")
+        response = await house.client().get("/healthz", headers=headers)
+        assert (response.status_code, response.json()["code"]) == (400, "malformed")
 
 
 @pytest.mark.parametrize(
@@ -210,12 +210,12 @@ async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> N
         scope = {"type": "http", "headers": headers, "client": ("10.0.0.5", 1), "method": "GET", "path": "/"}
         await forwarded(scope, receive, send)
 
-    asked = [asyncio.create_task(request("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
-    asked.append(asyncio.create_task(request("198.51.100.10")))
+    parsed = [asyncio.create_task(request("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
+    parsed.append(asyncio.create_task(request("198.51.100.10")))
     while not statuses:  # noqa: ASYNC110
         await asyncio.sleep(0)
     assert statuses == [429]
     gate.set()
-    await asyncio.gather(*asked)
+    await asyncio.gather(*parsed)
     assert statuses[1:] == [200] * (MOST_UNDER_WAY + 1)
     assert not forwarded._under_way

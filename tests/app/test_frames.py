@@ -24,7 +24,7 @@ PATIENCE_S = 30.0
 
 
 @pytest.mark.parametrize("size", [0, 1, 125, 126, 65_535, 65_536])
-def test_a_frame_says_its_whole_payload(size: int) -> None:
+def test_a_frame_has_its_complete_payload(size: int) -> None:
     reader = StreamReader()
     reader.feed_data(text_frame(b"x" * size))
     parsing = Frame.parse(reader.read_exact, mask=False, max_size=None)
@@ -40,7 +40,7 @@ def test_without_the_server_s_offer_nothing_goes_the_short_way() -> None:
 
 
 class Echo:
-    """An app of one socket, which a test holds in its hands."""
+    """An app of one socket, which the test controls."""
 
     def __init__(self) -> None:
         self.opened = asyncio.Event()
@@ -103,7 +103,7 @@ async def test_a_client_that_does_not_read_is_not_written_to() -> None:
         assert app.outlet.write(frame)
 
 
-async def test_nothing_is_said_after_the_close() -> None:
+async def test_nothing_is_sent_after_the_close() -> None:
     async with held() as (app, client), asyncio.timeout(PATIENCE_S):
         assert app.outlet.write(text_frame(b"1"))
         await app.socket.close(4401)
@@ -113,7 +113,7 @@ async def test_nothing_is_said_after_the_close() -> None:
             await client.recv()
 
 
-async def test_nothing_is_said_to_who_has_gone() -> None:
+async def test_nothing_is_sent_to_a_closed_peer() -> None:
     async with held() as (app, client), asyncio.timeout(PATIENCE_S):
         client.transport.abort()
         await app.closed.wait()

@@ -39,7 +39,7 @@ from tests.app.history_line import BUS, NOON, parameter, polls, until
 
 
 class AsViewer:
-    """Whoever asks is a viewer, or nobody with the header X-Nobody."""
+    """Makes every request that of a viewer, or without an account by the header X-Nobody."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
@@ -85,12 +85,12 @@ def at(offset: float) -> str:
 
 
 def query(**changes: Any) -> dict[str, Any]:
-    asked = {"bus": "dry-end", "unit": 1, "value": "actual", "from": at(0), "to": at(20), "points": 1000}
-    return {name: value for name, value in {**asked, **changes}.items() if value is not None}
+    fields = {"bus": "dry-end", "unit": 1, "value": "actual", "from": at(0), "to": at(20), "points": 1000}
+    return {name: value for name, value in {**fields, **changes}.items() if value is not None}
 
 
 def fill(history: History) -> None:
-    """Twenty seconds of readings with a silence of three."""
+    """Store twenty seconds of readings with a gap of three."""
     history.append(
         "dry-end", [parameter(3, 1), parameter(22, 0), parameter(23, 100), *polls(NOON, NOON + 10)]
     )
@@ -99,7 +99,7 @@ def fill(history: History) -> None:
     until(lambda: history.status.waiting == 0)
 
 
-async def test_columns_in_display_units_with_a_null_for_the_silence(
+async def test_columns_in_display_units_with_a_null_for_the_gap(
     client: httpx.AsyncClient, history: History
 ) -> None:
     fill(history)
@@ -134,7 +134,7 @@ async def test_every_kind_of_value_is_there(client: httpx.AsyncClient, history: 
     assert {v for v in found["avg"] if v is not None} == {wanted.get(value, 0.0)}
 
 
-async def test_a_unit_that_was_never_heard_has_empty_columns(client: httpx.AsyncClient) -> None:
+async def test_a_unit_that_never_responded_has_empty_columns(client: httpx.AsyncClient) -> None:
     found = (await client.get("/history", params=query())).json()
     assert (found["t"], found["avg"]) == ([], [])
 
@@ -159,16 +159,16 @@ async def test_a_unit_that_was_never_heard_has_empty_columns(client: httpx.Async
         ({"format": "stars"}, 422, "format"),
     ],
 )
-async def test_what_cannot_be_answered_is_refused_in_words(
+async def test_an_impossible_query_is_refused_with_a_reason(
     client: httpx.AsyncClient, changes: dict[str, Any], status: int, word: str
 ) -> None:
-    answer = await client.get("/history", params=query(**changes))
-    assert answer.status_code == status
-    assert answer.headers["content-type"] == "application/problem+json"
-    assert word in answer.json()["detail"]
+    response = await client.get("/history", params=query(**changes))
+    assert response.status_code == status
+    assert response.headers["content-type"] == "application/problem+json"
+    assert word in response.json()["detail"]
 
 
-async def test_a_plus_that_nobody_escaped_is_understood(client: httpx.AsyncClient, history: History) -> None:
+async def test_an_unescaped_plus_is_understood(client: httpx.AsyncClient, history: History) -> None:
     fill(history)
     span = f"from={at(0)}&to={at(20)}"
     assert "+" in span
@@ -177,7 +177,7 @@ async def test_a_plus_that_nobody_escaped_is_understood(client: httpx.AsyncClien
     assert len(found.json()["t"]) > 50
 
 
-async def test_nobody_may_not(client: httpx.AsyncClient) -> None:
+async def test_an_anonymous_client_is_refused(client: httpx.AsyncClient) -> None:
     assert (await client.get("/history", params=query(), headers={"X-Nobody": "1"})).status_code == 401
 
 
@@ -214,10 +214,10 @@ async def test_marks_are_what_happened_to_the_units_shown(client: httpx.AsyncCli
 async def test_csv_names_units_and_time_zone(client: httpx.AsyncClient, history: History) -> None:
     fill(history)
     series = ["dry-end/1/actual", "dry-end/1/run"]
-    answer = await client.get("/history/export", params={"series": series, "from": at(0), "to": at(20)})
-    assert answer.headers["content-type"] == "text/csv; charset=utf-8"
-    assert ".csv" in answer.headers["content-disposition"]
-    rows = list(csv.reader(io.StringIO(answer.text)))
+    response = await client.get("/history/export", params={"series": series, "from": at(0), "to": at(20)})
+    assert response.headers["content-type"] == "text/csv; charset=utf-8"
+    assert ".csv" in response.headers["content-disposition"]
+    rows = list(csv.reader(io.StringIO(response.text)))
     assert rows[0] == ["time [Europe/Berlin]", "dry-end/1 actual", "dry-end/1 run", "note"]
     assert rows[1] == ["2026-11-21T13:00:00.000+01:00", "100.0", "1", ""]
     holes = [row for row in rows[1:] if row[-1]]
@@ -240,8 +240,8 @@ async def test_an_export_before_anything_is_folded_holds_what_a_worker_kept_for_
 async def test_parquet_holds_the_same(client: httpx.AsyncClient, history: History) -> None:
     fill(history)
     params = {"series": ["dry-end/1/actual"], "from": at(0), "to": at(20), "format": "parquet"}
-    answer = await client.get("/history/export", params=params)
-    table = parquet.read_table(io.BytesIO(answer.content))
+    response = await client.get("/history/export", params=params)
+    table = parquet.read_table(io.BytesIO(response.content))
     assert table.schema.metadata[b"time_zone"] == b"Europe/Berlin"
     values = table.column("dry-end/1 actual").to_pylist()
     assert len(values) == 50 + 1 + 35
@@ -277,9 +277,9 @@ async def test_parquet_without_pyarrow_is_refused_in_words(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     params = {"series": ["dry-end/1/actual"], "format": "parquet"}
-    answer = await client.get("/history/export", params=params)
-    assert (answer.status_code, answer.json()["code"]) == (501, "no_parquet")
-    assert "lineside[parquet]" in answer.json()["detail"]
+    response = await client.get("/history/export", params=params)
+    assert (response.status_code, response.json()["code"]) == (501, "no_parquet")
+    assert "lineside[parquet]" in response.json()["detail"]
     assert (await client.get("/history/export", params={**params, "format": "csv"})).status_code == 200
 
 
@@ -294,11 +294,11 @@ async def test_an_export_by_minutes_has_least_greatest_and_average(
 
 
 async def test_an_export_of_nothing_has_its_headings(client: httpx.AsyncClient) -> None:
-    answer = await client.get("/history/export", params={"series": ["dry-end/1/actual"]})
-    assert answer.text.splitlines() == ["time [Europe/Berlin],dry-end/1 actual,note"]
+    response = await client.get("/history/export", params={"series": ["dry-end/1/actual"]})
+    assert response.text.splitlines() == ["time [Europe/Berlin],dry-end/1 actual,note"]
 
 
-async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:
+async def test_a_failing_store_is_reported_and_the_rest_goes_on(tmp_path: Path) -> None:
     (tmp_path / "history.db").write_bytes(b"rubbish" * 1000)
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
     history.start()
@@ -311,16 +311,14 @@ async def test_a_store_that_fails_is_said_and_the_rest_goes_on(tmp_path: Path) -
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url=base) as client:
         status = (await client.get("/history/status")).json()
         assert status["state"] == "failed"
-        answer = await client.get("/history", params=query())
-        assert answer.status_code == 503
-        assert "no history is stored" in json.loads(answer.content)["detail"]
+        response = await client.get("/history", params=query())
+        assert response.status_code == 503
+        assert "no history is stored" in json.loads(response.content)["detail"]
     history.append("dry-end", polls(NOON, NOON + 1))
     history.close()
 
 
-async def test_the_last_hour_is_meant_when_no_span_is_said(
-    client: httpx.AsyncClient, history: History
-) -> None:
+async def test_the_default_span_is_the_last_hour(client: httpx.AsyncClient, history: History) -> None:
     now = time.time()
     history.append("dry-end", polls(now - 60, now - 50))
     until(lambda: history.status.waiting == 0)

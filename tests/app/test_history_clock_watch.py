@@ -13,7 +13,7 @@ def test_a_running_clock_has_no_step() -> None:
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0, 1.5, -1.0])
-def test_a_step_is_told_once_with_its_size(step: float) -> None:
+def test_a_step_is_reported_once_with_its_size(step: float) -> None:
     watch = ClockWatch(1000.0, 5.0)
     assert watch.step(1001.0 + step, 6.0) == pytest.approx(step)
     assert watch.step(1002.0 + step, 7.0) == 0.0

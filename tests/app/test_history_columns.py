@@ -24,15 +24,15 @@ def test_what_was_packed_comes_back(table: list[list[int]]) -> None:
 
 
 @given(tables())
-def test_single_columns_can_be_asked_for(table: list[list[int]]) -> None:
+def test_single_columns_can_be_requested(table: list[list[int]]) -> None:
     last = len(table) - 1
     assert unpack(pack(table), [last, 0]) == [table[last], table[0]]
 
 
 @given(tables(), st.binary(max_size=30), st.integers(0, 200))
-def test_damage_is_said(table: list[list[int]], rubbish: bytes, cut: int) -> None:
-    whole = pack(table)
-    for damaged in (rubbish, whole[: min(cut, len(whole) - 1)], whole[::-1]):
+def test_damage_is_reported(table: list[list[int]], noise: bytes, cut: int) -> None:
+    packed = pack(table)
+    for damaged in (noise, packed[: min(cut, len(packed) - 1)], packed[::-1]):
         with pytest.raises(ValueError, match="damaged"):
             unpack(damaged)
 

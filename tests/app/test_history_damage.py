@@ -1,4 +1,4 @@
-"""Damage on the disk: it is noticed while running, costs what it hit, and is said."""
+"""Damage on the disk: it is detected while running, costs only what it hit, and is reported."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> Non
     assert (len(found.series.at), found.damaged) == (601, [])
 
 
-async def test_the_daily_look_finds_it_and_it_is_said_once(
+async def test_the_daily_check_finds_it_and_reports_it_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "LOOK_EVERY_S", 0.0)
@@ -143,7 +143,7 @@ async def test_the_daily_look_finds_it_and_it_is_said_once(
 
 @pytest.mark.parametrize("seed", range(6))
 async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: Path, seed: int) -> None:
-    """Half of the store is rubbish from one moment to the next; it goes on in a new one."""
+    """Half of the store is overwritten at once; recording continues in a new one."""
     words: list[str] = []
     writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
@@ -157,8 +157,8 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
         await arrived(lambda: bool(words), "the damage")
         history.append(BUS.name, polls(NOON + 1200, NOON + 1260))
         until(lambda: history.status.state == "ok" and history.status.waiting == 0)
-        question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
-        assert len((await history.query([question]))[0].series.at) == 300
+        query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON + 1200), micros(NOON + 1260), 1000)
+        assert len((await history.query([query]))[0].series.at) == 300
     finally:
         history.close()
     with closing(sqlite3.connect(tmp_path / FILE)) as connection:
@@ -166,7 +166,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
 
 
 def overwrite_pages(path: Path, chance: random.Random) -> None:
-    """Every other page but those that say what tables there are."""
+    """Overwrite every other page except those of the schema."""
     with closing(sqlite3.connect(path)) as connection:
         size = connection.execute("PRAGMA page_size").fetchone()[0]
         roots = {row[0] for row in connection.execute("SELECT rootpage FROM sqlite_master")}
@@ -180,12 +180,12 @@ def overwrite_pages(path: Path, chance: random.Random) -> None:
 
 
 def readings_of(writer: Writer) -> int:
-    question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
-    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
+    query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 3600), 20_000)
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, query))
     return sum(value is not None for value in found.series.average)
 
 
-def test_what_is_readable_of_a_torn_store_goes_over_into_the_new_one(tmp_path: Path) -> None:
+def test_readable_rows_of_a_torn_store_move_to_the_new_one(tmp_path: Path) -> None:
     words: list[str] = []
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
@@ -206,8 +206,8 @@ def tear(path: Path) -> None:
     with closing(sqlite3.connect(path)) as connection:
         size = connection.execute("PRAGMA page_size").fetchone()[0]
         blob = connection.execute("SELECT data FROM raw ORDER BY start LIMIT 1 OFFSET 15").fetchone()[0]
-    whole = path.read_bytes()
-    page = whole.index(blob[20:60]) // size
+    content = path.read_bytes()
+    page = content.index(blob[20:60]) // size
     with path.open("r+b") as file:
         file.seek(page * size)
         file.write(b"\xa5" * size)

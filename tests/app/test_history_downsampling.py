@@ -1,4 +1,4 @@
-"""Thinning: at most so many points, the extremes kept, on a grid that stays."""
+"""Downsampling: at most so many points, the extremes kept, on a fixed grid."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_nothing_is_cut_off(values: dict[int, int], most: int) -> None:
 
 
 @given(st.integers(-(10**15), 10**15), st.integers(1, 10**15), st.integers(1, 20_000))
-def test_a_grid_has_no_more_buckets_than_asked(start: int, length: int, most: int) -> None:
+def test_a_grid_has_no_more_buckets_than_requested(start: int, length: int, most: int) -> None:
     width, origin = grid(start, start + length, most)
     assert -(-(start + length - origin) // width) - (start - origin) // width <= most
 
@@ -53,7 +53,7 @@ def test_a_hole_is_a_null_between() -> None:
     assert drawn.at == sorted(drawn.at)
 
 
-def test_a_value_that_was_heard_all_the_while_has_no_hole() -> None:
+def test_a_continuously_read_value_has_no_gap() -> None:
     steady = points({0: 1, 59 * SECOND: 1})
     steady.solid[0] = True
     assert series(steady, Marks(), PLAIN).average == [1.0, 1.0]
@@ -62,8 +62,8 @@ def test_a_value_that_was_heard_all_the_while_has_no_hole() -> None:
 
 def test_a_falling_scale_swaps_least_and_greatest() -> None:
     falling = Scaling([0], [LinearScale(100, -100, 255)])
-    whole = downsample(points({0: 0, 1: 255}), 0, SECOND, 1)
-    drawn = series(whole, Marks(), falling)
+    drawn_points = downsample(points({0: 0, 1: 255}), 0, SECOND, 1)
+    drawn = series(drawn_points, Marks(), falling)
     assert (drawn.least, drawn.greatest, drawn.average) == ([0.0], [100.0], [50.0])
 
 

@@ -1,4 +1,4 @@
-"""A long span as a file does not fill memory: measured in a process of its own."""
+"""Exporting a long span does not fill memory: measured in a separate process."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pathlib import Path
 import pyarrow.parquet
 from app.history.export.download import response
 from app.history.service import History
-from app.history.api.spans import Span, questions
+from app.history.api.spans import Span, series_queries
 from app.settings import Server, Settings
 from bus.settings import BusSettings, UnitSettings
 
@@ -40,9 +40,9 @@ async def main(folder, file, start, end):
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
     history = History(Settings(server=Server(data=Path(folder)), bus=(bus,)))
     history.start()
-    asked = questions(history, ["line/1/actual", "line/1/analog", "line/1/run"], Span(start, end), 1)
+    queries = series_queries(history, ["line/1/actual", "line/1/analog", "line/1/run"], Span(start, end), 1)
     before, count = peak(), 0
-    answer = await response(history, asked, file, "minutes")
+    answer = await response(history, queries, file, "minutes")
     with open(Path(folder) / "export", "wb") as out:
         async for part in answer.body_iterator:
             count += out.write(part.encode() if isinstance(part, str) else part)
@@ -92,7 +92,7 @@ def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
         [sys.executable, "-c", EXPORT, str(folder), file, *span], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    said = json.loads(done.stdout.splitlines()[-1])
+    measured = json.loads(done.stdout.splitlines()[-1])
     if file == "csv":
         with (folder / "export").open() as lines:
             assert sum(1 for _ in lines) == ROWS + 1
@@ -100,4 +100,4 @@ def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
         from pyarrow import parquet
 
         assert parquet.ParquetFile(folder / "export").metadata.num_rows == ROWS
-    assert said["grown"] < MOST_MB, said
+    assert measured["grown"] < MOST_MB, measured

@@ -1,4 +1,4 @@
-"""Holes: silence is one, an unchanged value or a slow line is none."""
+"""Gaps: missing responses make one, an unchanged value or a slow line does not."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ def test_regular_polls_have_none() -> None:
 
 
 def test_a_slow_line_has_none() -> None:
-    """255 units at 300 baud are heard every three and a half minutes."""
+    """255 units at 300 baud respond every three and a half minutes each."""
     times = [i * 213 * SECOND for i in range(20)]
     assert holes(times, Marks(), usual_interval([(at, at, 1) for at in times])) == []
 
 
-def test_where_the_worker_said_lost_there_is_one() -> None:
+def test_a_reported_loss_makes_a_gap() -> None:
     times = without(4 * SECOND, 8 * SECOND)
     assert holes(times, Marks(lost=[5 * SECOND]), USUAL) == [times.index(4 * SECOND)]
 
 
-def test_a_short_silence_that_nobody_named_is_none() -> None:
+def test_a_short_unreported_pause_is_no_gap() -> None:
     assert holes(without(4 * SECOND, 8 * SECOND), Marks(), USUAL) == []
 
 
-def test_a_long_silence_is_one_even_when_the_worker_was_gone() -> None:
+def test_a_long_pause_is_a_gap_even_when_the_worker_was_gone() -> None:
     times = without(2 * SECOND, 15 * SECOND)
     assert holes(times, Marks(), USUAL) == [times.index(2 * SECOND)]
 
 
-def test_found_again_after_a_silence_is_one() -> None:
+def test_a_return_after_a_pause_makes_a_gap() -> None:
     times = without(4 * SECOND, 8 * SECOND)
     place = times.index(4 * SECOND)
     assert holes(times, Marks(found=[8 * SECOND]), USUAL) == [place]
@@ -45,18 +45,18 @@ def test_found_again_after_a_silence_is_one() -> None:
     assert holes(times, Marks(found=[7 * SECOND]), USUAL) == [place]
 
 
-def test_a_pause_after_the_first_answer_is_no_second_hole() -> None:
+def test_a_pause_after_the_first_response_is_no_second_gap() -> None:
     """Right after a unit was found its parameters are read."""
     times = [*without(4 * SECOND, 20 * SECOND)[:21], 8 * SECOND, 10 * SECOND, 10 * SECOND + USUAL]
     assert holes(times, Marks(found=[8 * SECOND + 100]), USUAL) == [20]
 
 
-def test_found_without_a_silence_is_none() -> None:
+def test_a_return_without_a_pause_is_no_gap() -> None:
     assert holes(POLLS, Marks(found=[4 * SECOND]), USUAL) == []
 
 
-def test_a_steady_value_is_heard_as_often_as_any() -> None:
-    """Runs of a minute each: what is between them says little, and may be holes alone."""
+def test_a_steady_value_is_read_as_often_as_any() -> None:
+    """Runs of a minute each: readings between them carry little information, and may be gaps alone."""
     runs = [(0, 20 * SECOND, 101), (22 * SECOND, 40 * SECOND, 91), (42 * SECOND, 60 * SECOND, 91)]
     assert usual_interval(runs) == USUAL
     assert usual_interval([(0, 0, 1)]) == usual_interval([]) == 0

@@ -57,7 +57,7 @@ def test_a_minute_folded_again_changes_nothing() -> None:
     assert stored == intervals(runs, Marks(), 5 * SECOND)
 
 
-def test_silence_ends_an_interval() -> None:
+def test_a_pause_ends_an_interval() -> None:
     runs = polls([1] * 12)
     lost = Marks(lost=[runs[5].at + SECOND])
     assert intervals(runs, lost, 5 * SECOND) == [

@@ -1,4 +1,4 @@
-"""What the trends page asks first, by its address: the rules of static/js/trends-view.js."""
+"""The first requests of the trends page, by its address: the rules of static/js/trends-view.js."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def history(tmp_path: Path) -> History:
     return History(Settings(server=ServerSettings(data=tmp_path), bus=(bus,)))
 
 
-def asked(history: History, query: str) -> dict[str, list[str]]:
+def preloads(history: History, query: str) -> dict[str, list[str]]:
     path, _, found = preload_address(history, QueryParams(query), micros(NOON)).partition("?")
     assert path in ("", "/api/v1/history/series")
     return parse_qs(found)
 
 
-def test_without_a_wish_it_is_the_last_hour_of_the_first_units(history: History) -> None:
-    found = asked(history, "")
+def test_the_default_is_the_last_hour_of_the_first_units(history: History) -> None:
+    found = preloads(history, "")
     assert found["series"] == [f"line/{number}/actual" for number in range(1, 9)]
     assert (found["from"], found["to"]) == (
         ["2026-11-21T11:00:00.000+00:00"],
@@ -39,11 +39,11 @@ def test_without_a_wish_it_is_the_last_hour_of_the_first_units(history: History)
     )
 
 
-def test_an_address_is_followed_and_what_is_unknown_left_out(history: History) -> None:
-    found = asked(history, "s=line/3/run&s=line/99/run&s=line/3/nothing&s=line/1/analog&span=600")
+def test_an_address_is_followed_without_unknown_series(history: History) -> None:
+    found = preloads(history, "s=line/3/run&s=line/99/run&s=line/3/nothing&s=line/1/analog&span=600")
     assert found["series"] == ["line/3/run", "line/1/analog"]
     assert found["from"] == ["2026-11-21T11:50:00.000+00:00"]
-    fixed = asked(history, "s=line/1/run&from=2026-11-20T00:00:00Z&to=2026-11-20T01:00:00Z")
+    fixed = preloads(history, "s=line/1/run&from=2026-11-20T00:00:00Z&to=2026-11-20T01:00:00Z")
     assert fixed["from"] == ["2026-11-20T00:00:00.000+00:00"]
     assert fixed["to"] == ["2026-11-20T01:00:00.000+00:00"]
 
@@ -52,4 +52,4 @@ def test_an_address_is_followed_and_what_is_unknown_left_out(history: History) -
     "query", ["s=", "span=x", "span=-5", "from=yesterday", "span=inf", "to=2026-11-20T01:00:00Z&span=nan"]
 )
 def test_what_makes_no_sense_is_left_to_the_page(history: History, query: str) -> None:
-    assert asked(history, query) == {}
+    assert preloads(history, query) == {}

@@ -1,4 +1,4 @@
-"""The store as a whole: what was read is found again, punctual or late, after a crash, in every fineness."""
+"""The complete store: readings are found, on time or late, after a crash, at every resolution."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_an_idle_line_costs_little_and_is_no_hole(shelf: Shelf) -> None:
     assert (found.series.at[0], found.series.at[-1]) == (micros(NOON + 30), micros(NOON + 200))
 
 
-def test_a_unit_that_fell_silent_leaves_a_hole(shelf: Shelf) -> None:
+def test_a_unit_that_stopped_responding_leaves_a_gap(shelf: Shelf) -> None:
     shelf.keep(polls(NOON, NOON + 10, lambda _: 1000))
     shelf.keep([UnitLink(1, NOON + 11, "stale")])
     shelf.keep(polls(NOON + 13, NOON + 20, lambda _: 1000))
@@ -67,8 +67,8 @@ def test_another_rate_of_an_open_port_leaves_none(shelf: Shelf) -> None:
     shelf.keep([BusLink(NOON - 1, "open", baud=9600), *polls(NOON, NOON + 10)])
     shelf.keep([BusLink(NOON - 1, "open", baud=4800), *polls(NOON + 10, NOON + 20)])
     assert shelf.query("actual", NOON, NOON + 20).series.average.count(None) == 0
-    said = shelf.database.read_now(lambda c: c.execute("SELECT count(*) FROM link").fetchone()[0])
-    assert said == 1
+    stored = shelf.database.read_now(lambda c: c.execute("SELECT count(*) FROM link").fetchone()[0])
+    assert stored == 1
 
 
 def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> None:
@@ -79,7 +79,7 @@ def test_a_unit_lost_and_back_within_one_commit_leaves_a_hole(shelf: Shelf) -> N
 
 @pytest.mark.parametrize("value", ["actual", "run"])
 def test_a_server_killed_and_started_again_at_once_leaves_a_hole(shelf: Shelf, value: str) -> None:
-    """A second, within one minute, of a value that never changes: and nobody was there to say so."""
+    """A second, within one minute, of a value that never changes: no process was there to record it."""
     for start in (NOON, NOON + 11, NOON + 21):
         shelf.keep([BusLink(start - 0.04, "open"), UnitLink(1, start, "online")])
         shelf.keep(polls(start, NOON + 10 * ((start - NOON) // 10 + 1), lambda _: 1000))
@@ -91,7 +91,7 @@ def test_a_server_killed_and_started_again_at_once_leaves_a_hole(shelf: Shelf, v
         shelf.fold()
 
 
-def test_a_hole_that_was_said_outlives_a_crash(shelf: Shelf) -> None:
+def test_a_reported_gap_outlives_a_crash(shelf: Shelf) -> None:
     shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
     shelf.keep([BusLink(NOON + 5.1, "closed", "unplugged"), BusLink(NOON + 5.8, "open")])
     shelf.keep(polls(NOON + 6, NOON + 10, lambda _: 1000))
@@ -99,7 +99,7 @@ def test_a_hole_that_was_said_outlives_a_crash(shelf: Shelf) -> None:
     assert shelf.query("actual", NOON, NOON + 10).series.average.count(None) == 1
 
 
-def test_what_a_snapshot_says_does_not_hide_what_was_before_it(shelf: Shelf) -> None:
+def test_a_snapshot_does_not_hide_the_loss_before_it(shelf: Shelf) -> None:
     """A worker that was quicker than the server: its state first, then what it kept."""
     shelf.keep(polls(NOON, NOON + 5, lambda _: 1000))
     shelf.start_again()
@@ -110,7 +110,7 @@ def test_what_a_snapshot_says_does_not_hide_what_was_before_it(shelf: Shelf) -> 
     assert shelf.query("actual", NOON, NOON + 12).series.average.count(None) == 2
 
 
-def test_what_is_delivered_twice_hides_no_hole(shelf: Shelf) -> None:
+def test_a_duplicate_delivery_hides_no_gap(shelf: Shelf) -> None:
     first = polls(NOON, NOON + 5, lambda _: 1000)
     shelf.keep(first)
     shelf.keep([UnitLink(1, NOON + 5.5, "stale"), UnitLink(1, NOON + 8, "online")])
@@ -121,10 +121,10 @@ def test_what_is_delivered_twice_hides_no_hole(shelf: Shelf) -> None:
 
 def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None:
     punctual = Shelf(tmp_path / "punctual.db")
-    whole = polls(NOON, NOON + 600, lambda i: i * 7 % 2000)
-    punctual.keep(whole)
+    all_readings = polls(NOON, NOON + 600, lambda i: i * 7 % 2000)
+    punctual.keep(all_readings)
     punctual.fold()
-    for part in (whole[:500] + whole[1500:], whole[500:1500]):
+    for part in (all_readings[:500] + all_readings[1500:], all_readings[500:1500]):
         shelf.keep(part)
         shelf.fold()
     for value in ("actual", "commanded", "analog", "run"):
@@ -202,7 +202,7 @@ def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
     assert found.series.at == sorted(found.series.at)
 
 
-def test_a_long_span_is_answered_by_minutes_and_hours(shelf: Shelf) -> None:
+def test_a_long_span_is_read_from_minutes_and_hours(shelf: Shelf) -> None:
     readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
     shelf.keep([parameter(3, 0), *readings])
     shelf.fold()

@@ -36,7 +36,7 @@ def by_minute(runs: list[Run]) -> list[Rollup]:
 
 
 @given(RUNS)
-def test_a_row_says_what_was_read(runs: list[Run]) -> None:
+def test_a_row_has_what_was_read(runs: list[Run]) -> None:
     row = rollup(runs, 0)
     readings = [run for run in runs for _ in range(run.readings)]
     assert row.readings == len(readings)

@@ -37,7 +37,7 @@ def runs_of(readings: list[tuple[int, int]]) -> list[Run]:
     return runs
 
 
-def said(runs: list[Run], at: int, value: int) -> bool:
+def contains(runs: list[Run], at: int, value: int) -> bool:
     return any(run.at <= at <= run.until and run.commanded == value for run in runs)
 
 
@@ -50,9 +50,9 @@ def test_a_reading_is_kept_as_sent() -> None:
 
 
 @given(READINGS)
-def test_runs_say_what_the_readings_said(readings: list[tuple[int, int]]) -> None:
+def test_runs_contain_every_reading(readings: list[tuple[int, int]]) -> None:
     runs = runs_of(readings)
-    assert all(said(runs, at, value) for at, value in readings)
+    assert all(contains(runs, at, value) for at, value in readings)
     assert sum(run.readings for run in runs) == len(readings)
     assert all(run.at // MINUTE == run.until // MINUTE for run in runs)
 
@@ -70,13 +70,13 @@ def test_a_block_gives_back_its_runs(readings: list[tuple[int, int]]) -> None:
 @given(READINGS, READINGS)
 def test_merging_loses_no_value(one: list[tuple[int, int]], other: list[tuple[int, int]]) -> None:
     merged = merge(runs_of(one), runs_of(other))
-    assert all(said(merged, at, value) for at, value in one + other)
+    assert all(contains(merged, at, value) for at, value in one + other)
     assert [run.at for run in merged] == sorted(run.at for run in merged)
     assert merged == merge(runs_of(other), runs_of(one))
 
 
 @given(READINGS)
-def test_what_is_folded_twice_is_there_once(readings: list[tuple[int, int]]) -> None:
+def test_a_run_merged_twice_is_there_once(readings: list[tuple[int, int]]) -> None:
     runs = runs_of(readings)
     assert merge(runs, runs) == merge(runs, ())
 
@@ -86,5 +86,5 @@ def test_late_readings_make_the_same_as_punctual_ones(times: set[int], cut: int)
     """When no two neighbours are equal there is one way to keep them, whatever came first."""
     readings = [(at, position % 3) for position, at in enumerate(sorted(times))]
     early, late = readings[:cut], readings[cut:]
-    whole = merge(map(single, *zip(*readings, strict=True)) if readings else (), ())
-    assert merge([single(*r) for r in late], [single(*r) for r in early]) == whole
+    merged_runs = merge(map(single, *zip(*readings, strict=True)) if readings else (), ())
+    assert merge([single(*r) for r in late], [single(*r) for r in early]) == merged_runs

@@ -1,4 +1,4 @@
-"""What is ready before the first page is asked for."""
+"""What is ready before the first page request."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bus.settings import BusSettings, UnitSettings
 
 
 @pytest.mark.parametrize("open_store", [True, False], ids=["a store", "none that opens"])
-async def test_files_are_packed_templates_read_and_the_store_asked(
+async def test_files_are_packed_templates_read_and_the_store_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
 ) -> None:
     monkeypatch.setattr(warming, "AFTER_S", 0.0)

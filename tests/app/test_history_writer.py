@@ -1,4 +1,4 @@
-"""The writer's thread: it commits, it ends in order, and a bad disk is said and survived."""
+"""The writer's thread: it commits, it ends in order, and a bad disk is reported and survived."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> No
     writer.close()
 
 
-def test_a_disk_that_fails_while_running_is_said_and_what_was_kept_can_be_read(
+def test_a_disk_that_fails_while_running_is_reported_and_stored_values_stay_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.history.intake.writer.RETRY_S", 0.0)
@@ -106,14 +106,14 @@ def _full(*_: object) -> None:
 
 
 def readings_of(writer: Writer) -> int:
-    question = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
-    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, question))
+    query = SeriesQuery(BUS, 1, VALUES["actual"], micros(NOON), micros(NOON + 60), 1000)
+    found = writer.database.read_now(lambda connection: run_query(connection, writer.tail, query))
     return len(found.series.at)
 
 
-@pytest.mark.parametrize("rubbish", [b"not a store at all, but long enough to be taken for one" * 100])
-def test_a_damaged_store_is_said_and_nothing_else_fails(tmp_path: Path, rubbish: bytes) -> None:
-    (tmp_path / "history.db").write_bytes(rubbish)
+@pytest.mark.parametrize("content", [b"not a store at all, but long enough to be taken for one" * 100])
+def test_a_damaged_store_is_reported_and_nothing_else_fails(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "history.db").write_bytes(content)
     writer = opened(tmp_path)
     assert writer.status.state == "failed"
     assert "history.db" in str(writer.status.message)
@@ -121,7 +121,7 @@ def test_a_damaged_store_is_said_and_nothing_else_fails(tmp_path: Path, rubbish:
     with pytest.raises(StoreError, match="no history is stored"):
         _ = writer.database
     writer.close()
-    assert (tmp_path / "history.db").read_bytes() == rubbish
+    assert (tmp_path / "history.db").read_bytes() == content
 
 
 def test_a_store_of_a_newer_version_is_refused_in_words(tmp_path: Path) -> None:

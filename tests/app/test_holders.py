@@ -12,7 +12,7 @@ OWN = Credential("worker", "dry-end", "127.0.0.1", own=True)
 
 
 @pytest.mark.parametrize("ending", Ending)
-def test_a_bus_is_kept_for_as_long_as_the_ending_says(ending: Ending) -> None:
+def test_a_bus_is_reserved_for_as_long_as_its_ending_allows(ending: Ending) -> None:
     holder = Holder("w1", A)
     assert not holder.yields_to("w2", A, 1e9), "while it is connected, another is refused for ever"
     holder.connection_ended(ending, 100.0)

@@ -1,4 +1,4 @@
-"""Clients that never come to the end of a request or of reading its response, on real sockets."""
+"""Clients that never finish a request or the reading of its response, on real sockets."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 @dataclass
 class Site:
-    """A server of this protocol, and an app that answers when it is told to."""
+    """A server of this protocol, and an app that responds when the test lets it."""
 
     port: int = 0
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
     go: asyncio.Event = field(default_factory=asyncio.Event)
-    asked: int = 0
+    requests: int = 0
     received: int = 0
     reads_bodies: bool = True
     body: bytes = b"hi"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self.asked += 1
+        self.requests += 1
         if scope["path"] == "/known":
             scope["extensions"][EXTENSION]("ann")
         while self.reads_bodies and (message := await receive()).get("more_body"):
@@ -110,7 +110,7 @@ async def served() -> AsyncIterator[Site]:
 
 
 @pytest.mark.parametrize(
-    ("begun", "awaited", "answer"),
+    ("begun", "awaited", "response"),
     [
         (b"", Awaited.FIRST, b""),
         (b"\r\n\r\n", Awaited.FIRST, b""),
@@ -121,19 +121,19 @@ async def served() -> AsyncIterator[Site]:
         (GET + HEAD, Awaited.HEAD, b"408 Request Timeout"),
     ],
 )
-async def test_what_is_never_finished_is_ended(
-    site: Site, begun: bytes, awaited: Awaited, answer: bytes
+async def test_an_unfinished_request_is_ended(
+    site: Site, begun: bytes, awaited: Awaited, response: bytes
 ) -> None:
     reader, _ = await site.connect(begun)
     await until(lambda: site.received == len(begun) and site.protocols[0]._pace.awaited is awaited)
     site.pass_s(WITHIN_S[awaited] - 1)
     assert not site.protocols[0]._is_ending
     site.pass_s(WITHIN_S[awaited] + 1)
-    heard = await everything(reader)
-    assert answer in heard
-    if b"408" in answer:
-        assert b'"code": "too_slow"' in heard
-        assert b"Content-Security-Policy" in heard
+    reply = await everything(reader)
+    assert response in reply
+    if b"408" in response:
+        assert b'"code": "too_slow"' in reply
+        assert b"Content-Security-Policy" in reply
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ async def test_what_cannot_be_met_is_refused(
     writer.write_eof()
     response = await everything(reader)
     assert response.startswith(b"HTTP/1.1 " + status)
-    assert site.asked == (b"200" in status)
+    assert site.requests == (b"200" in status)
 
 
 async def test_only_a_client_that_knows_it_gets_100_continue(site: Site) -> None:
@@ -176,17 +176,17 @@ async def test_a_body_that_keeps_the_least_rate_is_waited_for(site: Site) -> Non
     assert protocol._is_ending
 
 
-async def test_while_the_server_works_nobody_is_late(site: Site) -> None:
+async def test_no_client_is_late_while_the_server_works(site: Site) -> None:
     site.go.clear()
     reader, _ = await site.connect(GET + HEAD)
-    await until(lambda: site.asked)
+    await until(lambda: site.requests)
     site.pass_s(3600)
     assert not site.protocols[0].transport.is_closing()
     site.go.set()
     assert b"200 OK" in await reader.readuntil(b"hi")
 
 
-async def test_what_is_sent_after_the_response_is_not_waited_for(site: Site) -> None:
+async def test_bytes_after_the_response_are_not_waited_for(site: Site) -> None:
     site.reads_bodies = False
     reader, _ = await site.connect(POST + b"x")
     assert b"200 OK" in await reader.readuntil(b"hi")
@@ -243,12 +243,12 @@ async def test_a_client_that_reads_slowly_but_reads_gets_it_all(site: Site) -> N
 )
 async def test_headers_without_end_are_refused(site: Site, head: bytes) -> None:
     reader, _ = await site.connect(head)
-    heard = await everything(reader)
-    assert heard.startswith(b"HTTP/1.1 431 ")
-    assert site.asked == 0
+    reply = await everything(reader)
+    assert reply.startswith(b"HTTP/1.1 431 ")
+    assert site.requests == 0
 
 
-async def test_a_whole_request_is_answered_and_its_body_is_no_header(site: Site) -> None:
+async def test_a_complete_request_gets_a_response_and_its_body_is_no_header(site: Site) -> None:
     body = b"b" * (2 * MOST_HEAD_BYTES)
     head = b"POST / HTTP/1.1\r\nConnection: close\r\nContent-Length: %d\r\n\r\n" % len(body)
     reader, _ = await site.connect(head + body)
@@ -257,18 +257,18 @@ async def test_a_whole_request_is_answered_and_its_body_is_no_header(site: Site)
 
 async def test_requests_by_the_thousand_at_once_are_not_kept(site: Site) -> None:
     reader, _ = await site.connect(GET * 10_000)
-    heard = await everything(reader)
-    assert site.asked <= MOST_PIPELINED + 1
-    assert heard.count(b"200 OK") == site.asked
+    reply = await everything(reader)
+    assert site.requests <= MOST_PIPELINED + 1
+    assert reply.count(b"200 OK") == site.requests
 
 
 async def test_nonsense_after_a_request_does_not_take_its_response(site: Site) -> None:
     site.go.clear()
     reader, _ = await site.connect(GET + b"\x00\x01 nonsense\r\n\r\n")
-    await until(lambda: site.asked)
+    await until(lambda: site.requests)
     site.go.set()
-    heard = await everything(reader)
-    assert (heard.count(b"HTTP/1.1"), b"200 OK" in heard) == (1, True)
+    reply = await everything(reader)
+    assert (reply.count(b"HTTP/1.1"), b"200 OK" in reply) == (1, True)
 
 
 async def test_the_oldest_of_many_strangers_gives_way_to_the_newest(site: Site) -> None:
@@ -279,10 +279,10 @@ async def test_the_oldest_of_many_strangers_gives_way_to_the_newest(site: Site) 
     assert b"200 OK" in await others[-1][0].readuntil(b"hi")
 
 
-async def test_who_is_being_served_gives_way_last(site: Site) -> None:
+async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
     site.go.clear()
     served, _ = await site.connect(GET)
-    await until(lambda: site.asked)
+    await until(lambda: site.requests)
     for _ in range(MOST_OF_ADDRESS):
         await site.connect()
     site.go.set()
@@ -328,12 +328,12 @@ async def test_a_malformed_request_is_refused_as_a_problem(
 ) -> None:
     reader, writer = await site.connect(request_)
     writer.write_eof()
-    heard = await reader.readuntil(b"\r\n\r\n")
-    assert heard.startswith(b"HTTP/1.1 " + status)
-    assert status == b"200" or b"application/problem+json" in heard
+    reply = await reader.readuntil(b"\r\n\r\n")
+    assert reply.startswith(b"HTTP/1.1 " + status)
+    assert status == b"200" or b"application/problem+json" in reply
 
 
-async def test_an_upgrade_to_what_is_not_spoken_is_passed_over(site: Site) -> None:
+async def test_an_upgrade_to_an_unknown_protocol_is_ignored(site: Site) -> None:
     upgrade = (
         HEAD + b"Connection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAMAAABk\r\n\r\n"
     )

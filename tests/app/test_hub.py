@@ -47,17 +47,17 @@ def world() -> World:
     return World()
 
 
-async def told(browser: Browser) -> list[dict[str, Any]]:
+async def sent(browser: Browser) -> list[dict[str, Any]]:
     return [json.loads(text) for text in await browser.next()]
 
 
-async def test_the_whole_comes_first_then_what_changed(world: World) -> None:
+async def test_a_snapshot_comes_first_then_changes(world: World) -> None:
     browser = world.join()
-    first, _people = await told(browser)
+    first, _people = await sent(browser)
     assert first["is"] == "snapshot"
     assert first["f"]["dry/1"]["actual"] == "120.0"
     world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
-    (diff,) = await told(browser)
+    (diff,) = await sent(browser)
     assert diff["f"]["dry/1"]["actual"] == "121.0"
     assert "dry/2" not in diff["f"]
     assert diff["p"] == _people["n"]
@@ -65,27 +65,27 @@ async def test_the_whole_comes_first_then_what_changed(world: World) -> None:
 
 async def test_numbers_follow_each_other_without_a_gap(world: World) -> None:
     browser = world.join()
-    last = (await told(browser))[-1]["n"]
+    last = (await sent(browser))[-1]["n"]
     for step in range(1, 20):
         world.live.buses["dry"].apply([reading(1, at=100 + step / 10, actual=1200 + step)])
-        (diff,) = await told(browser)
+        (diff,) = await sent(browser)
         assert diff["p"] == last
         last = diff["n"]
 
 
-async def test_every_language_is_told_in_its_own_words(world: World) -> None:
+async def test_every_language_gets_its_texts(world: World) -> None:
     english, german = world.join("anna", "en"), world.join("bernd", "de")
-    await told(english)
-    await told(german)
+    await sent(english)
+    await sent(german)
     world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
-    assert (await told(english))[-1]["f"]["dry/1"]["actual"] == "121.0"
-    assert (await told(german))[-1]["f"]["dry/1"]["actual"] == "121,0"
+    assert (await sent(english))[-1]["f"]["dry/1"]["actual"] == "121.0"
+    assert (await sent(german))[-1]["f"]["dry/1"]["actual"] == "121,0"
 
 
 async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
     one, other = world.join("anna"), world.join("bernd")
-    await told(one)
-    await told(other)
+    await sent(one)
+    await sent(other)
     world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
     (first,), (second,) = await one.next(), await other.next()
     assert first is second
@@ -93,77 +93,77 @@ async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
 
 async def test_a_heartbeat_comes_each_second_with_the_server_s_time(world: World) -> None:
     browser = world.join()
-    await told(browser)
+    await sent(browser)
     world.now = 101.0
     world.hub.tick()
-    (beat,) = await told(browser)
+    (beat,) = await sent(browser)
     assert (beat["t"], beat["f"].get("dry/1")) == (101.0, None)
 
 
-async def test_silence_shows_with_the_heartbeat(world: World) -> None:
+async def test_a_missing_reading_shows_with_the_heartbeat(world: World) -> None:
     browser = world.join()
-    await told(browser)
+    await sent(browser)
     world.now = 103.0
     world.hub.tick()
-    (beat,) = await told(browser)
+    (beat,) = await sent(browser)
     assert beat["f"]["dry/1"]["link"] == "stale"
 
 
-async def test_who_is_here_is_said_once_per_name(world: World) -> None:
+async def test_each_user_is_listed_once(world: World) -> None:
     one = world.join("anna")
     world.join("anna")
     other = world.join("bernd")
-    await told(one)
+    await sent(one)
     assert world.hub.connected == 3
     world.hub.leave(other)
-    (diff,) = await told(one)
+    (diff,) = await sent(one)
     assert diff["f"]["people"] == {"here": "anna\toperator", "count": "1"}
 
 
 async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: World) -> None:
     browser = world.join("bernd", "de")
-    await told(browser)
+    await sent(browser)
     world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="sent")])
-    (diff,) = await told(browser)
+    (diff,) = await sent(browser)
     assert diff["f"] == {"command/x1": {"stage": "gesendet"}}
     assert "command/x1" not in world.hub.screen("de").shown
 
 
 async def test_a_page_finds_its_command_by_the_key_that_it_gave(world: World) -> None:
     browser = world.join("bernd", "de")
-    await told(browser)
+    await sent(browser)
     command_id = new_command_id("form#7")
     assert command_id != new_command_id("form#7")
     world.live.buses["dry"].apply([Progress(id=command_id, at=100.1, stage="sent")])
-    (diff,) = await told(browser)
+    (diff,) = await sent(browser)
     assert diff["f"] == {"command/form#7": {"stage": "gesendet"}}
     unnamed = new_command_id()
     assert key_of(unnamed) == unnamed
 
 
-async def test_how_far_a_search_is_goes_to_whoever_looks_at_the_bus(world: World) -> None:
+async def test_scan_progress_goes_to_pages_of_the_bus(world: World) -> None:
     browser = world.join("bernd", "de")
-    await told(browser)
+    await sent(browser)
     world.live.buses["dry"].apply([Progress(id="x1", at=100.1, stage="searching", done=17, of=255)])
-    (diff,) = await told(browser)
+    (diff,) = await sent(browser)
     assert diff["f"] == {"dry": {"searched": "abgesuchte Adressen: 17/255"}}
     assert "searched" not in world.hub.screen("de").shown["dry"]
 
 
 async def test_frames_go_only_to_who_follows(world: World) -> None:
     follower, other = world.join("anna"), world.join("bernd")
-    await told(follower)
-    await told(other)
+    await sent(follower)
+    await sent(other)
     world.hub.follow(follower, frozenset(), "dry")
     frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meanings=[term("a beginning")])
     world.live.buses["dry"].apply([Frames(frames=[frame])])
-    (shown,) = await told(follower)
+    (shown,) = await sent(follower)
     assert shown["frames"][0]["hex"] == "10 02"
     world.hub.tick()
-    assert [message["is"] for message in await told(other)] == ["diff"]
+    assert [message["is"] for message in await sent(other)] == ["diff"]
 
 
-async def test_the_worker_is_told_which_units_are_watched_and_when_no_more(world: World) -> None:
+async def test_the_worker_gets_the_watched_units_until_there_are_none(world: World) -> None:
     browser = world.join()
     world.hub.follow(browser, frozenset({("dry", 2), ("elsewhere", 1)}), "")
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
@@ -174,7 +174,7 @@ async def test_the_worker_is_told_which_units_are_watched_and_when_no_more(world
 async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
     browser = world.join()
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
-    await told(browser)
+    await sent(browser)
     units = [UnitFigures(unit=n, polls=5, answers=5) for n in (1, 2)]
     world.live.buses["dry"].apply(
         [
@@ -183,7 +183,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
             )
         ],
     )
-    (diff,) = await told(browser)
+    (diff,) = await sent(browser)
     assert diff["f"]["health/dry/2"]["answers"] == "5"
     assert "health/dry/1" not in diff["f"]
 
@@ -191,6 +191,6 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
 async def test_who_holds_control_is_on_every_page(world: World) -> None:
     world.controls["dry"] = "anna"
     browser = world.join()
-    await told(browser)
+    await sent(browser)
     world.hub.tick()
-    assert (await told(browser))[-1]["f"]["whole_line"] == {"holder": "anna"}
+    assert (await sent(browser))[-1]["f"]["whole_line"] == {"holder": "anna"}

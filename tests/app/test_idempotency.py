@@ -1,4 +1,4 @@
-"""A command's id, given again after a restart of the server: the same fate, and nothing is sent."""
+"""A command's id, repeated after a restart of the server: the same result, and nothing is sent."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def restarted(stage: Stage) -> CommandService:
     return stage.commands_after_restart()
 
 
-async def test_a_known_fate_is_given_again_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_known_result_is_repeated_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("refused", unit_error=129, message=term("value above max"))
     first = await stage.commands.send(ANNA, COMMAND, id="mine")
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
@@ -42,7 +42,7 @@ async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
     stage: Stage, worker: PlayedWorker
 ) -> None:
     open_still = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine"))
-    command = await worker.hear(Command)
+    command = await worker.receive(Command)
     assert isinstance(command, Command)
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.message) == ("unverified", Message("server_stopped"))
@@ -62,9 +62,7 @@ async def test_an_id_of_another_command_is_refused_after_a_restart_too(
     assert len(worker.commands) == 1
 
 
-async def test_what_was_refused_before_it_was_sent_may_be_asked_again(
-    stage: Stage, worker: PlayedWorker
-) -> None:
+async def test_a_command_refused_before_sending_may_be_repeated(stage: Stage, worker: PlayedWorker) -> None:
     dangerous = WriteParameter(unit=1, number=19, raw=0)
 
     worker.play = answering("verified")
@@ -99,7 +97,7 @@ async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, othe
 
 
 async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, worker: PlayedWorker) -> None:
-    """It repeats the result of an id that it knows: of somebody else's, or of last week's."""
+    """It repeats the result of an id that it knows: another sender's, or last week's."""
     worker.play = answering("verified")
     for person in (ANNA, *SENDERS):
         await stage.commands.send(person, COMMAND, id="1")
@@ -111,9 +109,9 @@ async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, work
 
 async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = answering("verified", read_back=5)
-    asked = [stage.commands.send(ANNA, COMMAND, id="mine") for _ in range(5)]
+    sending = [stage.commands.send(ANNA, COMMAND, id="mine") for _ in range(5)]
     other = stage.commands.send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
-    *same, refused = await asyncio.gather(*asked, other, return_exceptions=True)
+    *same, refused = await asyncio.gather(*sending, other, return_exceptions=True)
     assert {result.read_back for result in same if isinstance(result, Result)} == {5}
     assert len(same) == 5
     assert isinstance(refused, Problem)
@@ -121,7 +119,7 @@ async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, w
     assert len(worker.commands) == 1
 
 
-async def test_what_could_not_be_written_down_may_be_asked_again(
+async def test_a_command_that_could_not_be_recorded_may_be_repeated(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: object, **__: object) -> list[int]:

@@ -10,12 +10,12 @@ import pytest
 
 from app.messages import Languages
 from app.web.access import Role
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -49,5 +49,5 @@ async def test_the_browsers_language_and_then_ones_own(house: House) -> None:
 
 async def test_a_language_that_is_not_there(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
-    answer: httpx.Response = await client.post("/account/language", data={"language": "../x"})
-    assert answer.status_code == 422
+    response: httpx.Response = await client.post("/account/language", data={"language": "../x"})
+    assert response.status_code == 422

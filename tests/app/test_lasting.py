@@ -1,4 +1,4 @@
-"""A socket ends when whoever opened it may have it no longer."""
+"""A socket ends when its user loses the right to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from app.auth.lasting import (
 )
 from app.main import create_app
 from app.web.access import Role
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 
 class Socket:
@@ -41,17 +41,17 @@ class Socket:
 
 
 async def test_it_ends_with_its_right() -> None:
-    socket, answers = Socket(), iter([True, True, False])
+    socket, permitted = Socket(), iter([True, True, False])
 
     async def is_allowed() -> bool:
-        return next(answers)
+        return next(permitted)
 
     await while_allowed(socket.work(), is_allowed, socket.send, Rechecks(), every_s=0.001)
     assert socket.ended
     assert socket.sent == [{"type": "websocket.close", "code": NO_LONGER_SIGNED_IN}]
 
 
-async def test_one_that_ends_by_itself_is_not_closed_again() -> None:
+async def test_a_socket_that_ended_is_not_closed_again() -> None:
     socket = Socket()
 
     async def short() -> None:

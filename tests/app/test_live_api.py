@@ -31,7 +31,7 @@ async def test_figures_before_and_after_they_are_measured(stage: Stage) -> None:
     ]
 
 
-async def test_nobody_sees_anything(stage: Stage) -> None:
+async def test_an_anonymous_client_sees_nothing(stage: Stage) -> None:
     for path in ("", "/units/1", "/figures"):
         assert (await stage.request("GET", path, role="")).status_code == 401
 

@@ -1,4 +1,4 @@
-"""The present state: changed by what workers say and by nothing else."""
+"""The present state: changed by reports of workers and by nothing else."""
 
 from __future__ import annotations
 
@@ -29,18 +29,20 @@ def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
     figures = BusFigures(at=1.0, scan_hz=4.0, scan_s=0.25, wire_utilisation=0.9, scan_s_with_one_more=0.3)
     link = UnitLink(unit=2, at=1.0, link="online")
     port = BusLink(at=1.0, link="open")
-    said = reading(2, 55)
-    live.buses["dry-end"].apply([port, figures, link, said, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)])
+    update = reading(2, 55)
+    live.buses["dry-end"].apply(
+        [port, figures, link, update, ParameterValue(2, 3, 1.0, 1), Staged(2, 1.0, 77)]
+    )
     bus, unit = live.buses["dry-end"], live.buses["dry-end"].units[2]
     assert (bus.link, bus.figures) == (port, figures)
-    assert (unit.link, unit.reading, unit.staged, unit.parameter_raw(3)) == (link, said, 77, 1)
+    assert (unit.link, unit.reading, unit.staged, unit.parameter_raw(3)) == (link, update, 77, 1)
     assert unit.parameter_raw(4) is None
     live.buses["dry-end"].apply([Staged(2, 2.0, None)])
     assert unit.staged is None
     assert live.buses["dry-end"].units[1].reading is None
 
 
-def test_the_rate_is_what_the_worker_said_last(live: LiveState) -> None:
+def test_the_rate_is_the_last_that_the_worker_reported(live: LiveState) -> None:
     bus = live.buses["dry-end"]
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
     assert bus.baud == 9600, "as configured where an older worker says none"
@@ -56,10 +58,10 @@ def test_a_unit_that_is_not_configured_is_passed_over(live: LiveState) -> None:
 
 
 def test_a_snapshot_is_the_same_as_its_updates(live: LiveState) -> None:
-    whole = snapshot()
+    present = snapshot()
     other = LiveState([bus_settings()], 100.0)
-    live.buses["dry-end"].take_snapshot(whole, "1.0")
-    other.buses["dry-end"].apply(updates_of(whole))
+    live.buses["dry-end"].take_snapshot(present, "1.0")
+    other.buses["dry-end"].apply(updates_of(present))
     assert live.buses["dry-end"].units == other.buses["dry-end"].units
     assert live.buses["dry-end"].worker_software == "1.0"
 
@@ -74,23 +76,23 @@ def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) 
     assert [unit.link.link for unit in bus.units.values()] == ["stale", "stale", "offline"]
 
 
-def test_subscribers_hear_every_change_until_they_leave(live: LiveState) -> None:
-    heard: list[Sequence[Update]] = []
-    leave = live.buses["dry-end"].subscribe(heard.append)
-    said = [reading(1)]
-    live.buses["dry-end"].apply(said)
+def test_subscribers_get_every_change_until_they_leave(live: LiveState) -> None:
+    received: list[Sequence[Update]] = []
+    leave = live.buses["dry-end"].subscribe(received.append)
+    update = [reading(1)]
+    live.buses["dry-end"].apply(update)
     leave()
     live.buses["dry-end"].apply([reading(1)])
-    assert heard == [said]
+    assert received == [update]
 
 
-def test_a_subscriber_that_fails_keeps_nobody_from_hearing(live: LiveState) -> None:
+def test_a_subscriber_that_fails_stops_no_other(live: LiveState) -> None:
     def fail(updates: Sequence[Update]) -> None:
         raise RuntimeError(updates)
 
-    heard: list[Sequence[Update]] = []
+    received: list[Sequence[Update]] = []
     live.buses["dry-end"].subscribe(fail)
-    live.buses["dry-end"].subscribe(heard.append)
-    said = [reading(1, 5)]
-    live.buses["dry-end"].apply(said)
-    assert heard == [said]
+    live.buses["dry-end"].subscribe(received.append)
+    update = [reading(1, 5)]
+    live.buses["dry-end"].apply(update)
+    assert received == [update]

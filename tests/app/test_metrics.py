@@ -11,22 +11,22 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, UnitFigures
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
 async def samples(house: House) -> dict[tuple[str, ...], float]:
     program = await house.program(Role.VIEWER)
-    answer = await program.get("/metrics")
-    assert answer.headers["content-type"].startswith("text/plain; version=")
+    response = await program.get("/metrics")
+    assert response.headers["content-type"].startswith("text/plain; version=")
     return {
         (sample.name, *sample.labels.values()): sample.value
-        for family in text_string_to_metric_families(answer.text)
+        for family in text_string_to_metric_families(response.text)
         for sample in family.samples
     }
 
@@ -39,7 +39,7 @@ async def test_before_anything_is_known(house: House) -> None:
     assert not any(name[0] == "lineside_polls_total" for name in found)
 
 
-async def test_what_the_workers_say(house: House) -> None:
+async def test_figures_of_the_workers(house: House) -> None:
     now = time.time()
     unit = UnitFigures(unit=2, polls=50, answers=48, timeouts=2, checksum_errors=1, naks={128: 3})
     figures = BusFigures(
@@ -56,7 +56,7 @@ async def test_what_the_workers_say(house: House) -> None:
     assert found["lineside_bus_open", "dry-end"] == 1
 
 
-async def test_commands_by_their_fate(house: House) -> None:
+async def test_commands_by_their_outcome(house: House) -> None:
     events = house.services.events
     for outcome in ("verified", "refused", "refused"):
         number = await events.intend(who="a", origin="api", bus="dry-end", unit=1, what="x")

@@ -81,7 +81,7 @@ def test_our_own_steps_have_numbers_of_their_own() -> None:
 
 
 def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
-    """Results by key and rows of restores held #21; the keys themselves stay refused to everybody."""
+    """Results by key and rows of restores held #21; the keys remain refused to every sender."""
     before = tmp_path / "before"
     before.mkdir()
     for step in MIGRATIONS.glob("00[0-2]*.sql"):

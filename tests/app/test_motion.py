@@ -27,11 +27,11 @@ def test_nothing_seen_is_no_state() -> None:
     assert Motion().state == ""
 
 
-def test_the_unit_says_at_speed() -> None:
+def test_the_unit_reports_at_speed() -> None:
     assert states((0, 500, 498, True)) == ["at_speed"]
 
 
-def test_zero_is_zero_whatever_the_bit_says() -> None:
+def test_zero_is_zero_whatever_the_bit() -> None:
     assert states((0, 0, 0, True), (1, 0, 0, False)) == ["at_zero", "at_zero"]
 
 
@@ -75,11 +75,11 @@ def test_a_unit_without_run_slows_down(inputs: int) -> None:
 @STOPPED_BY
 @pytest.mark.parametrize("commanded", [0, 500])
 def test_a_unit_that_goes_on_without_run_turns(commanded: int, inputs: int) -> None:
-    """At the commanded speed too: the unit says at speed, and should not move at all."""
+    """At the commanded speed too: the unit reports at speed, and should not move at all."""
     seen = [(float(at), commanded, 500, commanded == 500) for at in range(5)]
     assert states(*seen, inputs=inputs) == ["stopping"] * 4 + ["turning"]
 
 
-def test_ratios_say_nothing_of_whether_the_motor_turns() -> None:
+def test_ratios_do_not_show_whether_the_motor_turns() -> None:
     seen = [(float(at), 10_000, 9_990, False) for at in range(5)]
     assert states(*seen, inputs=HEALTHY, ratio=True) == [""] * 5

@@ -1,4 +1,4 @@
-"""A user and a token of the same name: control, keys and events tell one from the other."""
+"""A user and a token of the same name: control, keys and events distinguish them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import httpx
 import pytest
 
 from app.web.access import Role
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 BUS = "/api/v1/buses/dry-end"
 SPEED = f"{BUS}/units/1/speed"
@@ -18,7 +18,7 @@ NAME = "key-operator"
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path, control=True) as house:
+    async with complete_app(tmp_path, control=True) as house:
         yield house
 
 
@@ -35,10 +35,10 @@ async def token(house: House) -> httpx.AsyncClient:
 async def test_control_of_one_is_not_that_of_the_other(
     house: House, user: httpx.AsyncClient, token: httpx.AsyncClient
 ) -> None:
-    said = (await user.post(f"{BUS}/control")).json()
-    assert (said["holder"], said["is_token"]) == (NAME, False)
-    answer = await token.post(SPEED, json={"raw": 5})
-    assert (answer.status_code, answer.json()["code"]) == (409, "controlled")
+    lease = (await user.post(f"{BUS}/control")).json()
+    assert (lease["holder"], lease["is_token"]) == (NAME, False)
+    response = await token.post(SPEED, json={"raw": 5})
+    assert (response.status_code, response.json()["code"]) == (409, "controlled")
     assert (await token.post(f"{BUS}/control")).status_code == 409
     assert (await token.request("DELETE", f"{BUS}/control")).status_code == 409
     assert (await user.post(SPEED, json={"raw": 5})).json()["code"] == "bus_closed", "it came past control"
@@ -66,11 +66,11 @@ async def test_a_key_of_one_is_not_that_of_the_other(
     key = {"Idempotency-Key": "press-1"}
     await user.post(f"{BUS}/control")
     assert (await user.post(SPEED, json={"raw": 5}, headers=key)).json()["code"] == "bus_closed"
-    answer = await token.post(SPEED, json={"raw": 5}, headers=key)
-    assert answer.json()["code"] == "controlled", "a command of its own, and refused as such"
+    response = await token.post(SPEED, json={"raw": 5}, headers=key)
+    assert response.json()["code"] == "controlled", "a command of its own, and refused as such"
 
 
-async def test_the_events_tell_which_of_them_it_was(
+async def test_the_events_name_which_of_them_it_was(
     house: House, user: httpx.AsyncClient, token: httpx.AsyncClient
 ) -> None:
     for client in (user, token):

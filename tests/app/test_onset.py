@@ -35,19 +35,19 @@ def test_what_ends_and_begins_again_begins_again() -> None:
     assert after((1.0, {"run_off"}), (2.0, set()), (3.0, {"run_off"})) == {"run_off": Onset(3.0)}
 
 
-def test_a_change_within_a_silence_has_no_time() -> None:
+def test_a_change_within_a_gap_has_no_time() -> None:
     assert after((10.0, set()), (13.0, {"run_off"})) == {"run_off": Onset(13.0, exact=False)}
 
 
 @pytest.mark.parametrize(
     ("back_at", "onset"), [(70.2, Onset(10.2)), (70.3, Onset(70.3, exact=False))], ids=["short", "long"]
 )
-def test_what_held_before_and_after_a_short_silence_went_on(back_at: float, onset: Onset) -> None:
+def test_a_state_equal_before_and_after_a_short_gap_went_on(back_at: float, onset: Onset) -> None:
     found = after((10.0, set()), (10.2, {"run_off"}), (back_at, {"run_off"}))
     assert found == {"run_off": onset}
 
 
-def test_nothing_that_ended_in_a_long_silence_is_left() -> None:
+def test_nothing_that_ended_in_a_long_gap_is_left() -> None:
     assert after((10.0, {"run_off"}), (100.0, set())) == {}
 
 
@@ -80,7 +80,7 @@ def test_nothing_that_ended_in_a_long_silence_is_left() -> None:
         "it changed with the first sight",
     ],
 )
-def test_the_stored_bits_say_when_it_began(spans: list[WordSpan], onset: Onset, complete: bool) -> None:
+def test_the_stored_bits_show_when_it_began(spans: list[WordSpan], onset: Onset, complete: bool) -> None:
     assert onset_in(spans, off, Onset(100, exact=False), SEEN) == (onset, complete)
 
 

@@ -15,8 +15,8 @@ from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
 from app.web.access import Role
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message
+from tests.app.complete_app import House, complete_app
 from tests.app.stage import bus_settings, until
-from tests.app.whole_app import House, whole_app
 
 AT_SPEED, REMOTE, RUN, HEALTHY = 0x80, 0x40, 0x01, 0x02
 WELL = (AT_SPEED | REMOTE) << 8 | RUN | HEALTHY
@@ -34,7 +34,7 @@ class Scene:
     def __init__(self, *spans: WordSpan, fails: int = 0) -> None:
         self.spans, self.fails = list(spans), fails
         self.now = SEEN_AT
-        self.asked: list[float] = []
+        self.queried_spans: list[float] = []
         self.changed: list[tuple[str, int]] = []
         self.live = LiveState([bus_settings()], SEEN_AT)
         self.live.buses["dry-end"].apply([reading(SEEN_AT, RUN_OFF)])
@@ -45,7 +45,7 @@ class Scene:
     async def words(self, _bus: str, unit: int, start: float, end: float) -> Sequence[WordSpan]:
         if unit != 1:
             return []
-        self.asked.append(end - start)
+        self.queried_spans.append(end - start)
         if self.fails:
             self.fails -= 1
             raise StoreError(Message.of("system_error", error="the disk is away"))
@@ -64,15 +64,15 @@ HELD: tuple[WordSpan, ...] = (
 )
 
 
-async def test_the_stored_change_takes_the_place_of_the_first_sight() -> None:
+async def test_the_stored_change_replaces_the_first_reading() -> None:
     scene = Scene(*HELD)
     assert await scene.look(0.5) == Onset(SEEN_AT, exact=False), "the history has not stored it yet"
-    assert scene.asked == []
+    assert scene.queried_spans == []
     assert await scene.look(1.0) == Onset(CHANGED_AT)
     assert scene.changed == [("dry-end", 1)]
-    assert scene.asked == [HOUR_S, DAY_S], "no further back than needed"
+    assert scene.queried_spans == [HOUR_S, DAY_S], "no further back than needed"
     await scene.look(11.0)
-    assert len(scene.asked) == 2
+    assert len(scene.queried_spans) == 2
 
 
 async def test_what_a_worker_delivers_late_is_found_later() -> None:
@@ -84,14 +84,14 @@ async def test_what_a_worker_delivers_late_is_found_later() -> None:
     assert await scene.look(10.0) == Onset(CHANGED_AT)
 
 
-async def test_what_is_not_stored_stays_first_seen_and_is_asked_thrice() -> None:
+async def test_an_onset_that_is_not_stored_stays_first_seen_and_is_queried_thrice() -> None:
     scene = Scene()
     for seconds in (1.0, 2.0, 10.0, 30.0, 60.0, 90.0, 900.0):
         assert await scene.look(seconds) == Onset(SEEN_AT, exact=False)
-    assert len(scene.asked) == 3 * 5
+    assert len(scene.queried_spans) == 3 * 5
 
 
-async def test_a_store_that_fails_is_asked_again_at_the_next_time() -> None:
+async def test_a_failing_store_is_queried_again_at_the_next_time() -> None:
     scene = Scene(*HELD, fails=1)
     assert await scene.look(1.0) == Onset(SEEN_AT, exact=False)
     assert await scene.look(10.0) == Onset(CHANGED_AT)
@@ -116,7 +116,7 @@ async def test_a_unit_that_does_not_respond_since_the_start_has_the_time_of_its_
     assert (units[1].last_response, units[2].last_response) == (SEEN_AT - 20, None)
 
 
-# --- the whole app, restarted ------------------------------------------------------------------------
+# --- the complete app, restarted ---------------------------------------------------------------------
 
 
 def snapshot(word: int, at: float) -> Snapshot:
@@ -136,16 +136,16 @@ async def cause_of(house: House, token: str) -> dict[str, Any]:
     return cause
 
 
-async def test_after_a_restart_the_api_says_since_when_it_really_is(tmp_path: Path) -> None:
+async def test_after_a_restart_the_api_has_the_true_onset(tmp_path: Path) -> None:
     now = time.time()
     changed_at = round(now - 40, 3)
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         token = await house.token(Role.VIEWER)
         house.services.buses["dry-end"].pipeline.snapshot(snapshot(WELL, now - 60), "1")
         well = [reading(now - 60 + n / 5, WELL) for n in range(100)]
         off = [reading(changed_at + n / 5, RUN_OFF) for n in range(100)]
         take(house, *well, *off)
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         house.services.buses["dry-end"].pipeline.snapshot(snapshot(RUN_OFF, time.time()), "1")
         first = await cause_of(house, token)
         onsets = house.services.live.buses["dry-end"].units[1].onsets

@@ -1,4 +1,4 @@
-"""The API keeps what its description says, whatever it is sent: a bounded run of schemathesis."""
+"""The API conforms to its description for any input: a bounded run of schemathesis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from app.auth.store import Token
 from app.main import create_app
 from app.web.access import Role
 from app.wiring import Services
-from tests.app.whole_app import settings_in
+from tests.app.complete_app import settings_in
 
 
 @dataclass

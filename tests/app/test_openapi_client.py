@@ -17,8 +17,8 @@ from openapi_python_client.config import Config, ConfigFile, MetaType
 from app.main import create_app
 from app.web.schema import openapi_document
 from bus.contract import UnitOutcome
+from tests.app.complete_app import settings_in
 from tests.app.stage import PlayedWorker, Stage, answering
-from tests.app.whole_app import settings_in
 
 PACKAGE = "lineside_client"
 NAMES = Path(__file__).parent / "openapi_names.txt"
@@ -40,7 +40,7 @@ def package(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) 
     folder = tmp_path_factory.mktemp("client")
     source = folder / "openapi.json"
     source.write_text(json.dumps(document), encoding="utf-8")
-    # Of TOML the generator knows only what docs/api.md tells its users.
+    # For TOML the generator needs the setting that docs/api.md names.
     options = ConfigFile(post_hooks=[], content_type_overrides={"application/toml": "text/plain"})
     config = Config.from_sources(options, MetaType.NONE, source, "utf-8", True, folder / PACKAGE)
     assert [(error.header, error.detail) for error in generate(config=config)] == []
@@ -140,7 +140,7 @@ async def test_a_command_that_was_not(
     )
 
 
-async def test_what_is_never_sent(client: Generated, worker: PlayedWorker) -> None:
+async def test_members_that_are_never_sent(client: Generated, worker: PlayedWorker) -> None:
     codes, models = client.models.ProblemCode, client.models
     invalid = await client.set_speed(100_000)
     assert (invalid.status, invalid.code, invalid.unit) == (422, codes.INVALID, 1)
@@ -225,36 +225,38 @@ def is_typed(schema: dict[str, Any]) -> bool:
     return "type" in schema
 
 
-def test_every_operation_says_what_it_answers(document: dict[str, Any]) -> None:
+def test_every_operation_describes_its_responses(document: dict[str, Any]) -> None:
     for path, methods in document["paths"].items():
         for method, operation in methods.items():
             where = f"{method} {path}"
             assert operation["description"], where
-            answers = operation["responses"]
-            success = [answer for status, answer in answers.items() if status.startswith("2")]
+            responses = operation["responses"]
+            success = [reply for status, reply in responses.items() if status.startswith("2")]
             assert len(success) == 1, where
             for content in success[0].get("content", {}).values():
                 assert is_typed(content["schema"]), where
-            problems = {status for status in answers if not status.startswith("2")}
+            problems = {status for status in responses if not status.startswith("2")}
             assert problems >= {"401", "403", "422", "503", "default"}, where
-            assert all("application/problem+json" in answers[status]["content"] for status in problems), where
+            assert all("application/problem+json" in responses[status]["content"] for status in problems), (
+                where
+            )
 
 
 def test_every_parameter_is_described(document: dict[str, Any]) -> None:
-    silent = [
+    undescribed = [
         f"{path} {parameter['name']}"
         for path, methods in document["paths"].items()
         for operation in methods.values()
         for parameter in operation.get("parameters", ())
         if not parameter.get("description")
     ]
-    assert silent == []
+    assert undescribed == []
 
 
-def test_numbers_in_answers_say_their_unit_or_range(document: dict[str, Any]) -> None:
+def test_numbers_in_responses_have_their_unit_or_range(document: dict[str, Any]) -> None:
     """An id, and what counts or speaks for itself, needs none."""
     plain = {"id", "set", "version", "size_bytes", "count", "entries", "next", "status"}
-    silent = [
+    undescribed = [
         f"{name}.{field}"
         for name, schema in document["components"]["schemas"].items()
         if not name.endswith("Request")
@@ -263,7 +265,7 @@ def test_numbers_in_answers_say_their_unit_or_range(document: dict[str, Any]) ->
         or "integer" in json.dumps(value.get("anyOf", [value]))
         if not value.get("description") and field not in plain
     ]
-    assert silent == []
+    assert undescribed == []
 
 
 def test_two_schemas_of_one_name_are_refused() -> None:

@@ -38,14 +38,14 @@ def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> No
     assert (outcome.tone, outcome.text) == (tone, text)
 
 
-def test_a_part_of_a_change_that_was_taken_back_says_so_in_the_reader_s_language() -> None:
+def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> None:
     taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
     assert outcome_text(part, str, translator()).text == str(taken_back)
     assert "vorbereitet; nicht ausgeführt" in outcome_text(part, str, translator("de")).text
 
 
-def test_a_refusal_before_sending_is_said_in_the_reader_s_language() -> None:
+def test_a_refusal_before_sending_is_shown_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(monotonic_now() - 4, 2.0).refuse_passed()
     text = problem_text(late.value, translator("de")).text

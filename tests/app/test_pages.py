@@ -13,15 +13,15 @@ import pytest
 from app.live.pages import digits_of, view_for
 from app.web.access import Role
 from bus.contract import ParameterValue
+from tests.app.complete_app import House, complete_app
 from tests.app.screens import line
-from tests.app.whole_app import House, whole_app
 
 PAGES = ["/", "/units/dry-end/1", "/units/dry-end/1/parameters", "/setpoints", "/bus/dry-end"]
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -42,7 +42,7 @@ def test_a_number_has_room_for_the_highest_speed(decimals: int, span: int, digit
 
 
 @pytest.mark.parametrize("path", PAGES)
-async def test_no_page_has_a_style_or_a_script_of_its_own(house: House, path: str) -> None:
+async def test_no_page_has_an_inline_style_or_script(house: House, path: str) -> None:
     page = await (await house.program(Role.ENGINEER)).get(path)
     assert page.status_code == 200
     assert not re.search(r"\sstyle=|<style|\son[a-z]+=|javascript:", page.text)
@@ -70,7 +70,7 @@ async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(
     assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
 
 
-async def test_a_unit_that_is_not_there_is_said_in_words(house: House) -> None:
+async def test_an_unknown_unit_is_explained(house: House) -> None:
     page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
     assert page.status_code == 404
     assert "200" in page.text
@@ -78,15 +78,15 @@ async def test_a_unit_that_is_not_there_is_said_in_words(house: House) -> None:
 
 async def test_the_view_is_remembered(house: House) -> None:
     client = await house.program(Role.VIEWER)
-    answer = await client.get("/?view=matrix")
-    assert answer.cookies["lineside_view"] == "matrix"
+    response = await client.get("/?view=matrix")
+    assert response.cookies["lineside_view"] == "matrix"
     assert (await client.get("/?view=nonsense")).status_code == 422
 
 
 async def test_the_matrix_has_a_former_name_in_stored_home_pages_and_cookies(house: House) -> None:
     client = await house.program(Role.VIEWER)
-    answer = await client.get("/?view=board")
-    assert (answer.status_code, answer.cookies["lineside_view"]) == (200, "matrix")
+    response = await client.get("/?view=board")
+    assert (response.status_code, response.cookies["lineside_view"]) == (200, "matrix")
     client.cookies.set("lineside_view", "board")
     assert '<ul class="matrix' in (await client.get("/")).text
 
@@ -112,7 +112,7 @@ async def test_a_press_without_its_review_is_refused(house: House) -> None:
     assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
 
 
-async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
+async def test_an_old_click_sends_nothing_and_reports_it(house: House) -> None:
     client = await house.program(Role.OPERATOR)
     form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
     late = await client.post("/units/dry-end/1/speed", data=form, headers={"Lineside-Asked-At": "1.0"})
@@ -121,13 +121,13 @@ async def test_an_old_press_sends_nothing_and_says_so(house: House) -> None:
     assert (expired.status_code, "expired" in expired.text) == (409, True)
 
 
-async def test_who_may_only_look_is_told_so_where_the_line_is_set_to_zero(house: House) -> None:
+async def test_a_viewer_is_refused_where_the_line_is_set_to_zero(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     for path in ("/", "/units/dry-end/1", "/trends", "/account"):
         assert 'hx-get="/line/zero"' in (await viewer.get(path)).text, path
-    said = await viewer.get("/line/zero")
-    assert "Setting the line to zero needs the role operator" in said.text
-    assert "data-review-act" not in said.text
+    refused = await viewer.get("/line/zero")
+    assert "Setting the line to zero needs the role operator" in refused.text
+    assert "data-review-act" not in refused.text
     assert (await viewer.post("/line/zero", data={"id": "a", "reviewed_at": "1"})).status_code == 403
 
 

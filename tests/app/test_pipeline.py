@@ -62,7 +62,7 @@ async def test_what_happened_while_the_app_was_away_is_written_down_too(stage: S
     back = await stage.worker(hello(), snapshot(seq=3))
     for seq, outputs in ((2, 0), (3, 0b0100_0000)):
         updates = [reading(1, outputs=outputs)]
-        await back.say(Batch(seq=seq, sent_at=0.0, updates=list(updates), live=False))
+        await back.send(Batch(seq=seq, sent_at=0.0, updates=list(updates), live=False))
     found = [event for event in await events(stage, 5) if event["kind"] == "mode"]
     assert [event["new"] for event in found] == ["LOCAL", "REMOTE"]
     assert len(stage.history.readings) == 3
@@ -95,7 +95,7 @@ async def test_events_that_cannot_be_written_now_are_written_later(
     assert [event["kind"] for event in await events(stage, 2)] == ["worker", "mode"]
 
 
-async def test_a_port_that_opens_and_closes_for_ever_is_few_events_with_a_count(stage: Stage) -> None:
+async def test_a_port_that_flaps_indefinitely_is_few_events_with_a_count(stage: Stage) -> None:
     """Four a second came into a log that is kept for good."""
     for number in range(500):
         links: list[BusLink] = [BusLink(1.0, "open"), BusLink(1.0, "closed", f"closed {number}")]

@@ -136,8 +136,8 @@ def test_a_snapshot_may_be_as_old_as_its_worker_and_not_from_the_future() -> Non
     )
     foreign = replace(past, unit=9)
     figures = BusFigures(ahead, 1.0, 1.0, 1.0, 1.0)
-    whole = Snapshot(0, NOW, BusLink(ahead, "open"), [past, future, foreign], figures)
-    assert judge_snapshot(whole, UNITS, NOW) == Snapshot(
+    snapshot = Snapshot(0, NOW, BusLink(ahead, "open"), [past, future, foreign], figures)
+    assert judge_snapshot(snapshot, UNITS, NOW) == Snapshot(
         0,
         NOW,
         BusLink(NOW, "open"),

@@ -12,14 +12,14 @@ from app.errors import Problem, StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
 from bus.messages import Message
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -28,10 +28,10 @@ async def engineer(house: House) -> httpx.AsyncClient:
     return await house.program(Role.ENGINEER)
 
 
-def check_problem(answer: httpx.Response, status: int, code: str) -> None:
-    assert answer.status_code == status
-    assert answer.headers["content-type"] == "application/problem+json"
-    problem = answer.json()
+def check_problem(response: httpx.Response, status: int, code: str) -> None:
+    assert response.status_code == status
+    assert response.headers["content-type"] == "application/problem+json"
+    problem = response.json()
     assert (problem["type"], problem["status"], problem["code"]) == ("about:blank", status, code)
     assert problem["title"]
     assert problem["detail"]
@@ -42,9 +42,9 @@ async def test_an_unknown_call(engineer: httpx.AsyncClient) -> None:
 
 
 async def test_a_wrong_method(engineer: httpx.AsyncClient) -> None:
-    answer = await engineer.delete("/api/v1/line")
-    check_problem(answer, 405, "method_not_allowed")
-    assert answer.headers["allow"] == "GET, HEAD"
+    response = await engineer.delete("/api/v1/line")
+    check_problem(response, 405, "method_not_allowed")
+    assert response.headers["allow"] == "GET, HEAD"
 
 
 async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -> None:
@@ -68,17 +68,17 @@ async def test_an_unknown_bus_and_an_unknown_unit(engineer: httpx.AsyncClient) -
         b'{"raw": 1' + b"0" * 5000 + b"}",
     ],
 )
-async def test_malformed_input_is_invalid_and_says_that_nothing_was_sent(
+async def test_malformed_input_is_invalid_and_states_that_nothing_was_sent(
     engineer: httpx.AsyncClient, body: bytes
 ) -> None:
-    answer = await engineer.post(SPEED, content=body, headers={"content-type": "application/json"})
-    check_problem(answer, 422, "invalid")
-    assert "nothing was sent" in answer.json()["detail"]
+    response = await engineer.post(SPEED, content=body, headers={"content-type": "application/json"})
+    check_problem(response, 422, "invalid")
+    assert "nothing was sent" in response.json()["detail"]
 
 
 async def test_params_hold_texts_where_a_value_is_a_list_of_messages(engineer: httpx.AsyncClient) -> None:
-    answer = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
-    assert answer.json()["params"] == {
+    response = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
+    assert response.json()["params"] == {
         "faults": "raw: it must be an integer; surplus: there is no such field"
     }
 
@@ -96,17 +96,17 @@ async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient
         (b"", "application/json", "body: it is missing"),
     ],
 )
-async def test_a_fault_is_said_in_words_that_help(
+async def test_a_fault_is_explained_with_what_to_do(
     engineer: httpx.AsyncClient, body: bytes, kind: str, words: str
 ) -> None:
-    answer = await engineer.post(SPEED, content=body, headers={"content-type": kind})
-    check_problem(answer, 422, "invalid")
-    assert answer.json()["detail"].startswith(words)
+    response = await engineer.post(SPEED, content=body, headers={"content-type": kind})
+    check_problem(response, 422, "invalid")
+    assert response.json()["detail"].startswith(words)
 
 
 async def test_each_fault_of_a_body_is_named(engineer: httpx.AsyncClient) -> None:
-    answer = await engineer.put("/api/v1/buses/dry-end/units/1/outputs/1", json={"on": "maybe"})
-    assert answer.json()["errors"][0]["where"] == "on"
+    response = await engineer.put("/api/v1/buses/dry-end/units/1/outputs/1", json={"on": "maybe"})
+    assert response.json()["errors"][0]["where"] == "on"
 
 
 async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
@@ -127,7 +127,7 @@ async def test_words_of_a_request_are_never_markup(house: House) -> None:
     assert "<img src=x>" not in page.text
 
 
-async def test_a_store_that_fails_is_said(
+async def test_a_failing_store_is_reported(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
@@ -138,9 +138,9 @@ async def test_a_store_that_fails_is_said(
         )
 
     monkeypatch.setattr(house.services.events, "page", fail)
-    answer = await engineer.get("/api/v1/events")
-    check_problem(answer, 503, "store")
-    assert "the disk is full" in answer.json()["detail"]
+    response = await engineer.get("/api/v1/events")
+    check_problem(response, 503, "store")
+    assert "the disk is full" in response.json()["detail"]
 
 
 async def test_a_store_that_fails_at_the_door_refuses(
@@ -154,7 +154,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     assert (await house.client().get("/healthz")).status_code == 200
 
 
-async def test_our_own_failure_says_nothing_of_itself(
+async def test_an_internal_error_reveals_nothing(
     house: House, engineer: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(*_: object) -> None:
@@ -163,17 +163,17 @@ async def test_our_own_failure_says_nothing_of_itself(
     monkeypatch.setattr(house.services.events, "page", fail)
     transport = httpx.ASGITransport(house.app, raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://x", headers=engineer.headers) as other:
-        answer = await other.get("/api/v1/events")
-    check_problem(answer, 500, "failed")
-    assert "secret" not in answer.text
-    assert {name: answer.headers.get(name) for name in HEADERS} == HEADERS
+        response = await other.get("/api/v1/events")
+    check_problem(response, 500, "failed")
+    assert "secret" not in response.text
+    assert {name: response.headers.get(name) for name in HEADERS} == HEADERS
 
 
 async def test_a_wrong_method_names_all_methods_of_the_path(engineer: httpx.AsyncClient) -> None:
     """Which stand in as many routes."""
-    answer = await engineer.post("/api/v1/buses/dry-end/units/1/limits", json={})
-    check_problem(answer, 405, "method_not_allowed")
-    assert answer.headers["allow"] == "GET, HEAD, PUT"
+    response = await engineer.post("/api/v1/buses/dry-end/units/1/limits", json={})
+    check_problem(response, 405, "method_not_allowed")
+    assert response.headers["allow"] == "GET, HEAD, PUT"
 
 
 @pytest.mark.parametrize(
@@ -189,9 +189,9 @@ async def test_a_key_that_is_given_twice_means_nothing(
     engineer: httpx.AsyncClient, path: str, body: bytes, key: str
 ) -> None:
     headers = {"content-type": "application/json"}
-    answer = await engineer.post(f"/api/v1/buses/dry-end{path}", content=body, headers=headers)
-    check_problem(answer, 422, "invalid")
-    assert answer.json()["detail"] == f"{key}: it is given twice; nothing was sent"
+    response = await engineer.post(f"/api/v1/buses/dry-end{path}", content=body, headers=headers)
+    check_problem(response, 422, "invalid")
+    assert response.json()["detail"] == f"{key}: it is given twice; nothing was sent"
 
 
 @pytest.mark.parametrize(
@@ -202,16 +202,16 @@ async def test_a_key_that_is_given_twice_means_nothing(
     ],
 )
 async def test_a_query_that_would_be_guessed_at(engineer: httpx.AsyncClient, query: str, words: str) -> None:
-    answer = await engineer.get(f"/api/v1/events?{query}")
-    check_problem(answer, 422, "invalid")
-    assert answer.json()["detail"].startswith(words)
+    response = await engineer.get(f"/api/v1/events?{query}")
+    check_problem(response, 422, "invalid")
+    assert response.json()["detail"].startswith(words)
 
 
 async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -> None:
     series = "series=dry-end/1/actual&series=dry-end/2/actual"
     span = "from=2026-11-21T00:00:00Z&to=2026-11-21T01:00:00Z"
-    answer = await engineer.get(f"/api/v1/history/series?{series}&{span}")
-    assert len(answer.json()) == 2
+    response = await engineer.get(f"/api/v1/history/series?{series}&{span}")
+    assert len(response.json()) == 2
 
 
 @pytest.mark.parametrize(
@@ -225,13 +225,13 @@ async def test_what_may_be_given_several_times_is(engineer: httpx.AsyncClient) -
     ],
 )
 @pytest.mark.parametrize("text", ["a\0b", "a\x1b[2J", "100\u202e5"])
-async def test_text_that_nobody_can_see_is_not_kept(
+async def test_invisible_text_is_not_kept(
     engineer: httpx.AsyncClient, method: str, path: str, field: str, text: str
 ) -> None:
     body = {"name": "n", field: text} if field != "reason" else {field: text}
-    answer = await engineer.request(method, f"/api/v1/buses/dry-end{path}", json=body)
-    check_problem(answer, 422, "invalid")
-    assert answer.json()["detail"].startswith(f"{field}: character ")
+    response = await engineer.request(method, f"/api/v1/buses/dry-end{path}", json=body)
+    check_problem(response, 422, "invalid")
+    assert response.json()["detail"].startswith(f"{field}: character ")
 
 
 @pytest.mark.parametrize(
@@ -248,18 +248,18 @@ async def test_nor_from_a_form(house: House, path: str, form: dict[str, str]) ->
         ("en", "is a control character (U+0000)"),
         ("de", "ist ein Steuerzeichen (U+0000)"),
     ):
-        answer = await client.post(path, data=form, headers={"Accept-Language": language})
-        assert answer.status_code == 422
-        assert words in answer.text
+        response = await client.post(path, data=form, headers={"Accept-Language": language})
+        assert response.status_code == 422
+        assert words in response.text
 
 
-async def test_a_unit_named_twice_is_read_by_nobody(engineer: httpx.AsyncClient) -> None:
-    answer = await engineer.post("/api/v1/buses/dry-end/sets", json={"units": [1, 1]})
-    check_problem(answer, 422, "invalid")
-    assert answer.json()["detail"].startswith("units: 1 is given twice")
+async def test_a_unit_named_twice_is_refused(engineer: httpx.AsyncClient) -> None:
+    response = await engineer.post("/api/v1/buses/dry-end/sets", json={"units": [1, 1]})
+    check_problem(response, 422, "invalid")
+    assert response.json()["detail"].startswith("units: 1 is given twice")
 
 
-async def test_a_page_that_asks_the_api_is_refused_in_the_language_of_its_person(house: House) -> None:
+async def test_a_page_request_to_the_api_is_refused_in_the_users_language(house: House) -> None:
     german = {"accept-language": "de"}
     person, program = await house.signed_in(Role.VIEWER), await house.program(Role.VIEWER)
     assert (await person.get("/api/v1/nowhere", headers=german)).json()["detail"].startswith("unter /api/v1")
@@ -267,6 +267,6 @@ async def test_a_page_that_asks_the_api_is_refused_in_the_language_of_its_person
 
 
 def test_a_member_of_a_problem_may_have_the_name_of_a_parameter() -> None:
-    """The fate of a command has a ``message``, which is that of its unit."""
+    """The result of a command has a ``message``, which is that of its unit."""
     members = {"message": {"code": "store_disk_failed", "params": {}}, "code": "x", "status": 1}
     assert Problem(503, "bus_closed", Message("store_disk_failed"), **members).extra == members

@@ -9,7 +9,7 @@ from tests.app.screens import line, reading
 FREE, NOW = Limits(), 100.0
 
 
-def test_a_change_says_from_where_to_where_and_how_long() -> None:
+def test_a_change_has_its_start_target_and_duration() -> None:
     bus = line().buses["dry"]
     up = change_of(bus, bus.units[1], 1600, FREE, NOW)
     assert (up.old, up.new, up.measure, up.ramp) == ("120.0", "160.0", "m/min", Ramp(6, 100, 2.0))
@@ -37,7 +37,7 @@ def test_without_its_span_a_ramp_of_nothing_is_still_known() -> None:
     assert ramp_of(unit, 1200, 1200) is None
 
 
-def test_the_range_is_said_with_the_change() -> None:
+def test_the_range_is_shown_with_the_change() -> None:
     bus = line().buses["dry"]
     free = change_of(bus, bus.units[1], 1600, FREE, NOW)
     assert (free.lowest, free.highest) == ("0.0", "200.0")

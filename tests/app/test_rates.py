@@ -33,7 +33,7 @@ def test_a_full_bus_that_is_followed_never_waits() -> None:
     assert not any(bucket.pour(cost, float(at)) for at in range(10_000))
 
 
-def test_a_whole_snapshot_and_a_full_buffer_come_at_once() -> None:
+def test_a_complete_snapshot_and_a_full_buffer_come_at_once() -> None:
     bucket = update_bucket()
     state = unit_state(1, dict.fromkeys(range(1, 41), 0))
     assert bucket.pour(cost_of(Snapshot(0, 1.0, BusLink(1.0, "open"), [state] * 255)), 0.0) == 0.0

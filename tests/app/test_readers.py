@@ -28,7 +28,7 @@ def joined(made: Readers) -> Browser:
     return browser
 
 
-async def test_few_are_told_at_once() -> None:
+async def test_few_readers_are_updated_at_once() -> None:
     made = readers()
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -38,7 +38,7 @@ async def test_few_are_told_at_once() -> None:
     assert (snapshot["n"], diff["p"], diff["n"], diff["f"]) == (0, 0, 2, {GROUP: {"actual": "2"}})
 
 
-async def test_among_very_many_what_is_held_back_goes_as_one() -> None:
+async def test_among_very_many_delayed_changes_go_as_one() -> None:
     made = readers()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
@@ -63,7 +63,7 @@ async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
     assert (snapshot["n"], diff["p"]) == (1, 1)
 
 
-async def test_nothing_is_kept_for_nobody() -> None:
+async def test_nothing_is_kept_without_readers() -> None:
     made = readers()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
@@ -79,14 +79,14 @@ async def test_nothing_is_kept_for_nobody() -> None:
 
 
 @pytest.mark.parametrize(("always", "number"), [(False, 0), (True, 1)])
-async def test_nothing_new_is_told_only_as_a_heartbeat(always: bool, number: int) -> None:
+async def test_without_changes_only_a_heartbeat_is_sent(always: bool, number: int) -> None:
     made = readers()
     joined(made)
     made.publish({}, always=always)
     assert made.number == number
 
 
-async def test_nobody_is_always_the_last() -> None:
+async def test_no_reader_is_always_the_last() -> None:
     made, order = readers(), list[str]()
 
     class Noting:

@@ -11,13 +11,13 @@ import pytest
 
 from app.web.access import Role
 from bus.contract import ParameterValue
+from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
-from tests.app.whole_app import House, whole_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -27,7 +27,7 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "expected"),
     [
         ({"reviewed_at": "1"}, "expired"),
         ({"reviewed_at": "nan"}, "expired"),
@@ -37,13 +37,13 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
         ({}, "cannot be loaded now"),
     ],
 )
-async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], said: str) -> None:
+async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], expected: str) -> None:
     unit_1 = [ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))]
     house.services.live.buses["dry-end"].apply(list(unit_1))
     await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
-    answer = await load(await house.signed_in(Role.OPERATOR), **changed)
-    assert said in answer.text
-    assert 'data-review-done="bad"' in answer.text
+    response = await load(await house.signed_in(Role.OPERATOR), **changed)
+    assert expected in response.text
+    assert 'data-review-done="bad"' in response.text
 
 
 async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:

@@ -48,7 +48,7 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
     ]
 
 
-async def test_a_list_that_is_given_whole_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.recipes.book.MOST_RECIPES", 2)
     answering(scene.live)
     for name in ("one", "two", "two"):
@@ -64,7 +64,7 @@ async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Sce
         await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
 
 
-async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -> None:
+async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) -> None:
     answering(scene.live, commanded=1000)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 0})
     run = scene.book.try_out(ANNA, recipe)
@@ -78,7 +78,7 @@ async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -
 
 
 @pytest.mark.parametrize(
-    ("raw", "remote", "mode", "says"),
+    ("raw", "remote", "mode", "error"),
     [
         (20001, True, 0, "maximum"),
         (95000, True, 0, "maximum"),
@@ -86,19 +86,19 @@ async def test_the_dry_run_says_old_new_and_the_time_of_the_ramp(scene: Scene) -
         (100, True, 1, "ratio"),
     ],
 )
-async def test_what_stands_in_the_way_is_said_and_nothing_is_sent(
-    scene: Scene, raw: int, remote: bool, mode: int, says: str
+async def test_obstacles_are_reported_and_nothing_is_sent(
+    scene: Scene, raw: int, remote: bool, mode: int, error: str
 ) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: raw})
     answering(scene.live, remote=remote)
     scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
-    with pytest.raises(Problem, match=says):
+    with pytest.raises(Problem, match=error):
         await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
     assert scene.commands.sent == []
 
 
-async def test_a_refusal_says_once_that_nothing_was_sent(scene: Scene) -> None:
+async def test_a_refusal_states_once_that_nothing_was_sent(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
     with pytest.raises(Problem) as refused:
@@ -106,7 +106,7 @@ async def test_a_refusal_says_once_that_nothing_was_sent(scene: Scene) -> None:
     assert str(refused.value).count("nothing was sent") == 1
 
 
-async def test_a_silent_line_cannot_be_loaded(scene: Scene) -> None:
+async def test_a_recipe_is_not_loaded_to_a_line_that_does_not_respond(scene: Scene) -> None:
     answering(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})
     scene.live.buses["dry-end"].lose_worker(5.0)
@@ -147,14 +147,14 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     assert not again.try_out(ANNA, recipe).loadable
 
 
-async def test_the_dry_run_says_in_words_what_will_happen(scene: Scene) -> None:
+async def test_the_dry_run_explains_what_will_happen(scene: Scene) -> None:
     answering(scene.live, commanded=1000)
     scene.live.buses["dry-end"].apply(
         [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
     )
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 10100})
-    said = [in_english(step.effect) for step in scene.book.try_out(ANNA, recipe).steps]
-    assert said == [
+    effects = [in_english(step.effect) for step in scene.book.try_out(ANNA, recipe).steps]
+    assert effects == [
         "speeds up from 100.0 to 1100.0 in 5.0 s",
         "follows at 1.0100 of its master instead of 1.0000",
     ]

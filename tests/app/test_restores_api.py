@@ -11,9 +11,9 @@ import httpx
 import pytest
 
 from app.web.access import Role
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until
-from tests.app.whole_app import House, whole_app
 
 PLANS = f"/api/v1/buses/{BUS}/units/2/restores"
 DRIFTED = {6: 50, 7: 60, 20: 1216, 37: 9000, 27: 1}
@@ -22,7 +22,7 @@ DRIFTED = {6: 50, 7: 60, 20: 1216, 37: 9000, 27: 1}
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -48,9 +48,9 @@ async def golden(client: httpx.AsyncClient, line: PlayedLine) -> int:
 
 
 async def plan(client: httpx.AsyncClient, golden: int, **chosen: Any) -> Any:
-    answer = await client.post(PLANS, json={"set": golden, **chosen})
-    assert answer.status_code == 201, answer.text
-    return answer.json()
+    response = await client.post(PLANS, json={"set": golden, **chosen})
+    assert response.status_code == 201, response.text
+    return response.json()
 
 
 async def ended(house: House, client: httpx.AsyncClient, restore: str) -> Any:
@@ -64,7 +64,7 @@ def selected(planned: Any) -> dict[int, bool]:
     return {row["number"]: row["selected"] for row in planned["rows"]}
 
 
-async def test_a_plan_says_which_rows_are_selected_and_why_not(
+async def test_a_plan_shows_which_rows_are_selected_and_why_not(
     client: httpx.AsyncClient, golden: int
 ) -> None:
     planned = await plan(client, golden)
@@ -146,7 +146,7 @@ async def test_a_value_that_moved_since_the_plan_stops_it(
     assert "der Regler hat sich seit der Prüfung geändert" in page.text
 
 
-async def test_the_page_chooses_the_golden_set_and_writes_what_is_ticked(
+async def test_the_page_selects_the_golden_set_and_writes_checked_rows(
     house: House, client: httpx.AsyncClient, line: PlayedLine, golden: int
 ) -> None:
     page = (await client.get(f"/units/{BUS}/2/restore")).text

@@ -1,4 +1,4 @@
-"""What an account may do now: in memory, as fresh as a second, and never trusted when it says no."""
+"""What an account may do now: from memory, at most a second old, and never trusted when it denies."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ async def test_what_was_read_longer_ago_than_a_second_permits_nothing(scene: Sce
     assert scene.withdrawn == ["program (token)"]
 
 
-async def test_a_token_expires_while_nobody_changes_the_store(scene: Scene) -> None:
+async def test_a_token_expires_without_a_change_of_the_store(scene: Scene) -> None:
     program = await scene.token("program", expires_at=110.0)
     assert await scene.is_allowed(program)
     scene.now = 110.0

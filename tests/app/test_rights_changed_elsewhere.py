@@ -31,12 +31,12 @@ class House:
             for each in self.stores
         )
         self.rights = Rights(self.stores[0], self.here, lambda: self.now)
-        self.told: list[str] = []
+        self.notified: list[str] = []
 
-        async def hear(account: str) -> None:
-            self.told.append(account)
+        async def receive(account: str) -> None:
+            self.notified.append(account)
 
-        self.rights.on_withdrawn(hear)
+        self.rights.on_withdrawn(receive)
 
     def close(self) -> None:
         self.passwords.close()
@@ -51,7 +51,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
     await house.here.add_user("ann", Role.ENGINEER, PASSWORD, **BY)
     await house.here.create_token("plc", Role.OPERATOR, **BY)
     await house.rights.refresh()
-    assert house.told == []
+    assert house.notified == []
     await house.rights.refresh()
     yield house
     house.close()
@@ -68,7 +68,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
         ("replace", "plc (token)"),
     ],
 )
-async def test_what_another_process_does_is_told(house: House, change: str, account: str) -> None:
+async def test_a_change_by_another_process_is_reported(house: House, change: str, account: str) -> None:
     there, looked = house.elsewhere, house.rights.rechecks.count
     match change:
         case "revoke":
@@ -85,21 +85,21 @@ async def test_what_another_process_does_is_told(house: House, change: str, acco
             await there.revoke_token("plc", **BY)
             house.now += 0.001
             await there.create_token("plc", Role.OPERATOR, **BY)
-    assert house.told == []
+    assert house.notified == []
     await house.rights.refresh()
-    assert house.told == [account]
+    assert house.notified == [account]
     assert house.rights.rechecks.count > looked, "open connections look again"
     await house.rights.refresh()
-    assert house.told == [account]
+    assert house.notified == [account]
 
 
-async def test_what_ends_no_rights_is_not_told(house: House) -> None:
+async def test_a_change_that_ends_no_rights_is_not_reported(house: House) -> None:
     await house.elsewhere.add_user("bob", Role.VIEWER, PASSWORD, **BY)
     await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()
     await house.stores[0].write(lambda c: c.execute("UPDATE users SET seen_at = 5"))
     await house.rights.refresh()
-    assert house.told == []
+    assert house.notified == []
 
 
 async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
@@ -109,16 +109,16 @@ async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
     await house.rights.refresh()
     await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()
-    assert house.told == []
+    assert house.notified == []
 
 
-async def test_a_token_that_expires_is_told_once(house: House) -> None:
+async def test_a_token_that_expires_is_reported_once(house: House) -> None:
     await house.here.create_token("short", Role.OPERATOR, expires_days=1, **BY)
     await house.rights.refresh()
     house.now += rules.DAY - 1
     await house.rights.refresh()
-    assert house.told == []
+    assert house.notified == []
     house.now += 1
     await house.rights.refresh()
     await house.rights.refresh()
-    assert house.told == ["short (token)"]
+    assert house.notified == ["short (token)"]

@@ -1,4 +1,4 @@
-"""What a review says of its units: each fact, alone and together, and in the order of the tables."""
+"""Remarks of a review about its units: each fact, alone and together, and in the order of the tables."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def after(*updates: Update) -> LiveState:
     return live
 
 
-def said(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
-    """The codes of what is said of unit 1."""
+def remarks(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
+    """Return the codes of the remarks about unit 1."""
     bus = live.buses["dry"]
     facts = facts_of(
         bus,
@@ -62,20 +62,20 @@ def said(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tupl
 def test_each_fact_has_its_remark(
     live: LiveState, block: str, ramp: Ramp | None, expected: tuple[str, list[str]]
 ) -> None:
-    assert said(live, block=block, ramp=ramp) == expected
+    assert remarks(live, block=block, ramp=ramp) == expected
 
 
-def test_a_unit_that_never_responded_says_nothing_but_that() -> None:
+def test_a_unit_that_never_responded_has_only_that_remark() -> None:
     live = line()
     live.buses["dry"].units[1].reading = None
-    assert said(live) == ("obstacle_offline", [])
+    assert remarks(live) == ("obstacle_offline", [])
 
 
-def test_the_dialect_says_which_level_is_an_emergency_stop() -> None:
+def test_the_dialect_decides_which_level_is_an_emergency_stop() -> None:
     live = after(reading(inputs=RUN))
     bus = live.buses["dry"]
     object.__setattr__(bus.settings, "estop_healthy", 0)
-    assert said(live) == ("", [])
+    assert remarks(live) == ("", [])
 
 
 def test_the_numbers_are_params() -> None:
@@ -86,9 +86,9 @@ def test_the_numbers_are_params() -> None:
 
 
 def test_one_remark_names_all_its_units() -> None:
-    silent, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
-    found = by_remark([("A", local), ("B", silent), ("C", local)])
-    assert found == [(local, ["A", "C"]), (silent, ["B"])]
+    offline, local = Message("obstacle_offline"), Message("obstacle_not_in_remote")
+    found = by_remark([("A", local), ("B", offline), ("C", local)])
+    assert found == [(local, ["A", "C"]), (offline, ["B"])]
 
 
 @pytest.mark.parametrize(

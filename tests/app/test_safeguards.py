@@ -37,8 +37,8 @@ async def obeying(stage: Stage) -> PlayedWorker:
 async def speed(stage: Stage, raw: int, **more: object) -> tuple[int, str]:
     """Status and code of setting unit 1."""
     name = str(more.pop("name", ""))
-    answer = await stage.request("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
-    return answer.status_code, answer.json()["code"]
+    response = await stage.request("POST", "/units/1/speed", {"raw": raw, **more}, role="operator", name=name)
+    return response.status_code, response.json()["code"]
 
 
 async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) -> None:
@@ -57,7 +57,7 @@ async def test_limits_are_enforced_from_the_moment_they_are_set(stage: Stage) ->
     assert await speed(stage, 0) == (200, "verified")
 
 
-async def test_a_large_step_asks_for_confirmation(stage: Stage) -> None:
+async def test_a_large_step_needs_confirmation(stage: Stage) -> None:
     await obeying(stage)
     await stage.request("PUT", "/units/1/limits", {"largest_step": 50})
     assert await speed(stage, 1051) == (409, "confirm_needed")
@@ -100,8 +100,8 @@ async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[st
 
 async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
     worker = await obeying(stage)
-    told: list[int] = []
-    stage.guards.on_block(told.append)
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
     body = {"reason": " belt off since 14:20, do not run "}
     blocked = await stage.request("POST", "/units/1/block", body, role="operator", name="anna")
     assert blocked.json()["by"] == "anna"
@@ -114,7 +114,7 @@ async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> Non
     assert worker.commands == []
     assert (await stage.request("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
     assert await speed(stage, 5) == (200, "verified")
-    assert told == [1, 1]
+    assert notified == [1, 1]
     events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
     assert [event["what"] for event in events] == ["command block lifted", "commands blocked"]
 
@@ -148,13 +148,13 @@ async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
     database.close()
 
 
-async def test_without_the_sites_wish_nobody_needs_control(stage: Stage) -> None:
+async def test_without_the_setting_control_is_not_needed(stage: Stage) -> None:
     await obeying(stage)
     assert await speed(stage, 5) == (200, "verified")
     assert (await stage.request("GET", "/control")).json()["required"] is False
 
 
-async def test_one_holds_control_and_everybody_sees_by_whom(controlled: Stage) -> None:
+async def test_one_user_has_control_and_all_see_who(controlled: Stage) -> None:
     worker = await obeying(controlled)
     assert await speed(controlled, 5, name="anna") == (409, "controlled")
     taken = await controlled.request("POST", "/control", role="operator", name="anna")
@@ -175,9 +175,9 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     assert by_ben.status_code == 409
     await controlled.request("POST", "/control/hand-over", {"to": "ben"}, role="operator", name="anna")
     assert await speed(controlled, 5, name="ben") == (200, "verified")
-    for nobody, word in (("nobody", "there is no user nobody"), ("vera", "vera has the role viewer")):
+    for other, word in (("nobody", "there is no user nobody"), ("vera", "vera has the role viewer")):
         refused = await controlled.request(
-            "POST", "/control/hand-over", {"to": nobody}, role="operator", name="ben"
+            "POST", "/control/hand-over", {"to": other}, role="operator", name="ben"
         )
         assert (refused.status_code, refused.json()["code"]) == (422, "invalid")
         assert word in refused.json()["detail"]
@@ -200,7 +200,7 @@ async def test_reading_needs_no_control(controlled: Stage) -> None:
     assert len(worker.commands) == 1
 
 
-async def test_whoever_is_gone_gives_control_back_and_the_events_say_so(controlled: Stage) -> None:
+async def test_control_is_released_when_its_holder_is_gone_with_an_event(controlled: Stage) -> None:
     assert (await controlled.request("POST", "/control", role="operator")).status_code == 200
     await controlled.guards.revoke_control("operator")
     assert controlled.guards.holder() == ""

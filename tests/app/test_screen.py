@@ -40,7 +40,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
 
-def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
+def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
     live = line(3)
     shown = screen(live)
     for unit, at, inputs in ((1, 115.0, 2), (2, 135.0, 1), (3, 150.0, 2)):
@@ -56,7 +56,7 @@ def test_the_strip_has_what_is_abnormal_beside_the_worst() -> None:
     ]
 
 
-def test_a_unit_says_nothing_of_a_cable_that_its_bus_has_lost() -> None:
+def test_a_unit_does_not_repeat_the_lost_cable_of_its_bus() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
@@ -79,8 +79,12 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     changed = shown.see("dry", [1, 2], 101.0, include_bus=True)
-    said = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
-    assert said == {"verdict": "dry · Port closed since 00:01: unplugged", "at": "/bus/dry", "abnormal": "1"}
+    shown_fields = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
+    assert shown_fields == {
+        "verdict": "dry · Port closed since 00:01: unplugged",
+        "at": "/bus/dry",
+        "abnormal": "1",
+    }
     assert changed["dry"]["link"] == "closed"
 
 
@@ -111,7 +115,7 @@ def test_the_strip_has_an_end() -> None:
     assert changed["whole_line"]["abnormal"] == "60"
 
 
-def test_a_bus_on_which_no_unit_answers_is_one_entry() -> None:
+def test_a_bus_without_any_response_is_one_entry() -> None:
     shown = screen(line())
     shown.settle(111.0)
     assert shown.shown["whole_line"]["verdict"] == "dry · No unit responds since 00:01"
@@ -132,7 +136,7 @@ def test_a_bus_on_which_no_unit_answers_is_one_entry() -> None:
         ),
     ],
 )
-def test_the_verdict_of_a_line_that_is_well_is_one_sentence(
+def test_the_verdict_of_a_normal_line_is_one_text(
     readings: list[dict[str, int]], verdict: str, german: str
 ) -> None:
     live = line()
@@ -156,7 +160,7 @@ def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: 
     assert screen(live, "de").shown["whole_line"]["verdict"] == german
 
 
-def test_without_units_the_verdict_says_so() -> None:
+def test_without_units_the_verdict_reports_it() -> None:
     assert screen(line(0)).shown["whole_line"]["verdict"] == "No unit is configured"
 
 
@@ -165,7 +169,7 @@ def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
     assert screen(line(), "de").shown["dry/1"]["status"] == "Auf Drehzahl"
 
 
-def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> None:
+def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=101.0, outputs=0x40, actual=200)])
@@ -176,7 +180,7 @@ def test_a_ramp_is_told_to_its_unit_and_not_to_the_whole_line_each_second() -> N
     assert "whole_line" not in changed
 
 
-def test_what_to_check_is_said_with_the_cause() -> None:
+def test_checks_are_shown_with_the_cause() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([reading(1, at=100.2, inputs=2, actual=0)])

@@ -12,12 +12,12 @@ from app.main import create_app
 from app.web.access import Role
 from app.web.bounds import MOST_BODY_BYTES
 from app.web.security import same_origin
-from tests.app.whole_app import HOST, House, settings_in, whole_app
+from tests.app.complete_app import HOST, House, complete_app, settings_in
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -60,16 +60,16 @@ async def test_what_changes_something_must_come_from_our_own_page(
     house: House, headers: dict[str, str], status: int
 ) -> None:
     client = await house.signed_in(Role.VIEWER)
-    answer = await client.post("/account/language", data={"language": "de"}, headers=headers)
-    assert answer.status_code == status
+    response = await client.post("/account/language", data={"language": "de"}, headers=headers)
+    assert response.status_code == status
     [user] = await house.services.accounts.users()
     assert user.language == ("de" if status == 303 else "")
 
 
-async def test_a_foreign_page_cannot_sign_anybody_in(house: House) -> None:
+async def test_a_foreign_page_cannot_sign_a_user_in(house: House) -> None:
     await house.add("ann", Role.VIEWER)
-    answer = await house.client(origin="http://evil.example").post("/login", data={"name": "ann"})
-    assert (answer.status_code, answer.json()["code"]) == (403, "foreign_origin")
+    response = await house.client(origin="http://evil.example").post("/login", data={"name": "ann"})
+    assert (response.status_code, response.json()["code"]) == (403, "foreign_origin")
 
 
 async def test_looking_is_free(house: House) -> None:
@@ -97,7 +97,7 @@ def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_pat
 
 
 @pytest.mark.parametrize("path", ["/login", "/healthz", "/api/v1/line", "/static/x/nothing"])
-async def test_every_answer_forbids_the_browser_what_we_do_not_need(house: House, path: str) -> None:
+async def test_every_response_forbids_unused_browser_features(house: House, path: str) -> None:
     headers = (await house.client().get(path)).headers
     policy = headers["content-security-policy"]
     assert "default-src 'self'" in policy
@@ -133,11 +133,11 @@ async def test_no_page_has_inline_script_or_style(house: House, path: str) -> No
     assert "<script>" not in html
 
 
-async def test_nobody_fills_the_memory(house: House) -> None:
+async def test_requests_cannot_fill_the_memory(house: House) -> None:
     client, much = house.client(), MOST_BODY_BYTES + 1
     program = {"accept": "application/json"}
-    answer = await client.post("/login", content=b"x" * much, headers=program)
-    assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
+    response = await client.post("/login", content=b"x" * much, headers=program)
+    assert (response.status_code, response.json()["code"]) == (413, "too_large")
 
     async def pieces() -> AsyncIterator[bytes]:
         for _ in range(much // 1024 + 1):
@@ -146,8 +146,8 @@ async def test_nobody_fills_the_memory(house: House) -> None:
     form = {"content-type": "application/x-www-form-urlencoded"}
     unsaid = await client.post("/login", content=pieces(), headers=form | program)
     assert unsaid.status_code in (413, 422)
-    asked = await house.program(Role.OPERATOR)
-    unsaid = await asked.post("/api/v1/buses/dry-end/units/1/speed", content=pieces())
+    sender = await house.program(Role.OPERATOR)
+    unsaid = await sender.post("/api/v1/buses/dry-end/units/1/speed", content=pieces())
     assert (unsaid.status_code, unsaid.json()["code"]) == (413, "too_large")
     page = await client.post("/login", content=b"x" * much, headers={"accept": "text/html"})
     assert (page.status_code, "more than 2 MB were sent" in page.text) == (413, True)

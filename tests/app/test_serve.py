@@ -1,4 +1,6 @@
-"""``lineside serve`` and ``lineside demo`` as processes: they begin, restart what dies, and end whole."""
+"""``lineside serve`` and ``lineside demo`` as processes: they start, restart what dies, and end
+completely.
+"""
 
 from __future__ import annotations
 
@@ -103,7 +105,7 @@ def only_child(process: subprocess.Popen[str]) -> int:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_ends_whole_within_five_seconds(config: Path, number: int) -> None:
+def test_it_ends_completely_within_five_seconds(config: Path, number: int) -> None:
     with started("serve", "--config", str(config)) as (process, url):
         assert is_serving(url)
         worker = only_child(process)
@@ -116,7 +118,7 @@ def test_it_ends_whole_within_five_seconds(config: Path, number: int) -> None:
     assert proof.returncode == 0, proof.stderr
 
 
-def test_asked_to_end_while_the_dashboard_is_still_read_it_ends_its_workers_at_once(
+def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
     config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     happened: list[str] = []
@@ -182,7 +184,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
         assert second != [first]
 
 
-def test_the_app_knows_its_worker_and_says_that_the_port_is_not_there(config: Path) -> None:
+def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
     create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
     token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
@@ -206,7 +208,7 @@ def shown_by_ps(pid: int) -> set[str]:
     return {each.partition("=")[0] for each in shown} - os.environ.keys() - {""}
 
 
-def test_a_busy_port_is_one_sentence_and_1(config: Path) -> None:
+def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
@@ -221,7 +223,7 @@ def test_a_demo_on_a_busy_port_names_its_option() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         done = subprocess.run([LINESIDE, "demo", "--port", port], capture_output=True, text=True)
-        # These tests may run under a make of their own, whose options it hands down.
+        # These tests may run under another make, which passes its options down.
         environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
         command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
         made = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
@@ -236,7 +238,7 @@ def test_a_demo_on_a_busy_port_names_its_option() -> None:
     ("host", "words"),
     [("192.0.2.1", "is no address of this machine"), ("a..b", "there is no host 'a..b'")],
 )
-def test_an_impossible_address_is_said(host: str, words: str) -> None:
+def test_an_impossible_address_is_reported(host: str, words: str) -> None:
     with pytest.raises(ListenError, match=words):
         listen(host, 0, "choose another")
 
@@ -248,7 +250,7 @@ def test_two_servers_never_share_their_data(config: Path) -> None:
     assert "another Lineside server uses" in done.stderr
 
 
-def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("no folder")
     with pytest.raises(HostingError, match="File exists; give the server"):
         only_one(tmp_path / "data").__enter__()

@@ -15,12 +15,12 @@ import app
 from app import wiring
 from app.web.access import Requires
 from app.web.services import Registry
-from tests.app.whole_app import whole_app
+from tests.app.complete_app import complete_app
 
 
 async def test_no_route_waits_for_a_thread_to_look_something_up(tmp_path: Path) -> None:
     """FastAPI sends a plain function to a thread; a press of an operator would wait there."""
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         routes = [route for route in house.app.routes if isinstance(route, APIRoute | APIWebSocketRoute)]
     assert len(routes) > 100
     plain = {
@@ -56,7 +56,7 @@ def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
     assert stored == []
 
 
-def test_rest_asks_the_owner_of_the_state_and_never_the_hub() -> None:
+def test_rest_reads_from_the_owner_of_the_state_and_never_the_hub() -> None:
     root = Path(app.__file__).parent
     modules = [*root.rglob("*api.py"), *root.glob("*/api/*.py")]
     assert len(modules) > 8

@@ -1,4 +1,4 @@
-"""What a setpoint may be, and that every path to a setpoint and every label says the same."""
+"""The range of a setpoint, and that every path to a setpoint and every label uses the same."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from app.commands.safeguards.limits import NO_LIMITS, Limits
 from app.live.state.bus_live import UnitLive
 from app.web.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
+from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA, a_bus, answering
 from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
-from tests.app.whole_app import House, whole_app
 
 TO = "\N{EN DASH}"
 FOLLOWER = {8: 1, 31: 15000, 38: 5000}
@@ -102,7 +102,7 @@ def test_what_has_to_be_read_first(
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     """Two units, 0 to 2000.0 (#2, one decimal), at 100.0."""
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         answering(house.services.live)
         yield house
 
@@ -121,10 +121,10 @@ async def test_a_program_is_refused_above_the_maximum_with_the_nearest(
     house: House, method: str, path: str, body: Any
 ) -> None:
     program = await house.program(Role.ENGINEER)
-    answer = await program.request(method, f"/api/v1/buses/dry-end{path}", json=body)
-    said = answer.json()
-    assert (answer.status_code, said["code"], said["nearest"]) == (422, "invalid", 20000)
-    assert "2000.1 is outside 0.0 to 2000.0" in said["detail"]
+    response = await program.request(method, f"/api/v1/buses/dry-end{path}", json=body)
+    result = response.json()
+    assert (response.status_code, result["code"], result["nearest"]) == (422, "invalid", 20000)
+    assert "2000.1 is outside 0.0 to 2000.0" in result["detail"]
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ async def test_a_person_gets_no_review_above_the_maximum(
     house: House, path: str, form: dict[str, str], language: str
 ) -> None:
     browser = await house.signed_in(Role.ENGINEER)
-    answer = await browser.post(path, data=form, headers={"Accept-Language": language})
-    assert answer.status_code == 422
-    assert "data-review" not in answer.text
-    assert ("2000,0" if language == "de" else "2000.0") in answer.text
-    assert language == "en" or "nearest" not in answer.text
+    response = await browser.post(path, data=form, headers={"Accept-Language": language})
+    assert response.status_code == 422
+    assert "data-review" not in response.text
+    assert ("2000,0" if language == "de" else "2000.0") in response.text
+    assert language == "en" or "nearest" not in response.text
 
 
 async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(house: House) -> None:
@@ -159,12 +159,12 @@ async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(
         ("/setpoints", {"bus": "dry-end"}),
         (f"/recipes/{recipe.id}/load", {}),
     ):
-        answer = await browser.post(path, data=reviewed | form)
-        assert "100.0 is outside 0.0 to 90.0" in answer.text, path
+        response = await browser.post(path, data=reviewed | form)
+        assert "100.0 is outside 0.0 to 90.0" in response.text, path
     assert "100.0 is outside 0.0 to 90.0" in (await browser.get(f"/recipes/{recipe.id}")).text
 
 
-async def test_labels_say_what_the_checks_do(house: House) -> None:
+async def test_labels_agree_with_the_checks(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
     bus = "/api/v1/buses/dry-end/units/1"
     for highest, label in ((None, "2000.0"), (25000, "2500.0"), (1500, "150.0")):
@@ -185,38 +185,38 @@ async def test_labels_say_what_the_checks_do(house: House) -> None:
 
 async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
-    answer = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
-    assert "9999.9" in answer.text
+    response = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
+    assert "9999.9" in response.text
     assert house.services.buses["dry-end"].safeguards.limits.of(1) == NO_LIMITS
 
 
 # --- what was never read is read first --------------------------------------------------------------
 
 
-def unit_that_tells(values: dict[int, int | None]) -> Any:
-    """A worker's play: reads are answered from these values, every write is verified."""
+def unit_with_parameters(values: dict[int, int | None]) -> Any:
+    """Return a worker's play: reads return these values, every write is verified."""
 
     async def play(command: Command) -> Sequence[Update]:
         if not isinstance(command.action, ReadParameters):
             return [result_of(command, "verified")]
-        told = [
+        read_values = [
             ParameterValue(
                 command.action.unit, number, time.time(), values[number], available=values[number] is not None
             )
             for number in command.action.numbers
             if number in values
         ]
-        outcome = "verified" if len(told) == len(command.action.numbers) else "unverified"
-        return [*told, result_of(command, outcome, values=told)]
+        outcome = "verified" if len(read_values) == len(command.action.numbers) else "unverified"
+        return [*read_values, result_of(command, outcome, values=read_values)]
 
     return play
 
 
 async def unread(stage: Stage, values: dict[int, int | None]) -> PlayedWorker:
-    """Unit 1 was never asked for a parameter."""
+    """Return a worker whose unit 1 has no parameter read yet."""
     states = [unit_state(1, {}), unit_state(2), unit_state(16)]
     worker = await stage.worker(state=snapshot(units=states))
-    worker.play = unit_that_tells(values)
+    worker.play = unit_with_parameters(values)
     return worker
 
 
@@ -238,9 +238,9 @@ async def test_it_is_read_within_the_time_of_the_command(
 ) -> None:
     worker = await unread(stage, values)
     path, body = ("/speeds", {"setpoints": {"1": {"raw": raw}}}) if many else ("/units/1/speed", {"raw": raw})
-    answer = await stage.request("POST", path, body)
-    assert answer.status_code == (200 if nearest is None else 422), answer.text
-    assert answer.json().get("nearest") == nearest
+    response = await stage.request("POST", path, body)
+    assert response.status_code == (200 if nearest is None else 422), response.text
+    assert response.json().get("nearest") == nearest
     written = [
         command.action for command in worker.commands if not isinstance(command.action, ReadParameters)
     ]
@@ -256,12 +256,12 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
         ("/speeds", {"setpoints": {"1": {"raw": 5}, "2": {"raw": 5}}}),
         ("/units/1/parameters/20", {"raw": 5}),
     ):
-        answer = await stage.request("PUT" if "parameters" in path else "POST", path, body)
-        said = answer.json()
-        assert (answer.status_code, said["code"], said["outcome"]) == (504, "unverified", "unverified")
-        assert "could not be read from unit 1" in said["detail"]
-        assert {unit["outcome"] for unit in said["units"].values()} == {"not_sent"}
-        assert set(said["units"]) == ({"1", "2"} if path == "/speeds" else {"1"})
+        response = await stage.request("PUT" if "parameters" in path else "POST", path, body)
+        result = response.json()
+        assert (response.status_code, result["code"], result["outcome"]) == (504, "unverified", "unverified")
+        assert "could not be read from unit 1" in result["detail"]
+        assert {unit["outcome"] for unit in result["units"].values()} == {"not_sent"}
+        assert set(result["units"]) == ({"1", "2"} if path == "/speeds" else {"1"})
     assert all(isinstance(command.action, ReadParameters) for command in worker.commands)
 
 
@@ -274,7 +274,7 @@ async def test_zero_waits_for_nothing_to_be_read(stage: Stage) -> None:
 async def test_each_that_was_never_read_is_read_once(stage: Stage) -> None:
     states = [unit_state(number, {}) for number in (1, 2, 16)]
     worker = await stage.worker(state=snapshot(units=states))
-    worker.play = unit_that_tells({8: 0, 2: 20000})
+    worker.play = unit_with_parameters({8: 0, 2: 20000})
     body = {"setpoints": {number: {"raw": 100} for number in ("1", "2", "16")}}
     assert (await stage.request("POST", "/speeds", body)).status_code == 200
     assert worker.commands[-1].action == SetLine({1: 100, 2: 100, 16: 100})

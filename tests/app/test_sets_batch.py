@@ -1,4 +1,4 @@
-"""One parameter over many units: what the review says of the machine, and what ends the writing."""
+"""One parameter over many units: the review's remarks about the machine, and what ends the writing."""
 
 from __future__ import annotations
 

@@ -13,14 +13,14 @@ def unit(values: dict[int, int | None]) -> UnitRows:
     return UnitRows(1, "Nip", {number: ParameterRow(number, raw) for number, raw in values.items()})
 
 
-def test_all_forty_rows_are_there_and_the_unread_ones_say_so() -> None:
+def test_all_forty_rows_are_there_and_unread_ones_are_marked() -> None:
     compared = compare(unit({6: 50}), unit({}))
     assert [row.number for row in compared] == list(PARAMETERS)
     assert {row.kind for row in compared} == {"unknown"}
     assert next(row for row in compared if row.number == 6).new == Message("value_not_known")
 
 
-def test_a_ramp_says_what_the_machine_will_do() -> None:
+def test_a_ramp_explains_what_the_machine_will_do() -> None:
     (row,) = differences(unit({6: 50}), unit({6: 30}))
     assert row.meaning is not None
     assert row.meaning.code == "differs_acceleration"

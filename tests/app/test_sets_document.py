@@ -27,7 +27,7 @@ words = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 
 
 @given(values=raws, name=words, comment=words)
-def test_what_is_written_is_read_again(values: dict[int, int], name: str, comment: str) -> None:
+def test_a_written_document_is_read_again(values: dict[int, int], name: str, comment: str) -> None:
     read = read_document(write_document(a_set(values, name, comment), with_secrets=True))
     (unit,) = read.units
     assert {number: row.raw for number, row in unit.rows.items()} == values
@@ -35,7 +35,7 @@ def test_what_is_written_is_read_again(values: dict[int, int], name: str, commen
 
 
 @given(values=raws)
-def test_the_password_is_masked_unless_asked_for(values: dict[int, int]) -> None:
+def test_the_password_is_masked_unless_requested(values: dict[int, int]) -> None:
     values[SECRET] = 86420
     text = write_document(a_set(values))
     assert "86420" not in [
@@ -61,7 +61,7 @@ GOOD = write_document(a_set({6: 50}))
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "error"),
     [
         ("", "not a parameter set"),
         (GOOD[: len(GOOD) - 20], "cut off"),
@@ -86,7 +86,7 @@ GOOD = write_document(a_set({6: 50}))
         (GOOD.replace("raw = 50", "raw = \0 50"), "not readable as TOML"),
     ],
 )
-def test_nonsense_is_refused_in_words(text: str, says: str) -> None:
-    with pytest.raises(DocumentError, match=says) as refused:
+def test_nonsense_is_refused_in_words(text: str, error: str) -> None:
+    with pytest.raises(DocumentError, match=error) as refused:
         read_document(text, "unit3.toml")
     assert "unit3.toml" in str(refused.value)

@@ -1,4 +1,4 @@
-"""Who made a unit depart from its golden set: one of us by a command, or somebody at the panel."""
+"""Why a unit departed from its golden set: a command from here, or a change at the panel."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Scene:
         self.events = EventLog(self.database, lambda: self.now)
         self.store = SetStore(self.database)
         self.drift = BusDrift(self.live.buses["dry-end"], self.store, self.events)
-        self.told: list[int] = []
-        self.drift.on_change(self.told.append)
+        self.notified: list[int] = []
+        self.drift.on_change(self.notified.append)
 
     async def golden(self) -> None:
         rows = {number: ParameterRow(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
@@ -44,14 +44,14 @@ class Scene:
         self.live.buses["dry-end"].apply([ParameterValue(unit=1, number=number, at=self.now, raw=raw)])
 
     async def sent(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
-        said: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
+        fields: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
         what = f"write #{number} {PARAMETERS[number].name} (86h)"
-        await self.events.record(kind="command", what=what, outcome=outcome, **said)
+        await self.events.record(kind="command", what=what, outcome=outcome, **fields)
 
     def key(self) -> str:
         return self.drift.summary(1, translator(), NOW).key
 
-    async def says(self, tag: str = "en") -> str:
+    async def text(self, tag: str = "en") -> str:
         await self.drift.traced(1)
         return self.drift.summary(1, translator(tag), NOW).words
 
@@ -64,40 +64,40 @@ async def scene(tmp_path: Path) -> Scene:
 
 
 async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scene: Scene) -> None:
-    assert await scene.says() == ""
+    assert await scene.text() == ""
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
-    assert await scene.says() == "#12 differs from the golden set: changed by anna 14:20"
-    assert await scene.says("de") == "#12 weicht vom Referenzsatz ab: geändert von anna 14:20"
+    assert await scene.text() == "#12 differs from the golden set: changed by anna 14:20"
+    assert await scene.text("de") == "#12 weicht vom Referenzsatz ab: geändert von anna 14:20"
     scene.reads(6, 33)
     scene.reads(7, 34)
     assert (
-        await scene.says()
+        await scene.text()
         == "3 values differ from the golden set: 1 changed by anna 14:20, 2 changed at the panel"
     )
     scene.reads(12, 0)
-    assert await scene.says() == "2 values differ from the golden set, changed at the panel"
-    assert 1 in scene.told
+    assert await scene.text() == "2 values differ from the golden set, changed at the panel"
+    assert 1 in scene.notified
 
 
 async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> None:
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
-    assert await scene.says() == "#12 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#12 differs from the golden set, changed at the panel"
     await scene.sent("berta", 12, 22)
     scene.reads(12, 22)
-    assert await scene.says() == "#12 differs from the golden set: changed by berta 14:20"
+    assert await scene.text() == "#12 differs from the golden set: changed by berta 14:20"
 
 
 @pytest.mark.parametrize("outcome", ["refused", "invalid", "not_sent"])
-async def test_a_wish_that_came_to_nothing_changed_nothing(scene: Scene, outcome: str) -> None:
+async def test_a_command_that_was_not_carried_out_changed_nothing(scene: Scene, outcome: str) -> None:
     await scene.sent("anna", 12, 21)
     await scene.sent("berta", 12, 99, outcome)
     scene.reads(12, 21)
-    assert "by anna" in await scene.says()
+    assert "by anna" in await scene.text()
     scene.reads(12, 99)
-    assert await scene.says() == "#12 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#12 differs from the golden set, changed at the panel"
 
 
 async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
@@ -105,23 +105,23 @@ async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_non
     scene.now = GOLDEN_READ - 1
     await scene.sent("anna", 1, 21)
     scene.reads(1, 21)
-    assert await scene.says() == "#1 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#1 differs from the golden set, changed at the panel"
 
 
 async def test_the_last_write_of_the_operator_password_is_named_unseen(
     scene: Scene,
 ) -> None:
     scene.reads(21, 4711)
-    assert await scene.says() == "#21 differs from the golden set, changed at the panel"
-    said: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
+    assert await scene.text() == "#21 differs from the golden set, changed at the panel"
+    fields: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
     await scene.events.record(
-        kind="command", what="write #21 Operator Password (86h)", outcome="verified", **said
+        kind="command", what="write #21 Operator Password (86h)", outcome="verified", **fields
     )
     scene.reads(21, 4712)
-    assert "by anna" in await scene.says()
+    assert "by anna" in await scene.text()
 
 
-async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
+async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> None:
     await scene.sent("anna", 12, 21)
     live = a_bus()
     again = BusDrift(live.buses["dry-end"], scene.store, scene.events)
@@ -135,16 +135,16 @@ async def test_after_a_restart_the_events_still_tell(scene: Scene) -> None:
     await again.close()
 
 
-async def test_the_list_on_the_units_page_has_another_key_when_it_says_something_else(scene: Scene) -> None:
+async def test_the_list_on_the_units_page_has_another_key_when_its_text_changes(scene: Scene) -> None:
     keys = [scene.key()]
     for number, raw in ((7, 0), (7, 61), (7, 62), (12, 5)):
         scene.reads(number, raw)
         keys.append(scene.key())
     await scene.sent("erik", 12, 5)
-    await scene.says()
+    await scene.text()
     keys.append(scene.key())
     assert len(set(keys)) == len(keys)
     scene.reads(12, 5)
-    await scene.says()
+    await scene.text()
     assert scene.key() == keys[-1]
     assert scene.drift.summary(2, translator(), NOW) == Drifted()

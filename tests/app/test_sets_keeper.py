@@ -16,7 +16,7 @@ NOON = datetime(2026, 11, 20, 12, 0, tzinfo=UTC)
 
 
 class Scene(SetScene):
-    def line_says(self, unit: int) -> str:
+    def line_reports(self, unit: int) -> str:
         return self.drift.summary(unit, translator(), NOON.timestamp()).words
 
 
@@ -46,8 +46,8 @@ async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -
     assert [summary.id for summary in older] == ids[:1]
 
 
-async def test_nothing_is_kept_when_a_unit_does_not_answer(scene: Scene) -> None:
-    scene.commands.silent_after = 0
+async def test_nothing_is_saved_when_a_unit_does_not_respond(scene: Scene) -> None:
+    scene.commands.timeout_after = 0
     with pytest.raises(Problem):
         await scene.keeper.take(ANNA, [1], "", "")
     assert await scene.store.summaries() == []
@@ -65,15 +65,15 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     drift = scene.drift
     assert not drift.has_golden(1)
     await scene.keeper.mark_golden(ANNA, kept, 1)
-    scene.tells(1, 6, raw=0)
+    scene.report(1, 6, raw=0)
     assert drift.of(1) == []
     assert drift.unread(1) == 39
-    scene.tells(1, 6)
-    scene.tells(1, 20, raw=500)
+    scene.report(1, 6)
+    scene.report(1, 20, raw=500)
     assert [one.row.number for one in drift.of(1)] == [6]
     assert drift.of(2) == []
-    assert scene.line_says(1) == "#6 differs from the golden set"
-    scene.tells(1, 6, raw=0)
-    assert (drift.of(1), scene.line_says(1)) == ([], "")
+    assert scene.line_reports(1) == "#6 differs from the golden set"
+    scene.report(1, 6, raw=0)
+    assert (drift.of(1), scene.line_reports(1)) == ([], "")
     with pytest.raises(Problem):
         await scene.keeper.mark_golden(ANNA, kept, 2)

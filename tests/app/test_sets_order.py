@@ -92,7 +92,7 @@ def test_the_meaning_comes_first_and_what_ends_the_talk_last() -> None:
 
 
 @given(numbers=st.permutations([1, 2, 3, 4, 5, 6, 8, 9, 16, 20, 21, 31, 37, 38]))
-def test_every_row_is_written_once_in_an_order_of_its_own(numbers: list[int]) -> None:
+def test_every_row_is_written_once_in_the_defined_order(numbers: list[int]) -> None:
     ordered = order(dict.fromkeys(numbers, 5), dict.fromkeys(numbers, 9))
     assert sorted(ordered) == sorted(numbers)
     assert ordered == order(dict.fromkeys(sorted(numbers), 5), dict.fromkeys(sorted(numbers), 9))

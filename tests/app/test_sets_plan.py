@@ -90,19 +90,19 @@ def test_every_row_can_be_deselected(
 
 
 @pytest.mark.parametrize(
-    ("number", "running", "status", "code", "says"),
+    ("number", "running", "status", "code", "error"),
     [
         (17, False, 422, "invalid", "#17 cannot be written: the address is set at the keypad only"),
         (8, True, 422, "invalid", "#8 cannot be written: no change while Run is on"),
         (18, False, 409, "dangerous", "#18: The unit responds only at the new baud rate"),
     ],
 )
-def test_a_row_that_was_named_is_never_left_out_in_silence(
-    number: int, running: bool, status: int, code: str, says: str
+def test_a_named_row_is_never_left_out_without_notice(
+    number: int, running: bool, status: int, code: str, error: str
 ) -> None:
     wanted, selection = rows(every({17: 5, 8: 1, 18: 96})), Selection(include=frozenset({number}))
     plan = plan_restore(wanted, rows(every({18: 48})), running=running, selection=selection)
-    with pytest.raises(Problem, match=says) as refused:
+    with pytest.raises(Problem, match=error) as refused:
         refuse_unwritable(plan, selection)
     assert (refused.value.status, refused.value.code) == (status, code)
 
@@ -112,7 +112,7 @@ def test_a_row_cannot_be_named_and_excluded() -> None:
         Selection(include=frozenset({20}), exclude=frozenset({20}))
 
 
-def test_who_changes_a_running_machine_is_told_so() -> None:
+def test_a_change_of_a_running_machine_is_announced() -> None:
     for number in (1, 2, 4, 5, 6, 7, 9, 20, 31, 33, 37, 38):
         assert warning_of(number, 5, running=True)
         assert warning_of(number, 5, running=None) == warning_of(number, 5, running=True)
@@ -120,7 +120,7 @@ def test_who_changes_a_running_machine_is_told_so() -> None:
     assert not any(warning_of(number, 5, running=False) for number in PARAMETERS if number not in (20, 37))
     assert warning_of(20, 5, running=False) == Message("effect_setpoint")
     ramp, window = ({number: 50} for number in (6, 12))
-    for running, values, told in (
+    for running, values, expected in (
         (True, ramp, [RUNS]),
         (None, ramp, [MAY_RUN]),
         (False, ramp, []),
@@ -128,7 +128,7 @@ def test_who_changes_a_running_machine_is_told_so() -> None:
     ):
         wanted, present = rows(every(values)), rows(every())
         writes = plan_restore(wanted, present, running=running).writes
-        assert remarks(wanted, present, running=running, writes=writes) == told
+        assert remarks(wanted, present, running=running, writes=writes) == expected
 
 
 @pytest.mark.parametrize("number", [6, 7])
@@ -174,8 +174,8 @@ def test_local_is_named_beforehand_and_may_be_written_later() -> None:
             19: True,
         }
         assert plan.left_out[0].text == Message("row_not_in_remote")
-    told_by_status = plan_restore(wanted, local, running=False, remote=True)
-    assert 6 in {write.number for write in told_by_status.writes}
+    reported_by_status = plan_restore(wanted, local, running=False, remote=True)
+    assert 6 in {write.number for write in reported_by_status.writes}
 
 
 def test_a_value_that_no_unit_takes_is_named_and_not_sent() -> None:

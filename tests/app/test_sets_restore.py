@@ -39,7 +39,7 @@ class Scene:
         self.restores = self.server()
 
     def server(self) -> RestoreService:
-        """The desk of a server that has just been started."""
+        """Return the restore service of a server that has just been started."""
         return RestoreService({"dry-end": self.reader}, {"dry-end": self.commands}, self.events, self.store)  # type: ignore[arg-type]
 
     async def plan(self, wanted: dict[int, int] = WANTED, **chosen: frozenset[int]) -> Restore:
@@ -74,7 +74,7 @@ async def test_nothing_is_written_before_the_start(a_scene: SetsScene) -> None:
     assert [row.write.number for row in restore.rows] == [6, 7, 12, 9]
 
 
-async def test_only_what_differs_is_written_and_a_full_read_proves_it(a_scene: SetsScene) -> None:
+async def test_only_differences_are_written_and_a_full_read_verifies_them(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.commands.memory[2][6] = 50
     restore = await scene.run()
@@ -96,19 +96,19 @@ async def test_one_refused_row_does_not_cost_the_others(a_scene: SetsScene) -> N
     assert [row.number for row in restore.remaining] == [7]
 
 
-async def test_silence_stops_it_and_running_it_again_finishes_the_rest(a_scene: SetsScene) -> None:
-    scene = a_scene(silent_after=2)
+async def test_a_timeout_stops_it_and_a_second_run_finishes_the_rest(a_scene: SetsScene) -> None:
+    scene = a_scene(timeout_after=2)
     restore = await scene.run()
     assert restore.state == "stopped"
     assert "no response" in str(restore.cause)
     assert [row.outcome for row in restore.rows] == ["verified", "verified", "unverified", "not_sent"]
-    scene.commands.silent_after = None
+    scene.commands.timeout_after = None
     again = await scene.run()
     assert [row.write.number for row in again.rows] == [12, 9]
     assert again.state == "equal"
 
 
-async def test_left_off_it_says_which_rows_are_done(a_scene: SetsScene) -> None:
+async def test_a_canceled_restore_lists_the_rows_done(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan()
     restore.cancel("ben")
@@ -141,8 +141,8 @@ async def test_a_unit_with_the_first_twenty_parameters_only(a_scene: SetsScene) 
     assert restore.state == "equal"
 
 
-async def test_a_unit_that_does_not_answer_has_no_plan(a_scene: SetsScene) -> None:
-    scene = a_scene(silent_after=0)
+async def test_a_unit_that_does_not_respond_has_no_plan(a_scene: SetsScene) -> None:
+    scene = a_scene(timeout_after=0)
     with pytest.raises(Problem) as refused:
         await scene.plan()
     assert refused.value.status == 504
@@ -182,7 +182,7 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
     assert [row.number for row in kept.remaining] == [7]
 
 
-async def test_a_unit_in_local_is_said_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
+async def test_a_unit_in_local_is_reported_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.commands.memory[2][19] = 0
     answering(scene.live, remote=False)
@@ -285,7 +285,7 @@ async def test_an_objection_to_one_row_does_not_cost_the_others(a_scene: SetsSce
 
 
 @pytest.mark.parametrize("code", ["rights_withdrawn", "controlled", "blocked"])
-async def test_an_objection_to_whoever_asks_stops_it_between_two_rows(a_scene: SetsScene, code: str) -> None:
+async def test_an_objection_to_the_requester_stops_it_between_two_rows(a_scene: SetsScene, code: str) -> None:
     scene = a_scene(objects={12: Problem(403, code, Message.of("system_error", error="no longer"))})
     restore = await scene.run()
     assert (restore.state, restore.cause_code, str(restore.cause)) == ("stopped", code, "no longer")

@@ -1,4 +1,4 @@
-"""Sets that nobody asks for: every day at a minute, and before the first write of a day."""
+"""Automatic sets: every day at a minute, and before the first write of a day."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ BEFORE, AFTER = "before the first write of the day", "after the first write of t
 
 
 async def test_what_could_not_be_kept_for_one_person_is_kept_for_the_next(scene: Scene) -> None:
-    scene.tells(1, *PARAMETERS)
+    scene.report(1, *PARAMETERS)
     scene.rights.withdrawn["anna"] = "rights withdrawn"
     with pytest.raises(Problem):
         await scene.first.before(ANNA, [1], parameters=True)
@@ -58,12 +58,12 @@ async def test_what_could_not_be_kept_for_one_person_is_kept_for_the_next(scene:
     assert await scene.kept(1) == [BEFORE]
 
 
-async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and_the_rest_follows(
+async def test_before_the_first_parameter_write_known_values_are_stored_once_and_the_rest_follows(
     scene: Scene,
 ) -> None:
     await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == []
-    scene.tells(1, 6)
+    scene.report(1, 6)
     await scene.first.before(ANNA, [1], parameters=True)
     assert scene.commands.sent == []
     summary = (await scene.store.summaries("dry-end", 1))[-1]
@@ -73,11 +73,11 @@ async def test_before_the_first_parameter_write_what_is_known_is_stored_once_and
     assert await scene.kept(1) == [AFTER, BEFORE]
 
 
-async def test_a_setpoint_waits_for_nothing_and_keeps_every_unit_that_is_known_whole(scene: Scene) -> None:
-    scene.tells(1, *range(1, 41))
-    scene.tells(2, 6)
+async def test_a_setpoint_waits_for_nothing_and_saves_every_completely_known_unit(scene: Scene) -> None:
+    scene.report(1, *range(1, 41))
+    scene.report(2, 6)
     await scene.first.before(ANNA, [1, 2], parameters=False)
-    scene.tells(1, 6)
+    scene.report(1, 6)
     await scene.first.settled()
     assert (await scene.kept(1), await scene.kept(2)) == ([BEFORE], [])
     assert scene.commands.sent == []
@@ -86,9 +86,9 @@ async def test_a_setpoint_waits_for_nothing_and_keeps_every_unit_that_is_known_w
     assert await scene.kept(1) == [BEFORE]
 
 
-async def test_a_new_day_keeps_anew_and_a_set_of_the_day_is_enough(scene: Scene) -> None:
+async def test_a_new_day_saves_again_and_one_set_a_day_is_enough(scene: Scene) -> None:
     await scene.keeper.take(ANNA, [1], "", "")
-    scene.tells(1, *range(1, 41))
+    scene.report(1, *range(1, 41))
     await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == ["by hand"]
     scene.now += timedelta(days=1)
@@ -96,7 +96,7 @@ async def test_a_new_day_keeps_anew_and_a_set_of_the_day_is_enough(scene: Scene)
     assert await scene.kept(1) == [BEFORE, "by hand"]
 
 
-async def test_what_is_due_is_taken_as_one_set_and_once(scene: Scene) -> None:
+async def test_due_units_are_saved_as_one_set_and_once(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 0)
     for unit in (1, 2):
         scene.link(unit, "online")
@@ -111,7 +111,9 @@ async def test_what_is_due_is_taken_as_one_set_and_once(scene: Scene) -> None:
     assert await scene.kept(1) == ["on schedule"]
 
 
-async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answers(scene: Scene) -> None:
+async def test_a_unit_without_response_at_its_minute_is_reported_once_and_saved_when_it_responds(
+    scene: Scene,
+) -> None:
     await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
     scene.link(2, "offline")
@@ -120,21 +122,21 @@ async def test_a_unit_silent_at_its_minute_is_said_once_and_taken_when_it_answer
     assert scene.schedule.overdue() == {}
     for _ in range(2):
         await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
-    said = [event for event in scene.events.events if "not saved on schedule" in event["what"]]
-    assert [(event["unit"], event["message"]) for event in said] == [(2, ("the unit does not respond"))]
+    missed = [event for event in scene.events.events if "not saved on schedule" in event["what"]]
+    assert [(event["unit"], event["message"]) for event in missed] == [(2, ("the unit does not respond"))]
     assert list(scene.schedule.overdue()) == [2]
     scene.link(2, "online")
     await scene.schedule.look(ANNA, NOON, NOON + REPORT_AFTER)
     assert (await scene.kept(2), scene.schedule.overdue()) == (["on schedule"], {})
 
 
-async def test_a_unit_that_falls_silent_while_it_is_read_stays_owed(scene: Scene) -> None:
+async def test_a_unit_that_stops_responding_while_it_is_read_stays_overdue(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 0)
     scene.link(1, "online")
-    scene.commands.silent_after = 0
+    scene.commands.timeout_after = 0
     await scene.schedule.look(ANNA, MIDNIGHT - timedelta(minutes=1), NOON)
     assert str(scene.schedule.overdue()[1].why) == "no response"
-    scene.commands.silent_after = None
+    scene.commands.timeout_after = None
     await scene.schedule.look(ANNA, NOON, NOON)
     assert await scene.kept(1) == ["on schedule"]
 

@@ -78,7 +78,7 @@ def test_everything_may_be_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error"),
     [
         (BUSES.replace('"b"', '"a"'), ":5: bus name a is given twice; every bus has its own"),
         (BUSES.replace("USB1", "USB0"), ":6: port /dev/ttyUSB0 belongs to bus a already"),
@@ -92,11 +92,11 @@ def test_everything_may_be_left_out(tmp_path: Path) -> None:
         (BUSES + "estop_healthy = true\n", ":7: bus.estop_healthy = True: write a whole number"),
     ],
 )
-def test_faults(tmp_path: Path, text: str, said: str) -> None:
+def test_faults(tmp_path: Path, text: str, error: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ConfigurationError) as caught:
         load(path)
-    assert str(caught.value).startswith(f"{path}{said}")
+    assert str(caught.value).startswith(f"{path}{error}")
 
 
 def test_a_mark_of_the_byte_order_is_no_fault(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_where_no_zone_is_named_it_is_the_machines(
 def test_the_zone_of_a_machine_is_where_its_link_points(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A TZ that names a link, as containers have it, says no name itself."""
+    """A TZ that names a link, as containers have it, contains no zone name."""
     link = tmp_path / "localtime"
     link.symlink_to("/usr/share/zoneinfo/Europe/Berlin")
     monkeypatch.setenv("TZ", f":{link}")

@@ -1,4 +1,4 @@
-"""What the OpenAPI document promises is what the answers hold, no more and no less."""
+"""The OpenAPI document's fields are exactly those of the responses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_units_and_buses_read_and_unread() -> None:
         TypeAdapter(EXACT(ParameterShown)).validate_python(row)
 
 
-def test_fates() -> None:
+def test_outcomes() -> None:
     live = LiveState([bus_settings()], time.time())
     frame = Frame(at=1.0, direction="out", data=b"x", meanings=[term("m")])
     parts = [UnitOutcome(unit=1, outcome="verified", sent_at=1.0, proven_at=2.0, attempts=1)]
@@ -48,10 +48,10 @@ def test_fates() -> None:
 async def test_the_api_gives_them(stage: Stage) -> None:
     worker = await stage.worker()
 
-    async def silent(command: Command) -> list[Update]:
+    async def unresponsive(command: Command) -> list[Update]:
         return [result_of(command, "unverified", message=term("no response"))]
 
-    worker.play = silent
+    worker.play = unresponsive
     for path in ("/units/1", "", "/units/1/parameters"):
         assert (await stage.request("GET", path)).status_code == 200
     assert (await stage.http().get("/api/v1/line")).status_code == 200

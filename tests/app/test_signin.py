@@ -104,7 +104,7 @@ async def test_neither_password_nor_cookie_nor_token_is_stored(house: House) -> 
 @pytest.mark.parametrize(
     ("name", "password"), [("ann", "wrong"), ("nobody", PASSWORD), ("ann", ""), ("", "")]
 )
-async def test_a_wrong_one_is_refused_without_saying_which(house: House, name: str, password: str) -> None:
+async def test_a_wrong_one_is_refused_without_naming_which(house: House, name: str, password: str) -> None:
     await house.add()
     with pytest.raises(Problem) as caught:
         await house.enter(name, password)
@@ -118,7 +118,7 @@ async def test_refusals_are_events_and_never_hold_what_may_be_a_password(house: 
     assert await house.log_of("login_refused") == [("ann", "a"), ("unknown name", "a")]
 
 
-async def test_whoever_guesses_waits_longer_each_time_and_is_told_how_long(house: House) -> None:
+async def test_each_wrong_guess_waits_longer_and_shows_how_long(house: House) -> None:
     await house.add()
     assert [await house.refused() for _ in range(FREE)] == [401] * FREE
     with pytest.raises(Problem) as caught:
@@ -134,7 +134,7 @@ async def test_whoever_guesses_waits_longer_each_time_and_is_told_how_long(house
     await house.enter()
 
 
-async def test_nobody_is_locked_out_where_they_signed_in_before(house: House) -> None:
+async def test_a_user_is_not_locked_out_where_they_signed_in_before(house: House) -> None:
     """Ten wrong sign-ins from anywhere locked a named operator everywhere."""
     await house.add()
     await house.enter(address="192.0.2.7")
@@ -147,7 +147,7 @@ async def test_nobody_is_locked_out_where_they_signed_in_before(house: House) ->
 
 
 async def test_a_known_browser_does_not_wait_for_who_shares_its_address(house: House) -> None:
-    """Behind one proxy everybody has the same address."""
+    """Behind one proxy all clients have the same address."""
     await house.add()
     device = (await house.begin(address="proxy")).device
     for _ in range(FREE):
@@ -228,7 +228,7 @@ async def test_a_hash_of_an_earlier_version_is_replaced_at_the_next_sign_in(hous
 
 
 async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
-    """Somebody signs in at another desk while a restore of theirs is under way."""
+    """A user signs in on another device while their restore is under way."""
     await house.add()
     cookie = await house.enter()
     await hashed_by_an_earlier_version(house)
@@ -283,7 +283,7 @@ async def test_signing_out_ends_this_session_only(house: House) -> None:
 
 
 @pytest.mark.parametrize("ending", ["password", "disable", "remove"])
-async def test_what_ends_every_session_of_somebody(house: House, ending: str) -> None:
+async def test_changes_that_end_every_session_of_a_user(house: House, ending: str) -> None:
     await house.add()
     cookie = await house.enter()
     match ending:
@@ -361,7 +361,7 @@ async def test_tokens(house: House) -> None:
 
 
 @pytest.mark.parametrize("bearer", ["", "x", "ü", "x" * 10_000])
-async def test_what_is_no_token(house: House, bearer: str) -> None:
+async def test_invalid_tokens(house: House, bearer: str) -> None:
     assert await house.identity.by_token(bearer) is None
 
 
@@ -379,7 +379,7 @@ async def test_a_workers_token_names_its_bus(house: House) -> None:
     assert (person.role, person.via, person.bus) == (Role.WORKER, "token", "dry-end")
 
 
-async def test_a_token_expires_and_says_so_to_who_holds_it(house: House) -> None:
+async def test_a_token_expires_and_its_holder_gets_the_reason(house: House) -> None:
     token = await house.accounts.create_token("plc", Role.VIEWER, expires_days=30, by="ann", origin="t")
     house.now += 30 * rules.DAY - 1
     assert await house.identity.by_token(token)
@@ -393,27 +393,27 @@ async def test_a_token_expires_and_says_so_to_who_holds_it(house: House) -> None
 
 @pytest.fixture
 def gone(house: House) -> list[str]:
-    """Whoever is signed in nowhere any more, as it is told."""
-    told: list[str] = []
+    """Return the users reported as signed in nowhere."""
+    notified: list[str] = []
 
-    async def tell(name: str) -> None:
-        told.append(name)
+    async def notify(name: str) -> None:
+        notified.append(name)
 
-    house.sign_in.on_signed_out(tell)
-    return told
+    house.sign_in.on_signed_out(notify)
+    return notified
 
 
-async def test_the_last_signing_out_is_told_and_no_other(house: House, gone: list[str]) -> None:
+async def test_the_last_signing_out_is_reported_and_no_other(house: House, gone: list[str]) -> None:
     await house.add()
     first, second = await house.enter(), await house.enter()
-    for cookie, told in ((first, []), (second, ["ann"])):
+    for cookie, notified in ((first, []), (second, ["ann"])):
         person = await house.identity.by_cookie(cookie)
         assert person is not None
         await house.sign_in.sign_out(cookie, person, "a")
-        assert gone == told
+        assert gone == notified
 
 
-async def test_a_session_that_is_over_is_told_once(house: House, gone: list[str]) -> None:
+async def test_a_session_that_is_over_is_reported_once(house: House, gone: list[str]) -> None:
     await house.add()
     cookie = await house.enter()
     house.now += LIFETIME.idle_s + 1

@@ -23,11 +23,11 @@ from tests.app.stage import until
 
 Run = Callable[[Coroutine[Any, Any, None]], None]
 ON_EACH_LOOP = pytest.mark.parametrize("run", [asyncio.run, uvloop.run], ids=["asyncio", "uvloop"])
-ASK = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
+REQUEST = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
 
 
 @ON_EACH_LOOP
-def test_the_kernel_says_how_long_bytes_have_waited(run: Run) -> None:
+def test_the_kernel_reports_how_long_bytes_have_waited(run: Run) -> None:
     """Nothing is read here: the bytes stay in the socket, and only the kernel counts."""
 
     async def at_the_socket() -> None:
@@ -58,7 +58,7 @@ def test_the_kernel_says_how_long_bytes_have_waited(run: Run) -> None:
     run(at_the_socket())
 
 
-def test_where_the_system_does_not_say_nothing_is_made_up() -> None:
+def test_without_the_systems_report_nothing_is_assumed() -> None:
     one, other = socket.socketpair()
     with one, other:
         assert tcp_wait(one) is None
@@ -106,7 +106,7 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
 
 
 class PlayedWatch(LoopWatch):
-    """Says what the test says."""
+    """Returns the delay that the test sets."""
 
     at = polled_at = 0.0
 
@@ -125,12 +125,12 @@ async def test_each_request_has_the_stamp_of_its_first_byte(monkeypatch: pytest.
     watch = PlayedWatch()
     async with served(stamps, watch) as client:
         watch.at, watch.polled_at = 5000.0, 4999.99
-        client.sendall(ASK)
+        client.sendall(REQUEST)
         await until(lambda: len(stamps) == 1, "the first request")
         watch.at, watch.polled_at = 5010.0, 5006.0
-        client.sendall(ASK + ASK + ASK[:9])
+        client.sendall(REQUEST + REQUEST + REQUEST[:9])
         await until(lambda: len(stamps) == 3, "two at once, after a stall")
         watch.at, watch.polled_at = 5020.0, 5019.99
-        client.sendall(ASK[9:])
+        client.sendall(REQUEST[9:])
         await until(lambda: len(stamps) == 4, "the rest of the last")
     assert stamps == [5000.0, 5006.0, 5006.0, 5006.0]

@@ -72,7 +72,7 @@ async def test_who_gave_up_waiting_costs_the_others_nothing() -> None:
         await starts.turn("a")
 
 
-async def test_health_is_answered_before_a_thousand_requests() -> None:
+async def test_health_responds_before_a_thousand_requests() -> None:
     ended = list[str]()
 
     async def app(scope: Scope, _receive: Receive, _send: Send) -> None:
@@ -95,7 +95,7 @@ async def test_health_is_answered_before_a_thousand_requests() -> None:
     assert len(ended) == 1001
 
 
-def test_a_sender_is_told_by_the_credential() -> None:
+def test_a_sender_is_identified_by_the_credential() -> None:
     assert sender_of([(b"host", b"a"), (b"cookie", b"lineside_session=x")]) == b"lineside_session=x"
     assert sender_of([(b"authorization", b"Bearer y"), (b"cookie", b"x")]) == b"Bearer y"
     assert sender_of([(b"host", b"a")]) == b""

@@ -95,7 +95,7 @@ def test_neither_user_nor_site_stands_in_it(user: str, password: str, named: str
 
 
 @pytest.mark.parametrize("pin", ["", "0000", "12345", "1" * 13, "12a456", "123 456", "١٢٣٤٥٦"])
-def test_what_is_no_pin(pin: str) -> None:
+def test_invalid_pins(pin: str) -> None:
     with pytest.raises(CallerError, match="6 to 12 digits"):
         check_pin(pin)
 

@@ -73,7 +73,7 @@ def test_another_baud_than_that_of_the_box_is_named() -> None:
 
 
 class Scene:
-    """A desk of swaps on a store that holds one set of unit 2."""
+    """A swap service on a store that holds one set of unit 2."""
 
     def __init__(self, folder: Path) -> None:
         self.events = Noted()
@@ -83,15 +83,15 @@ class Scene:
         self.swaps = self.another()
 
     def another(self) -> SwapService:
-        """The desk of a server that was started again."""
+        """Return the swap service of a server that was restarted."""
         return SwapService(self.events, self.store, self, lambda: 100.0)  # type: ignore[arg-type]
 
     async def find(self, restore_id: str) -> Restore | None:
-        """As the desk of restores."""
+        """Find a restore, as the restore service does."""
         return self.restores.get(restore_id)
 
     def on_end(self, _subscriber: EndSubscriber) -> None:
-        """The test says itself when a restore has ended."""
+        """Do nothing: the test itself reports the end of a restore."""
 
     async def begin(self, unit: int = 2) -> Swap:
         kept = await SetStore(self.database).save(
@@ -107,7 +107,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
     made.database.close()
 
 
-async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> None:
+async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
     swap, events = await scene.begin(), scene.events
     for seen in (
         state("digimax"),
@@ -137,7 +137,7 @@ async def test_a_swap_ends_with_one_event_that_tells_all_of_it(scene: Scene) -> 
         assert part in end["message"]
 
 
-async def test_a_restore_from_before_the_swap_proves_nothing_about_it(scene: Scene) -> None:
+async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:
     swap = await scene.begin()
     await scene.swaps.ended(a_restore(state="equal", planned_at=99.0))
     assert (swap.restore, swap.proven) == (None, False)
@@ -205,7 +205,7 @@ async def shown(seen: SwapState) -> SwapState:
 
 @dataclass
 class Wire:
-    """A desk on which each scan of an address sees what is next in ``seen``."""
+    """A command service on which each scan of an address returns the next of ``seen``."""
 
     seen: list[ProbeFinding]
     outcome: Outcome = "verified"
@@ -226,7 +226,7 @@ class Wire:
         ("offline", ["silent", "silent"], "silent"),
     ],
 )
-async def test_a_lost_answer_of_a_unit_that_is_heard_is_no_silence(
+async def test_one_lost_response_of_an_online_unit_is_no_loss(
     scene: Scene, link: Literal["online", "offline"], seen: list[ProbeFinding], at_target: ProbeFinding
 ) -> None:
     swap, live, wire = await scene.begin(), line(2), Wire(seen)
@@ -252,12 +252,12 @@ def a_restore(state: RestoreState, planned_at: float = 101.0) -> Restore:
     return Restore("r", "dry-end", 2, "anna", empty, empty, plan, rows, planned_at, state)
 
 
-def test_all_steps_lie_behind_only_when_it_is_proven() -> None:
+def test_all_steps_are_done_only_when_it_is_verified() -> None:
     assert tuple(done_steps("proven")) == STEPS
     assert list(done_steps("remote")) == ["find", "address"]
 
 
-async def test_a_page_that_asks_again_does_not_pile_up_looks(
+async def test_repeated_page_requests_do_not_pile_up_scans(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.swap.service.LOOK_WAIT_S", 0.01)

@@ -9,15 +9,15 @@ import httpx
 import pytest
 
 from app.web.access import Role
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
-from tests.app.whole_app import House, whole_app
 
 SWAP = f"/swap/{BUS}/2"
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await played_line(house.services)
         yield house
 
@@ -40,7 +40,7 @@ async def test_a_stored_set(house: House, client: httpx.AsyncClient) -> None:
     assert swap.source.set == number
 
 
-async def test_a_file_takes_the_place_of_what_is_selected(house: House, client: httpx.AsyncClient) -> None:
+async def test_a_file_replaces_the_selection(house: House, client: httpx.AsyncClient) -> None:
     number = await stored(client)
     document = (await client.get(f"/api/v1/sets/{number}/document")).content
     data = {"source": f"set:{number}:2"}

@@ -7,7 +7,7 @@ from tests.app.screens import translator
 
 
 @pytest.mark.parametrize(
-    ("held_by", "said", "german"),
+    ("held_by", "english", "german"),
     [
         ({"line": ""}, "", ""),
         ({"line": "anna"}, "anna", "anna"),
@@ -23,6 +23,8 @@ from tests.app.screens import translator
         ({"line": "a (token)", "wet": ""}, "line: a (token), wet: free", "line: a (token), wet: frei"),
     ],
 )
-def test_who_holds_control_is_said_with_the_bus(held_by: dict[str, str], said: str, german: str) -> None:
+def test_the_holder_of_control_is_shown_with_the_bus(
+    held_by: dict[str, str], english: str, german: str
+) -> None:
     texts = [holders(held_by, translator(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
-    assert texts == [said, german]
+    assert texts == [english, german]

@@ -45,7 +45,7 @@ def test_lines_round_trip(microseconds: int, direction: Direction, data: bytes, 
     "line",
     ["", "10 02 04", LINE.replace("out", "up"), LINE.replace("10 02", "1x 02"), LINE.replace("2026", "when")],
 )
-def test_what_is_no_line(line: str) -> None:
+def test_texts_that_are_no_line(line: str) -> None:
     with pytest.raises(CallerError, match="not a line of a trace"):
         parse_trace_line(line)
 

@@ -24,7 +24,7 @@ NULL_BEFORE_READ = CONTRACT_UNIT - {"id", "name", "link"}
 
 
 def live_with(**settings: Any) -> LiveState:
-    """Three units that were heard."""
+    """Return the state of three units that responded."""
     live = LiveState([bus_settings(**settings)], time.time())
     live.buses["dry-end"].take_snapshot(snapshot(), "1.0")
     return live
@@ -94,7 +94,7 @@ def test_output_bits(outputs: int, inputs: int, expected: dict[str, Any]) -> Non
     assert shown(live).items() >= expected.items()
 
 
-def test_keylock_is_told_from_local_by_its_parameter() -> None:
+def test_keylock_is_distinguished_from_local_by_its_parameter() -> None:
     live = live_with()
     live.buses["dry-end"].apply([reading(1, outputs=0), parameter(19, 2)])
     assert shown(live)["mode"] == "KEYLOCK"

@@ -1,4 +1,4 @@
-"""How far a worker's clock is off, told from its messages."""
+"""The offset of a worker's clock, derived from its messages."""
 
 from __future__ import annotations
 

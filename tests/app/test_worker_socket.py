@@ -33,7 +33,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "SEND_WITHIN_S", 0.0)
 
 
-async def test_a_send_that_nobody_reads_ends_as_a_lost_connection() -> None:
+async def test_a_send_without_a_reader_ends_as_a_lost_connection() -> None:
     async with asyncio.timeout(20):
         with pytest.raises(ConnectionError):
             await WorkerSocket(unread()).send(ClockSync(app_time=1.0))

@@ -1,5 +1,6 @@
-"""What an attacker does to a server, each in a process of its own:
-``python -m tests.attacks.attackers NAME URL SECONDS TOKENS`` (TOKENS: JSON, by role)."""
+"""Attacks on a server, each in a separate process: ``python -m tests.attacks.attackers NAME URL SECONDS
+TOKENS`` (TOKENS: JSON, by role).
+"""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ class Target:
         return reader, writer
 
     async def send(self, request: bytes) -> None:
-        """One request on a connection of its own; the response is read to its end."""
+        """Send one request on a new connection and read its response to the end."""
         reader, writer = await self.open(request)
         try:
             await asyncio.wait_for(reader.read(), 30)
@@ -112,7 +113,7 @@ async def chunks_without_an_end(target: Target) -> None:
 
 
 @attack
-async def responses_nobody_reads(target: Target) -> None:
+async def unread_responses(target: Target) -> None:
     head = target.head("GET /api/v1/events.csv", "viewer") + b"\r\n"
     await many(target, 200, lambda _: hold(target, head))
 
@@ -209,7 +210,9 @@ async def pages_without_a_sign_in(target: Target) -> None:
 
 
 def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
-    """As a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: what it says of itself."""
+    """Return a frame as a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: the length that it
+    claims.
+    """
     size = len(payload) if size is None else size
     length = bytes([0x80 | size]) if size < 126 else struct.pack("!BQ", 0x80 | 127, size)
     return bytes([opcode]) + length + b"\0\0\0\0" + payload

@@ -1,4 +1,4 @@
-"""The app with an admin, and two units that answer."""
+"""The app with an admin, and two units that respond."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from app.web.access import Role
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import PlayedLine, played_line
-from tests.app.whole_app import House, whole_app
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await house.add("boss", Role.ADMIN)
         yield house
 

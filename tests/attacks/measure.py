@@ -65,7 +65,7 @@ class Measured:
 
     @property
     def faults(self) -> list[str]:
-        """What is not as it must be, in words."""
+        """Return the figures that are exceeded, as text."""
         found = [f"healthz: {fault}" for fault in self.health.failed[:3]]
         found += [f"command: {fault}" for fault in self.command.failed[:3]]
         found += ["the worker's link was lost"] * bool(self.links_lost)
@@ -75,7 +75,7 @@ class Measured:
 
     @property
     def is_quick(self) -> bool:
-        """Whether nobody waited longer than `SLOWEST_S`."""
+        """Return whether every wait was at most `SLOWEST_S`."""
         return max(self.health.p99, self.command.p99, self.after) <= SLOWEST_S
 
     @property
@@ -93,12 +93,12 @@ HEADING = (
 
 
 def measure(target: Site, attack: str, seconds: float) -> Measured:
-    """Attack the site for so long, and ask it meanwhile as others do."""
+    """Attack the site for ``seconds``, and send the requests of other clients meanwhile."""
     assert target.server is not None
     health, command = Waits(), Waits()
     with target.api("operator") as client:
-        calls = ((asks_health(target), health), (commands(client), command))
-        # What a server loads when it is first asked is no growth.
+        calls = ((health_request(target), health), (commands(client), command))
+        # The server's first requests load modules, which is no growth.
         for call, _ in calls:
             probe(call, Waits(), after_s(WARM_S))
         before, lost = memory_mib(target.server.pid), links_lost(target)
@@ -113,7 +113,7 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
             for thread in threads:
                 thread.join()
     begun = time.monotonic()
-    asks_health(target)()
+    health_request(target)()
     after = time.monotonic() - begun
     time.sleep(SETTLE_S)
     return Measured(attack, health, command, max(most) - before, links_lost(target) - lost, after)
@@ -127,22 +127,22 @@ def after_s(seconds: float) -> Callable[[], bool]:
 
 @contextmanager
 def attacking(target: Site, attack: str, seconds: float) -> Iterator[Callable[[], bool]]:
-    """An attacker of its own process; the function that is given says whether it has ended."""
+    """Run an attacker in a separate process; yield a function that returns whether it has ended."""
     command = [sys.executable, "-m", "tests.attacks.attackers", attack, target.url, str(seconds)]
     process = subprocess.Popen(
         [*command, json.dumps(target.tokens)], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
     try:
         yield lambda: process.poll() is not None
-        _, said = process.communicate()
-        assert process.returncode == 0, said
+        _, fields = process.communicate()
+        assert process.returncode == 0, fields
     finally:
         process.kill()
         process.wait()
 
 
 def probe(call: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -> None:
-    """Ask again and again until it is over."""
+    """Repeat the call until the attack is over."""
     while not is_over():
         begun = time.monotonic()
         try:
@@ -153,18 +153,18 @@ def probe(call: Callable[[], None], waits: Waits, is_over: Callable[[], bool]) -
         time.sleep(PROBE_EVERY_S)
 
 
-def asks_health(target: Site) -> Callable[[], None]:
-    """A client that is not signed in, on a connection of its own each time."""
+def health_request(target: Site) -> Callable[[], None]:
+    """Return a client without sign-in, with a new connection each time."""
 
     def call() -> None:
-        # What takes no time of its own: httpx would load all certificates first.
-        asked = HTTPConnection(target.url.rpartition("/")[2], timeout=30)
+        # A light client: httpx would load all certificates first.
+        connection = HTTPConnection(target.url.rpartition("/")[2], timeout=30)
         try:
-            asked.request("GET", "/healthz")
-            answer = asked.getresponse().read()
+            connection.request("GET", "/healthz")
+            response = connection.getresponse().read()
         finally:
-            asked.close()
-        assert json.loads(answer) == {"status": "ok"}, answer
+            connection.close()
+        assert json.loads(response) == {"status": "ok"}, response
 
     return call
 
@@ -175,8 +175,8 @@ def commands(client: httpx.Client) -> Callable[[], None]:
 
     def call() -> None:
         states.reverse()
-        answer = client.put("/buses/line/units/1/outputs/1", json={"on": states[0]})
-        assert answer.json().get("outcome") == "verified", answer.text[:200]
+        response = client.put("/buses/line/units/1/outputs/1", json={"on": states[0]})
+        assert response.json().get("outcome") == "verified", response.text[:200]
 
     return call
 
@@ -198,9 +198,9 @@ def fill_the_log(target: Site, events: int) -> None:
     """So many events, as of years, while the server is stopped."""
     target.stop()
     database = Database(target.folder / "data" / "lineside.db", synchronous="NORMAL")
-    # With an outcome: each that is open is written to the disk by itself when the server starts.
-    said = {"who": "operator", "origin": "page", "bus": "line", "what": "set speed", "outcome": "verified"}
-    intents = [{**said, "unit": number % 4 + 1, "new": f"{number}.0"} for number in range(CHUNK)]
+    # With an outcome: the server closes each open one on the disk, one by one, when it starts.
+    fields = {"who": "operator", "origin": "page", "bus": "line", "what": "set speed", "outcome": "verified"}
+    intents = [{**fields, "unit": number % 4 + 1, "new": f"{number}.0"} for number in range(CHUNK)]
 
     async def fill() -> None:
         for _ in range(events // CHUNK):

@@ -12,7 +12,7 @@ from starlette.types import Message, Receive, Scope, Send
 from app.web.access import Person, Role
 from app.web.anonymous import AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, AnonymousInTurn
 from app.web.bounds import MOST_PLAIN_BODY_BYTES
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 
 class Slow:
@@ -63,7 +63,7 @@ async def settled() -> None:
         await asyncio.sleep(0)
 
 
-async def test_nothing_is_begun_before_the_body_is_whole() -> None:
+async def test_nothing_starts_before_the_body_is_complete() -> None:
     slow, client = Slow(), Client()
     task = client.request(AnonymousInTurn(slow))
     client.part(b"name=a", more=True)
@@ -143,7 +143,7 @@ async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -153,6 +153,6 @@ async def test_a_sign_in_without_a_name_or_a_secret_tries_nothing(
 ) -> None:
     tried = list[object]()
     monkeypatch.setattr(house.services.passwords, "verify", tried.append)
-    answer = await house.client().post("/login", data=form)
-    assert (answer.status_code, tried) == (401, [])
+    response = await house.client().post("/login", data=form)
+    assert (response.status_code, tried) == (401, [])
     assert await house.events("login_refused") == []

@@ -1,4 +1,6 @@
-"""Somebody who can write the store, but cannot read the key, rewrites the log: `audit verify` sees it."""
+"""An attacker who can write the store, but cannot read the key, rewrites the log: `audit verify`
+detects it.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,7 @@ class Plant:
             connection.commit()
 
     def rebuild(self, change: Callable[[list[Row]], list[Row]], *, key: str | None = None) -> None:
-        """Replace the log by a changed one in which every hash fits; ``key``: what it says of its key."""
+        """Replace the log by a changed one in which every hash fits; ``key``: the key that it claims."""
         with closing(sqlite3.connect(self.store)) as connection:
             connection.row_factory = sqlite3.Row
             rows = change([dict(row) for row in connection.execute("SELECT * FROM events ORDER BY id")])
@@ -93,15 +95,15 @@ class Plant:
         shutil.copy(path, self.store)
 
     def verify(self, *options: str) -> tuple[int, str]:
-        """The exit code of ``audit verify``, and all that it says."""
+        """Return the exit code of ``audit verify``, and its output."""
         done = CliRunner().invoke(cli, ["audit", "verify", "--config", str(self.config), *options])
         return done.exit_code, done.output
 
     def broken_at(self, *options: str) -> str:
-        """What is wrong with the log, which something must be."""
-        code, said = self.verify(*options)
-        assert code == 1, said
-        return said.removeprefix("lineside: the audit log is broken at entry ")
+        """Return the fault of the log; fail if there is none."""
+        code, printed = self.verify(*options)
+        assert code == 1, printed
+        return printed.removeprefix("lineside: the audit log is broken at entry ")
 
 
 @pytest.fixture
@@ -122,7 +124,7 @@ def test_an_entry_is_changed_and_every_hash_made_to_fit(plant: Plant) -> None:
     assert plant.broken_at().startswith("4: ")
 
 
-def test_what_an_entry_says_is_changed_beside_its_text(plant: Plant) -> None:
+def test_the_fields_of_an_entry_are_changed_beside_its_text(plant: Plant) -> None:
     plant.attack(
         'UPDATE events SET messages = \'{"what":{"code":"event_signed_out","params":{}}}\' WHERE id = 4'
     )
@@ -168,7 +170,7 @@ def test_the_newest_entries_are_cut_off_and_the_server_goes_on(plant: Plant) -> 
 
 
 def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path: Path) -> None:
-    """Whole in itself: only the anchor tells."""
+    """Consistent in itself: only the anchor detects it."""
     plant.copy_store(tmp_path / "earlier.db")
     plant.work()
     plant.put_back(tmp_path / "earlier.db")
@@ -178,7 +180,7 @@ def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path
 
 
 def test_so_are_earlier_copies_of_the_store_and_of_its_anchor(plant: Plant, tmp_path: Path) -> None:
-    """Only a copy of the anchor that is out of reach tells."""
+    """Only a copy of the anchor that is out of reach detects it."""
     plant.copy_store(tmp_path / "earlier.db")
     earlier = plant.anchor.read_bytes()
     plant.work()
@@ -190,7 +192,7 @@ def test_so_are_earlier_copies_of_the_store_and_of_its_anchor(plant: Plant, tmp_
     assert "but the anchor names entry 18" in plant.broken_at("--anchor", str(copy))
 
 
-def test_the_store_is_removed_and_begun_anew(plant: Plant) -> None:
+def test_the_store_is_removed_and_restarted(plant: Plant) -> None:
     for path in plant.store.parent.glob("lineside.db*"):
         path.unlink()
     plant.work(20)
@@ -216,20 +218,20 @@ def test_a_column_is_put_in_or_a_text_is_no_text(plant: Plant) -> None:
 
 def test_a_line_of_the_anchor_is_forged(plant: Plant) -> None:
     plant.anchor.write_text(plant.anchor.read_text().replace('"id":9', '"id":8'))
-    code, said = plant.verify()
-    assert (code, "line 1 of" in said) == (1, True)
+    code, printed = plant.verify()
+    assert (code, "line 1 of" in printed) == (1, True)
 
 
 def test_the_anchor_is_gone(plant: Plant) -> None:
     plant.anchor.unlink()
-    code, said = plant.verify()
-    assert (code, "No such file" in said) == (1, True)
+    code, printed = plant.verify()
+    assert (code, "No such file" in printed) == (1, True)
 
 
 def test_the_key_is_gone(plant: Plant) -> None:
     plant.key.unlink()
-    code, said = plant.verify()
-    assert (code, "there is no audit key" in said) == (1, True)
+    code, printed = plant.verify()
+    assert (code, "there is no audit key" in printed) == (1, True)
 
 
 def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
@@ -237,9 +239,9 @@ def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
     plant.key.unlink()
     plant.anchor.unlink()
     plant.work(2)
-    code, said = plant.verify()
+    code, printed = plant.verify()
     assert code == 0
-    assert "entries 1 to 9 are older than the key" in said
+    assert "entries 1 to 9 are older than the key" in printed
     with closing(sqlite3.connect(plant.store)) as connection:
         assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (str(OTHER_KEY),)
     plant.attack("UPDATE events SET what = 'nothing happened' WHERE id = 4")
@@ -254,8 +256,8 @@ def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
     plant.anchor.unlink()
     assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "nothing has been sealed yet"
     plant.work(1)
-    code, said = plant.verify()
-    assert (code, "entries 1 to 9 are older than the key" in said) == (0, True)
+    code, printed = plant.verify()
+    assert (code, "entries 1 to 9 are older than the key" in printed) == (0, True)
     with closing(sqlite3.connect(plant.store)) as connection:
         assert connection.execute("SELECT what FROM events WHERE id = 10").fetchone() == (
             str(SEALED_FROM_HERE),
@@ -273,7 +275,7 @@ def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
     assert plant.key.stat().st_mode & 0o777 == 0o600
     newer = plant.key.read_bytes()
     assert older != newer
-    # Whoever has the older key can seal any end of the log, and goes on from before the rotation.
+    # With the older key any end of the log can be sealed, continuing from before the rotation.
     plant.attack("DELETE FROM events WHERE id > 9", "DELETE FROM events_head")
     plant.key.write_bytes(older)
     ring = open_keys([plant.key], plant.store, Head()).ring

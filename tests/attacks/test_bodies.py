@@ -20,7 +20,7 @@ from app.web.bounds import (
     MOST_PARAMETERS,
     MOST_PLAIN_BODY_BYTES,
 )
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
 RESTORES = "/api/v1/buses/dry-end/units/1/restores"
@@ -31,16 +31,16 @@ JSON = {"content-type": "application/json"}
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
 async def cpu_s(client: httpx.AsyncClient, status: int, path: str, content: bytes, **headers: str) -> float:
-    """What a request takes of the event loop's thread; it is answered with ``status``."""
+    """Return the CPU time of the event loop's thread for a request, which must return ``status``."""
     begun = time.thread_time()
-    answer = await client.post(path, content=content, headers=headers)
+    response = await client.post(path, content=content, headers=headers)
     taken = time.thread_time() - begun
-    assert answer.status_code == status, answer.text[:200]
+    assert response.status_code == status, response.text[:200]
     return taken
 
 
@@ -55,28 +55,28 @@ async def test_keys_by_the_thousand_cost_no_more_than_their_length(house: House,
 async def test_the_last_of_many_keys_is_found_to_be_there_twice(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     keys = ",".join(f'"{n}":0' for n in range(900))
-    answer = await engineer.post(SPEED, content=f'{{{keys},"899":0}}'.encode(), headers=JSON)
-    assert (answer.status_code, "'899': it is given twice" in answer.json()["detail"]) == (422, True)
+    response = await engineer.post(SPEED, content=f'{{{keys},"899":0}}'.encode(), headers=JSON)
+    assert (response.status_code, "'899': it is given twice" in response.json()["detail"]) == (422, True)
 
 
 @pytest.mark.parametrize("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
-async def test_what_is_nested_without_end_is_malformed(house: House, part: str) -> None:
+async def test_endless_nesting_is_malformed(house: House, part: str) -> None:
     engineer = await house.program(Role.ENGINEER)
     content = (part * MOST_PLAIN_BODY_BYTES)[:MOST_PLAIN_BODY_BYTES].encode()
     assert await cpu_s(engineer, 422, SPEED, content, **JSON) < CPU_S
 
 
-async def test_a_key_of_half_a_surrogate_pair_is_answered(house: House) -> None:
+async def test_a_key_of_half_a_surrogate_pair_gets_a_response(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     for body in (b'{"raw": 1, "\\ud800": 2}', b'{"\\ud800": 1, "\\ud800": 2}'):
-        answer = await engineer.post(SPEED, content=body, headers=JSON)
-        assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+        response = await engineer.post(SPEED, content=body, headers=JSON)
+        assert (response.status_code, response.json()["code"]) == (422, "invalid")
 
 
-async def test_a_body_with_many_faults_is_answered_with_the_first(house: House) -> None:
+async def test_a_body_with_many_faults_is_refused_with_the_first(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
-    answer = await engineer.post(SPEED, json={f"k{n}": 0 for n in range(900)})
-    assert (answer.status_code, len(answer.json()["errors"])) == (422, 20)
+    response = await engineer.post(SPEED, json={f"k{n}": 0 for n in range(900)})
+    assert (response.status_code, len(response.json()["errors"])) == (422, 20)
 
 
 @pytest.mark.parametrize("path", [SPEED, RESTORES, "/units/dry-end/1/restore", "/setpoints/review"])
@@ -116,8 +116,8 @@ async def test_only_what_carries_a_file_may_be_large(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     large = json.dumps({"document": "x" * MOST_PLAIN_BODY_BYTES}).encode()
     assert (await engineer.post(SPEED, content=large, headers=JSON)).status_code == 413
-    answer = await engineer.post(RESTORES, content=large, headers=JSON)
-    assert (answer.status_code, "not readable as TOML" in answer.text) == (422, True)
+    response = await engineer.post(RESTORES, content=large, headers=JSON)
+    assert (response.status_code, "not readable as TOML" in response.text) == (422, True)
 
 
 @pytest.mark.parametrize("charset", ["punycode", "utf-8", "idna", '"utf-7"'])
@@ -153,16 +153,16 @@ async def test_no_header_costs_more_than_its_length(house: House, name: str, val
 
 @pytest.mark.parametrize("query", ["a" * (LONGEST_QUERY + 1), "&" * (MOST_PARAMETERS + 1), "a&" * 9000])
 async def test_an_address_beyond_any_page_is_refused(house: House, query: str) -> None:
-    answer = await house.client().get(f"/login?{query}")
-    assert (answer.status_code, answer.json()["code"]) == (414, "too_long")
+    response = await house.client().get(f"/login?{query}")
+    assert (response.status_code, response.json()["code"]) == (414, "too_long")
 
 
 @pytest.mark.parametrize("number", ["9" * 5000, "\u0661", "1_0", "+1", " 1"])
 async def test_no_number_of_an_address_makes_the_server_fail(house: House, number: str) -> None:
     client = await house.signed_in(Role.ENGINEER)
     body = {"name": "n", "setpoints": {number: 1}}
-    answer = await client.post("/api/v1/buses/dry-end/recipes", json=body)
-    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    response = await client.post("/api/v1/buses/dry-end/recipes", json=body)
+    assert (response.status_code, response.json()["code"]) == (422, "invalid")
     for path in (
         f"/api/v1/history/series?series=dry-end/{number}/actual",
         f"/sets/compare?one=set:{number}:1&other=set:1:{number}",
@@ -204,7 +204,7 @@ def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
     [{"document": "".join(f"k{n} = 1\n" for n in range(20_000))}, {"document": [{"a": 1}] * 150_000}],
     ids=["document", "JSON"],
 )
-async def test_what_is_large_is_read_beside_the_loop(house: House, body: object) -> None:
+async def test_large_bodies_are_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)
     assert await cpu_s(engineer, 422, RESTORES, json.dumps(body).encode(), **JSON) < 0.1
 

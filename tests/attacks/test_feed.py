@@ -1,4 +1,4 @@
-"""A compromised worker against the app: whatever it sends, nothing fails, and every page still answers."""
+"""A compromised worker against the app: whatever it sends, nothing fails, and every page still responds."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ from bus.contract import (
     encode,
 )
 from bus.messages import term
+from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot
-from tests.app.whole_app import House, whole_app
 from tests.attacks.hostile import COMMAND_ID, GARBAGE, batches, broken, encoded, of_type
 
 BUS = "dry-end"
@@ -85,7 +85,9 @@ class HostileSocket:
 
 
 class Scene:
-    """The whole app with an open page in German that follows the trace, and an admin who looks at all."""
+    """The complete app with an open page in German that follows the trace, and an admin who reads every
+    page.
+    """
 
     def __init__(self, house: House, admin: httpx.AsyncClient) -> None:
         self.house = house
@@ -112,8 +114,8 @@ class Scene:
         """An exception in a page comes through to the test."""
         self.house.services.hub.tick()
         for path in PAGES:
-            answer = await self.admin.get(path)
-            assert answer.status_code == 200, (path, answer.status_code, answer.text[:500])
+            response = await self.admin.get(path)
+            assert response.status_code == 200, (path, response.status_code, response.text[:500])
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +128,7 @@ def runner() -> Iterator[asyncio.Runner]:
 def scene(runner: asyncio.Runner, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
     async def begin(folder: Path) -> tuple[AsyncExitStack, Scene]:
         stack = AsyncExitStack()
-        house = await stack.enter_async_context(whole_app(folder))
+        house = await stack.enter_async_context(complete_app(folder))
         return stack, Scene(house, await house.signed_in(Role.ADMIN, "ada"))
 
     stack, scene = runner.run(begin(tmp_path_factory.mktemp("attack")))
@@ -158,7 +160,7 @@ def test_no_first_message_does_either(runner: asyncio.Runner, scene: Scene, firs
 def test_decimals_that_no_value_can_have_are_not_believed(
     runner: asyncio.Runner, scene: Scene, decimals: int
 ) -> None:
-    """Ten to the power of #3 took for ever."""
+    """Ten to the power of #3 did not finish."""
 
     async def attack() -> None:
         now = time.time()
@@ -224,15 +226,15 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
                 if isinstance(message, Command):
                     forged = Result(message.id, 0.0, "verified", values=values, frames=[frame] * 2_000)
                     self._messages.append(encode(Batch(1, time.time(), [forged])))
-                    told.set()
+                    received.set()
 
             async def receive(self) -> bytes:
                 if not self._messages:
                     opened.set()
-                    await told.wait()
+                    await received.wait()
                 return await super().receive()
 
-        told, opened = asyncio.Event(), asyncio.Event()
+        received, opened = asyncio.Event(), asyncio.Event()
         socket = Answering([encode(hello(uuid4().hex)), encode(snapshot())])
         serving = asyncio.create_task(scene.serve(socket))
         async with asyncio.timeout(20):
@@ -267,7 +269,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
     runner.run(attack())
 
 
-def test_a_token_says_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
+def test_a_token_sends_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
         workers, credential = scene.house.services.workers, Credential("busy", BUS, "192.0.2.66")
         sockets = [HostileSocket([b"no hello"]) for _ in range(int(HELLOS_AT_ONCE) + 5)]
@@ -281,7 +283,7 @@ def test_a_token_says_hello_only_so_often(runner: asyncio.Runner, scene: Scene) 
     runner.run(attack())
 
 
-def test_what_is_over_the_rate_is_not_read_yet(
+def test_messages_over_the_rate_are_not_read_yet(
     runner: asyncio.Runner, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pauses: list[float] = []
@@ -311,10 +313,10 @@ def test_memory_does_not_grow_with_what_a_worker_sends(tmp_path: Path) -> None:
             )
 
     async def grown() -> int:
-        # An app of its own: the recorder of the one above may still be storing what the tests before sent.
-        async with whole_app(tmp_path) as house:
+        # A separate app: the recorder of the one above may still be storing what the tests before sent.
+        async with complete_app(tmp_path) as house:
             scene = Scene(house, await house.signed_in(Role.ADMIN, "ada"))
-            scene.page.trace = ""  # nobody reads what this page is told, so it would keep some of it
+            scene.page.trace = ""  # unread, so it would keep some of it
             tracemalloc.start()
             await attack(scene)
             gc.collect()

@@ -14,7 +14,7 @@ from app.audit.store import Filter
 from app.cli.server import Server
 from app.server.addresses import Network
 from app.web.access import Role
-from tests.app.whole_app import PASSWORD, settings_in
+from tests.app.complete_app import PASSWORD, settings_in
 
 MADE_UP = {
     "X-Forwarded-For": "198.51.100.9",
@@ -48,9 +48,9 @@ async def test_only_a_proxy_that_is_named_is_believed(
         await services.accounts.add_user("ann", Role.OPERATOR, PASSWORD, by="test", origin="test")
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
         async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False) as client:
-            answer = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+            response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
         [event], _ = await services.events.page(Filter(kind="login"), 10)
         server.end()
         await task
-    assert (answer.status_code, event["origin"]) == (303, origin)
-    assert ("Secure" in answer.headers["set-cookie"]) is is_https
+    assert (response.status_code, event["origin"]) == (303, origin)
+    assert ("Secure" in response.headers["set-cookie"]) is is_https

@@ -9,14 +9,14 @@ import httpx
 import pytest
 
 from app.web.access import Role
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 LIMITS = "/api/v1/buses/dry-end/units/1/limits"
 
 
 @pytest.fixture
 async def engineer(tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield await _engineer(house)
 
 
@@ -39,10 +39,10 @@ async def test_a_header_that_stands_twice(
     request = engineer.build_request("PUT", LIMITS, json={})
     kept = [(key, value) for key, value in request.headers.multi_items() if key != name.lower()]
     request.headers = httpx.Headers([*kept, *((name, value) for value in values)])
-    answer = await engineer.send(request)
-    assert answer.status_code == 400
-    assert answer.json()["code"] == "malformed"
-    assert name in answer.json()["detail"]
+    response = await engineer.send(request)
+    assert response.status_code == 400
+    assert response.json()["code"] == "malformed"
+    assert name in response.json()["detail"]
 
 
 async def test_http_1_1_without_a_host(engineer: httpx.AsyncClient) -> None:
@@ -63,7 +63,7 @@ async def test_http_1_1_without_a_host(engineer: httpx.AsyncClient) -> None:
 async def test_a_body_in_a_coding_that_is_not_decoded(
     engineer: httpx.AsyncClient, name: str, value: str, status: int
 ) -> None:
-    answer = await engineer.put(LIMITS, json={}, headers={name: value})
-    assert answer.status_code == status
+    response = await engineer.put(LIMITS, json={}, headers={name: value})
+    assert response.status_code == status
     if status != 200:
-        assert answer.json()["code"] == "unsupported_type"
+        assert response.json()["code"] == "unsupported_type"

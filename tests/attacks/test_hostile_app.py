@@ -51,11 +51,11 @@ def test_no_message_of_the_app_breaks_the_worker(messages: list[bytes]) -> None:
     run(scene, 2)
 
 
-def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
+def test_more_commands_than_the_limit_are_not_taken() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
-        asked = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
-        ended = [result for each in asked if (result := line.result_of(each)) is not None]
+        requested = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
+        ended = [result for each in requested if (result := line.result_of(each)) is not None]
         assert len(ended) == 50
         assert {(result.outcome, "too many commands" in str(result.message)) for result in ended} == {
             ("not_sent", True)
@@ -64,7 +64,7 @@ def test_more_commands_than_anybody_asks_for_are_not_taken() -> None:
     run(scene, 2)
 
 
-def test_what_is_remembered_of_commands_is_bounded() -> None:
+def test_the_memory_of_commands_is_bounded() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
         for number in range(RESULTS_KEPT + 100):
@@ -82,11 +82,11 @@ def test_what_is_remembered_of_commands_is_bounded() -> None:
 def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: len(line.readings()) > 20)
-        asked = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MOST_TRACES + 5)]
-        refused = [result for each in asked if (result := line.result_of(each)) is not None]
+        requested = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MOST_TRACES + 5)]
+        refused = [result for each in requested if (result := line.result_of(each)) is not None]
         assert [result.outcome for result in refused] == ["not_sent"] * 5
-        await line.until(lambda: all(line.result_of(each) for each in asked))
-        assert not set(asked) & line.worker._results.keys()
+        await line.until(lambda: all(line.result_of(each) for each in requested))
+        assert not set(requested) & line.worker._results.keys()
 
     run(scene, 2)
 

@@ -1,4 +1,4 @@
-"""A program asks with a key that was used: it must never be told that something was written which was not."""
+"""A program repeats a used key: it must never be answered with a write that did not happen."""
 
 from __future__ import annotations
 

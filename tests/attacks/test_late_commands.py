@@ -1,4 +1,4 @@
-"""Commands that reach the server late, or that say so: none of them reaches a unit."""
+"""Commands that reach the server late, or that are marked as late: none of them reaches a unit."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from app.web import arrival
 from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
+from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
 from tests.app.played_commands import answering as answering_units
 from tests.app.stage import PlayedWorker, Stage, answering, staged
-from tests.app.whole_app import House, whole_app
 
 WRITES = [
     ("POST", "/units/1/speed", {"raw": 5}),
@@ -51,16 +51,16 @@ async def worker(stage: Stage) -> PlayedWorker:
 
 
 @EACH_WRITE
-async def test_a_write_that_says_it_is_old_is_not_sent(
+async def test_a_write_with_an_old_time_is_not_sent(
     stage: Stage, worker: PlayedWorker, method: str, path: str, body: Any
 ) -> None:
-    answer = await stage.request(method, path, body, headers=sent(LATE_S))
-    assert (answer.status_code, answer.json()["code"], answer.json()["outcome"]) == (
+    response = await stage.request(method, path, body, headers=sent(LATE_S))
+    assert (response.status_code, response.json()["code"], response.json()["outcome"]) == (
         503,
         "not_sent",
         "not_sent",
     )
-    assert "too late" in answer.json()["detail"]
+    assert "too late" in response.json()["detail"]
     assert worker.commands == []
     assert (await stage.request(method, path, body, headers=sent(0))).status_code == 200
     assert len(worker.commands) == 1
@@ -101,10 +101,12 @@ async def test_the_time_that_is_left_counts_from_when_it_was_made(stage: Stage, 
         "2026-11-22T03:12:00Z, 2026-11-22T03:12:00Z",
     ],
 )
-async def test_what_is_no_time_with_zone_is_refused(stage: Stage, worker: PlayedWorker, value: str) -> None:
+async def test_a_time_without_zone_is_refused(stage: Stage, worker: PlayedWorker, value: str) -> None:
     headers = {"Lineside-Sent-At": value.encode("latin-1")}
-    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
-    assert (answer.status_code, answer.json()["code"]) == (422, "invalid")
+    response = await stage.http().post(
+        "/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers
+    )
+    assert (response.status_code, response.json()["code"]) == (422, "invalid")
     assert worker.commands == []
 
 
@@ -115,18 +117,20 @@ async def test_what_is_no_time_with_zone_is_refused(stage: Stage, worker: Played
 async def test_a_clock_may_be_ahead_by_five_seconds(
     stage: Stage, worker: PlayedWorker, zone: timezone, ahead_s: float, status: int
 ) -> None:
-    answer = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
-    assert answer.status_code == status
+    response = await stage.request("POST", "/units/1/speed", {"raw": 5}, headers=sent(-ahead_s, zone))
+    assert response.status_code == status
     assert len(worker.commands) == (status == 200)
     if status == 422:
-        assert answer.json()["code"] == "invalid"
+        assert response.json()["code"] == "invalid"
 
 
 @pytest.mark.usefixtures("worker")
 async def test_two_times_are_none(stage: Stage) -> None:
     headers = [*sent(0).items(), *sent(0).items()]
-    answer = await stage.http().post("/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers)
-    assert answer.status_code == 422
+    response = await stage.http().post(
+        "/api/v1/buses/dry-end/units/1/speed", json={"raw": 5}, headers=headers
+    )
+    assert response.status_code == 422
 
 
 async def test_a_finished_command_gives_its_result_however_late_it_is_repeated(
@@ -160,14 +164,14 @@ async def test_other_writes_are_late_too(stage: Stage) -> None:
         ("POST", "/units/1/block", {"reason": "belt off"}),
         ("POST", "/control", None),
     ):
-        answer = await stage.request(method, path, body, headers=sent(LATE_S))
-        assert (answer.status_code, answer.json()["code"]) == (503, "not_sent")
+        response = await stage.request(method, path, body, headers=sent(LATE_S))
+        assert (response.status_code, response.json()["code"]) == (503, "not_sent")
     assert (await stage.request("GET", "/units/1/block")).json()["blocked"] is False
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -193,7 +197,7 @@ PUBLIC = {"/login", "/login/panel"}
 
 
 async def test_of_every_route_that_writes(house: House) -> None:
-    """A program that says when it sent, and a page that says when its button was pressed."""
+    """A program that sends the time of its request, and a page that sends the time of the click."""
     browser = await house.signed_in(Role.ADMIN)
     answering_units(house.services.live)
     recipe = await house.services.recipes.save(ANNA, "dry-end", "Kraft 80", "", {1: 1100})
@@ -204,9 +208,9 @@ async def test_of_every_route_that_writes(house: House) -> None:
     for method, path in sorted(writes):
         for headers in (sent(60), {"Lineside-Asked-At": "1.0"}):
             url = _filled_in(path, recipe.id)
-            answer = await browser.request(method, url, json=BODIES.get(url, {}), headers=headers)
-            if answer.status_code != 503 or "too late" not in answer.text:
-                in_time.append((method, path, answer.text))
+            response = await browser.request(method, url, json=BODIES.get(url, {}), headers=headers)
+            if response.status_code != 503 or "too late" not in response.text:
+                in_time.append((method, path, response.text))
     assert in_time == []
 
 

@@ -1,4 +1,4 @@
-"""Pages that ask for the whole state again and again, and pages by the hundred."""
+"""Pages that request the complete state repeatedly, and pages by the hundred."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from app.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.live.browsers.readers import Readers
 from app.main import create_app
 from app.web.access import Role
+from tests.app.complete_app import settings_in
 from tests.app.screens import line, screen
-from tests.app.whole_app import settings_in
 
 ORIGIN = {"origin": "http://testserver"}
 
@@ -39,7 +39,7 @@ def hub_of(client: TestClient) -> Hub:
     return hub
 
 
-async def test_a_page_that_asks_a_thousand_times_and_does_not_read_waits_for_one_snapshot() -> None:
+async def test_a_page_that_sends_a_thousand_requests_without_reading_waits_for_one_snapshot() -> None:
     readers = Readers(screen(line()), lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     readers.join(browser)
@@ -56,7 +56,7 @@ async def test_what_changes_after_the_request_still_follows_the_snapshot() -> No
     assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot", "diff"]
 
 
-def test_a_page_that_asks_without_end_is_answered_at_its_pace(
+def test_endless_requests_of_a_page_get_responses_at_its_pace(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pauses: list[float] = []
@@ -65,15 +65,15 @@ def test_a_page_that_asks_without_end_is_answered_at_its_pace(
         pauses.append(seconds)
 
     monkeypatch.setattr(socket.asyncio, "sleep", sleep)
-    asked = 50
+    requested = 50
     with client.websocket_connect("/live", headers=ORIGIN) as page:
-        for _ in range(asked):
+        for _ in range(requested):
             page.send_text('{"want": "snapshot"}')
         snapshots = 0
-        while snapshots < asked - socket.MOST_SNAPSHOTS_AT_ONCE and len(pauses) < asked:
+        while snapshots < requested - socket.MOST_SNAPSHOTS_AT_ONCE and len(pauses) < requested:
             snapshots += json.loads(page.receive_text())["is"] == "snapshot"
-    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= asked - socket.MOST_SNAPSHOTS_AT_ONCE - 1
-    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= asked - socket.MOST_MESSAGES_AT_ONCE - 1
+    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= requested - socket.MOST_SNAPSHOTS_AT_ONCE - 1
+    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= requested - socket.MOST_MESSAGES_AT_ONCE - 1
 
 
 MALFORMED: list[dict[str, Any]] = [
@@ -87,7 +87,7 @@ MALFORMED: list[dict[str, Any]] = [
 
 
 def read_two_snapshots(page: WebSocketTestSession) -> None:
-    """The one that every page gets, and the one that it has asked for."""
+    """Read the snapshot that every page gets, and the one that was requested."""
     seen: list[str] = []
     while seen.count("snapshot") < 2:
         seen.append(json.loads(page.receive_text())["is"])
@@ -136,17 +136,17 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
 def test_pages_that_turn_without_end_do_not_flood_the_workers(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hub, told = hub_of(client), list[Any]()
-    watchers = {"dry-end": lambda *watched: told.append(("dry-end", *watched))}
+    hub, watch_calls = hub_of(client), list[Any]()
+    watchers = {"dry-end": lambda *watched: watch_calls.append(("dry-end", *watched))}
     monkeypatch.setattr(hub, "_watchers", watchers)
     monkeypatch.setattr(hub, "_monotonic", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
         hub.follow(browser, frozenset({("dry-end", turn % 2 + 1)}), "")
-    assert len(told) <= MAX_WATCH_BURST
+    assert len(watch_calls) <= MAX_WATCH_BURST
     monkeypatch.setattr(hub, "_monotonic", lambda: 101.0)
     hub.tick()
-    assert told[-1] == ("dry-end", [2], False)
+    assert watch_calls[-1] == ("dry-end", [2], False)
 
 
 def test_a_page_cannot_make_the_server_remember_what_there_is_not(client: TestClient) -> None:

@@ -23,7 +23,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
 from bus.simulator.serve import LineServer
 from tests.bus.rfc2217_server import DeviceServer
-from tests.bus.test_open_port import POLL, Ear, on_both_loops
+from tests.bus.test_open_port import POLL, Receiver, on_both_loops
 
 PATIENCE_S = 20.0
 MODEM_STATE_WITHOUT_STATE = b"\xff\xfa\x2c\x6b\xff\xf0"
@@ -55,11 +55,11 @@ def descriptors() -> int:
 
 @on_both_loops
 async def test_a_port_that_is_closed_while_its_loss_is_on_the_way() -> None:
-    """The transport has seen the loss and says so in the loop's next turn: it must not be closed twice."""
+    """The transport reports the loss in the loop's next turn: it must not be closed twice."""
     async with nothing_printed():
         master, slave = pty.openpty()
-        ear = Ear()
-        port: Any = await open_port(os.ttyname(slave), 9600, ear)
+        receiver = Receiver()
+        port: Any = await open_port(os.ttyname(slave), 9600, receiver)
         os.close(slave)
         os.close(master)
         loop = asyncio.get_running_loop()
@@ -76,7 +76,7 @@ async def test_a_port_that_is_closed_while_its_loss_is_on_the_way() -> None:
         async with asyncio.timeout(PATIENCE_S):
             await closed
         await asyncio.sleep(0.01)
-        assert ear.lost == [], "who closes a port is not told that it was lost"
+        assert receiver.lost == [], "who closes a port is not told that it was lost"
 
 
 @on_both_loops
@@ -85,7 +85,7 @@ async def test_a_cable_pulled_at_any_moment_of_a_write() -> None:
         before = descriptors()
         for turns in range(12):
             master, slave = pty.openpty()
-            port = await open_port(os.ttyname(slave), 9600, Ear())
+            port = await open_port(os.ttyname(slave), 9600, Receiver())
             os.close(slave)
             port.write(POLL)
             os.close(master)
@@ -105,7 +105,7 @@ async def test_opening_that_is_given_up_leaves_nothing_open() -> None:
         master, slave = pty.openpty()
         name, before = os.ttyname(slave), descriptors()
         for turns in range(4):
-            opening = asyncio.create_task(open_port(name, 9600, Ear()))
+            opening = asyncio.create_task(open_port(name, 9600, Receiver()))
             for _ in range(turns):
                 await asyncio.sleep(0)
             opening.cancel()
@@ -122,12 +122,12 @@ async def test_opening_that_is_given_up_leaves_nothing_open() -> None:
 
 
 @asynccontextmanager
-async def server_that(answer: Any) -> AsyncIterator[int]:
-    """A TCP server that lets ``answer(reader, writer)`` deal with each connection; gives its port number."""
+async def server_that(respond: Any) -> AsyncIterator[int]:
+    """Run a TCP server that calls ``respond(reader, writer)`` for each connection; yield its port number."""
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(OSError, asyncio.IncompleteReadError):
-            await answer(reader, writer)
+            await respond(reader, writer)
         writer.transport.abort()
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
@@ -148,7 +148,7 @@ async def resets(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
 
 
 async def talks_nonsense(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Answers with commands that have no value, or an impossible one."""
+    """Respond with commands that have no value, or an impossible one."""
     await reader.read(1)
     writer.write(MODEM_STATE_WITHOUT_STATE + NO_SUCH_PARITY)
     await reader.read()
@@ -162,7 +162,7 @@ async def test_a_device_server_that_fails(scheme: str, fault: Any) -> None:
         for _ in range(5):
             port: OpenPort | None = None
             with suppress(WireError):
-                port = await open_port(f"{scheme}://127.0.0.1:{number}", 9600, Ear())
+                port = await open_port(f"{scheme}://127.0.0.1:{number}", 9600, Receiver())
                 for _ in range(20):
                     port.write(POLL)
                     await asyncio.sleep(0.001)
@@ -170,7 +170,7 @@ async def test_a_device_server_that_fails(scheme: str, fault: Any) -> None:
                 port.close()
 
 
-async def test_a_server_that_ends_its_negotiation_is_told_from_one_that_is_absent() -> None:
+async def test_a_server_that_ends_its_negotiation_is_distinguished_from_an_absent_one() -> None:
     """The one is tried ever more seldom, the other is looked for twice a second."""
 
     async def hang_up(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -178,9 +178,9 @@ async def test_a_server_that_ends_its_negotiation_is_told_from_one_that_is_absen
 
     async with server_that(hang_up) as number:
         with pytest.raises(EndedWhileOpening):
-            await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+            await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Receiver())
     with pytest.raises(PortUnavailable) as absent:
-        await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+        await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Receiver())
     assert type(absent.value) is PortUnavailable
 
 
@@ -189,7 +189,7 @@ async def test_a_server_that_ends_its_negotiation_is_told_from_one_that_is_absen
 async def test_a_host_that_does_not_exist_is_a_port_that_cannot_be_opened(scheme: str, host: str) -> None:
     async with nothing_printed():
         with pytest.raises(PortUnavailable, match=f"{scheme}://{host}"):
-            await open_port(f"{scheme}://{host}:4001", 9600, Ear())
+            await open_port(f"{scheme}://{host}:4001", 9600, Receiver())
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,7 @@ NEGOTIATION = (
     + accepted(104, 1)
     + accepted(105, 1)
 )
-"""All that a device server says until the port is open (RFC 2217, 3)."""
+"""All that a device server sends until the port is open (RFC 2217, 3)."""
 
 
 @on_both_loops
@@ -232,7 +232,7 @@ async def test_a_device_server_that_dies_at_any_byte_of_its_negotiation() -> Non
 
             async with server_that(dies) as number:
                 with suppress(PortUnavailable):
-                    port = await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Ear())
+                    port = await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Receiver())
                     opened.append(count)
                     port.close()
         assert set(opened) <= {len(NEGOTIATION)}
@@ -244,13 +244,13 @@ async def test_a_device_server_that_talks_nonsense_later_is_lost(
     device_server: DeviceServer, nonsense: bytes
 ) -> None:
     async with nothing_printed():
-        ear = Ear()
-        port = await open_port(device_server.url, 9600, ear)
+        receiver = Receiver()
+        port = await open_port(device_server.url, 9600, receiver)
         port.write(POLL)
-        await ear.until(18)
+        await receiver.until(18)
         device_server.write(nonsense)
-        await ear.until(lost=True)
-        assert len(ear.lost) == 1
+        await receiver.until(lost=True)
+        assert len(receiver.lost) == 1
         with pytest.raises(WireError):
             port.check()
         port.close()

@@ -45,7 +45,7 @@ def loose(folder: Path) -> list[str]:
 
 
 def lineside(folder: Path, *words: str, text: str = "") -> str:
-    """Run the command as somebody whose umask takes nothing away."""
+    """Run the command with a umask that removes no permission."""
     called = [LINESIDE, *words, "--config", str(folder / "lineside.toml")]
     done = subprocess.run(called, input=text, capture_output=True, text=True, umask=0)
     assert done.returncode == 0, done.stderr
@@ -86,7 +86,7 @@ def test_every_file_of_every_process_is_private_and_what_was_not_is_repaired(tmp
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
-    """A data folder that everybody can write to."""
+    """Return a data folder that every user can write to."""
     folder = tmp_path / "data"
     (folder / "compiled").mkdir(parents=True)
     (folder / "history.db-wal").touch()
@@ -135,7 +135,7 @@ def test_a_store_that_is_a_link_is_refused(tmp_path: Path, name: str) -> None:
 
 @as_root
 @pytest.mark.parametrize("name", ["", "lineside.db", "compiled/x"])
-def test_what_belongs_to_somebody_else_is_refused(tmp_path: Path, name: str) -> None:
+def test_files_of_another_user_are_refused(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "data"
     (folder / "compiled").mkdir(parents=True)
     for file in ("lineside.db", "compiled/x"):

@@ -1,4 +1,4 @@
-"""A store put back from a backup gives nobody what was taken from them since."""
+"""A store restored from a backup revives no right that was withdrawn since."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def plant(tmp_path: Path) -> Plant:
 def test_what_was_withdrawn_since_stays_so(plant: Plant) -> None:
     plant.change(withdrawals)
     [present] = plant.rows("SELECT secret_hash FROM users WHERE name = 'boss'")
-    said = plant.restore()
+    output = plant.restore()
     assert plant.rows("SELECT count(*) FROM sessions") == [0]
     assert plant.rows("SELECT name FROM tokens") == ["kept"]
     assert plant.rows("SELECT name, role, disabled FROM users ORDER BY name") == [
@@ -114,10 +114,10 @@ def test_what_was_withdrawn_since_stays_so(plant: Plant) -> None:
         "users disabled, as they are or were removed now: ann, cid",
         "users with the lower role of now: ben",
     ):
-        assert words in said
+        assert words in output
 
 
-def test_an_event_says_who_put_back_which_backup(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_event_names_who_restored_which_backup(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.cli.restored_store.who_calls", lambda: "root")
     plant.change(withdrawals)
     plant.restore()
@@ -132,13 +132,13 @@ def test_an_event_says_who_put_back_which_backup(plant: Plant, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("present", ["absent", "damaged", "without users"])
-def test_where_nobody_knows_what_was_revoked_every_token_is(plant: Plant, present: str) -> None:
+def test_with_unknown_revocations_every_token_is_revoked(plant: Plant, present: str) -> None:
     plant.store.unlink()
     if present == "damaged":
         plant.store.write_bytes(b"SQLite format 3\0" + b"rubbish" * 1000)
     if present == "without users":
         Database(plant.store).close()
-    said = plant.restore()
+    output = plant.restore()
     assert plant.rows("SELECT count(*) FROM tokens") == [0]
     assert plant.rows("SELECT count(*) FROM sessions") == [0]
     assert plant.rows("SELECT name FROM users WHERE NOT disabled ORDER BY name") == [
@@ -147,7 +147,7 @@ def test_where_nobody_knows_what_was_revoked_every_token_is(plant: Plant, presen
         "boss",
         "cid",
     ]
-    assert "tokens revoked: kept, stolen" in said
+    assert "tokens revoked: kept, stolen" in output
 
 
 def test_a_stranger_in_the_present_store_does_not_survive(plant: Plant) -> None:
@@ -172,7 +172,7 @@ def test_a_panel_made_in_the_place_of_a_person_gives_the_person_no_pin(plant: Pl
     assert plant.rows("SELECT panel, disabled FROM users WHERE name = 'ann'") == [(0, 1)]
 
 
-def test_without_an_admin_it_says_how_to_make_one(plant: Plant) -> None:
+def test_without_an_admin_it_prints_how_to_make_one(plant: Plant) -> None:
     async def leave(accounts: Accounts, _: Database) -> None:
         await accounts.add_user("new", Role.ADMIN, PASSWORD, by="t", origin="t")
         await accounts.remove_user("boss", by="t", origin="t")

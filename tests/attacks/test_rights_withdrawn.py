@@ -10,9 +10,9 @@ import pytest
 
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
+from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
 from tests.app.stage import until
-from tests.app.whole_app import House
 from tests.attacks.withdrawals import (
     ENGINEER,
     Withdraw,
@@ -118,7 +118,7 @@ async def test_a_restore_under_a_token_ends_with_the_token(
     assert len(line.written) == 1
 
 
-async def test_whoever_keeps_the_rights_is_not_disturbed(house: House, line: PlayedLine) -> None:
+async def test_users_who_keep_their_rights_are_not_affected(house: House, line: PlayedLine) -> None:
     client = await house.signed_in(Role.ENGINEER)
     plan = await planned(client, line)
 
@@ -142,7 +142,7 @@ async def swap_begun(client: httpx.AsyncClient, line: PlayedLine) -> None:
     assert begun.status_code == 303, begun.text
 
 
-async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_proven(
+async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
     house: House, line: PlayedLine, tmp_path: Path
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
@@ -164,7 +164,7 @@ async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_proven(
     assert not swap.proven
 
 
-async def test_a_swap_from_the_sheet_is_not_proven_for_somebody_who_was_removed_meanwhile(
+async def test_a_swap_from_the_sheet_is_not_verified_for_a_user_removed_meanwhile(
     house: House, line: PlayedLine, tmp_path: Path
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
@@ -174,8 +174,8 @@ async def test_a_swap_from_the_sheet_is_not_proven_for_somebody_who_was_removed_
         await removed(house, tmp_path)
 
     line.before_read = before
-    answer = await client.post(f"/swap/{BUS}/2/entered")
-    assert answer.status_code == 403
+    response = await client.post(f"/swap/{BUS}/2/entered")
+    assert response.status_code == 403
     swap = house.services.swaps.of(BUS, 2)
     assert swap is not None
     assert not swap.proven

@@ -11,9 +11,9 @@ import pytest
 from app.audit.entry import Event
 from app.bus_service import SERVER
 from app.web.access import Role
+from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
 from tests.app.stage import until
-from tests.app.whole_app import House, whole_app
 from tests.attacks.withdrawals import (
     ENGINEER,
     Withdraw,
@@ -37,23 +37,23 @@ async def test_a_batch_stops_between_two_units(
         await withdraw(house, tmp_path)
 
     line.before_write = before
-    answer = await client.post(f"/batch/{BUS}/write", data=form)
-    assert answer.status_code == 200, answer.text
-    assert "rights withdrawn" in answer.text
+    response = await client.post(f"/batch/{BUS}/write", data=form)
+    assert response.status_code == 200, response.text
+    assert "rights withdrawn" in response.text
     assert line.written == [(1, 6, 20)]
 
 
 async def test_a_change_of_a_group_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
     client = await house.signed_in(Role.ENGINEER)
     body = {"setpoints": {"1": {"raw": 10}, "2": {"raw": 20}}, "timeout_s": 20}
-    asked = asyncio.create_task(client.post(f"/api/v1/buses/{BUS}/speeds", json=body))
+    pending = asyncio.create_task(client.post(f"/api/v1/buses/{BUS}/speeds", json=body))
     await until(lambda: line.held, "the command on its way")
     await disabled(house, tmp_path)
     await until(lambda: line.cancelled, "the command given up")
     line.end("not_sent")
-    answer = await asked
-    assert (answer.status_code, answer.json()["code"]) == (503, "not_sent")
-    assert "rights withdrawn: the user was removed or disabled" in answer.json()["detail"]
+    response = await pending
+    assert (response.status_code, response.json()["code"]) == (503, "not_sent")
+    assert "rights withdrawn: the user was removed or disabled" in response.json()["detail"]
 
 
 async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
@@ -67,13 +67,13 @@ async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
     saved = await client.post(f"/api/v1/buses/{BUS}/recipes", json=recipe)
     assert saved.status_code == 201, saved.text
     load = f"/api/v1/recipes/{saved.json()['id']}/load"
-    asked = asyncio.create_task(client.post(load, json={"confirm": True}))
+    pending = asyncio.create_task(client.post(load, json={"confirm": True}))
     await until(lambda: line.held, "the command on its way")
     await demoted(house, tmp_path)
     await until(lambda: line.cancelled, "the command given up")
     line.end("not_sent")
-    answer = await asked
-    assert "rights withdrawn: the role was lowered" in answer.json()["detail"]
+    response = await pending
+    assert "rights withdrawn: the role was lowered" in response.json()["detail"]
     assert house.services.recipes.loaded(BUS) is None
 
 
@@ -94,7 +94,7 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     assert refused.status_code == 401
 
 
-async def test_a_set_is_not_kept_for_somebody_who_was_removed_meanwhile(
+async def test_a_set_is_not_saved_for_a_user_removed_meanwhile(
     house: House, line: PlayedLine, tmp_path: Path
 ) -> None:
     client = await house.signed_in(Role.ENGINEER)
@@ -114,7 +114,7 @@ async def test_a_set_is_not_kept_for_somebody_who_was_removed_meanwhile(
 
 
 async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tmp_path: Path) -> None:
-    async with whole_app(tmp_path, control=True) as house:
+    async with complete_app(tmp_path, control=True) as house:
         client = await house.program(Role.ENGINEER)
         await played_line(house.services)
         assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
@@ -130,20 +130,20 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
 
 async def test_a_change_of_the_baud_rate_is_given_up(house: House, line: PlayedLine, tmp_path: Path) -> None:
     client = await house.signed_in(Role.ENGINEER)
-    asked = asyncio.create_task(
+    pending = asyncio.create_task(
         client.post(f"/api/v1/buses/{BUS}/baud", json={"baud": 4800, "confirm": True, "timeout_s": 20})
     )
     await until(lambda: line.held, "the command on its way")
     await disabled(house, tmp_path)
     await until(lambda: line.cancelled, "the command given up")
     assert line.cancelled == [line.held[0].id]
-    asked.cancel()
+    pending.cancel()
 
 
 async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     house: House, line: PlayedLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was answered 403, and no event named the command."""
+    """The response was 403, and no event named the command."""
     client = await house.signed_in(Role.ENGINEER)
     await client.get(f"/api/v1/buses/{BUS}/units/1/parameters?refresh=true")
     store = house.services.sets
@@ -154,8 +154,8 @@ async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
         return await has_set_since(bus, unit, since)
 
     monkeypatch.setattr(store, "has_set_since", withdrawn_meanwhile)
-    answer = await client.put(f"/api/v1/buses/{BUS}/units/1/parameters/6", json={"raw": 20})
-    assert (answer.status_code, answer.json()["code"]) == (403, "rights_withdrawn")
+    response = await client.put(f"/api/v1/buses/{BUS}/units/1/parameters/6", json={"raw": 20})
+    assert (response.status_code, response.json()["code"]) == (403, "rights_withdrawn")
     assert line.written == []
     [event] = await house.events("command")
     assert (event["who"], event["unit"], event["new_raw"]) == (ENGINEER, 1, 20)

@@ -19,7 +19,7 @@ from app.web.turns import (
     READS_AT_ONCE,
     ReadInTurn,
 )
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 PATIENCE_S = 30.0
 SEARCHES = (
@@ -36,7 +36,7 @@ SEARCHES = (
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -66,14 +66,14 @@ async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
     monkeypatch.setattr(house.services.events, "page", slow(house.services.events.page))
     monkeypatch.setattr(house.services.history, "read", slow(house.services.history.read))
     one, other = await house.signed_in(Role.VIEWER, "ann"), await house.signed_in(Role.OPERATOR, "ben")
-    asked = [asyncio.create_task(one.get(path)) for _ in range(12)]
+    pending = [asyncio.create_task(one.get(path)) for _ in range(12)]
     await until(lambda: running == AT_ONCE)
     assert (await one.get("/healthz")).status_code == 200
     assert (await other.get("/api/v1/line")).status_code == 200
     theirs = asyncio.create_task(other.get(path))
     await until(lambda: running == AT_ONCE + 1)
     gate.set()
-    assert {answer.status_code for answer in await asyncio.gather(*asked, theirs)} == {200}
+    assert {response.status_code for response in await asyncio.gather(*pending, theirs)} == {200}
     assert most == AT_ONCE + 1
 
 
@@ -90,11 +90,11 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
 
     monkeypatch.setattr(house.services.events, "every", every)
     client = await house.program(Role.VIEWER)
-    asked = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
+    pending = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
     await until(lambda: house.services.turns.downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
     assert begun == AT_ONCE
     gate.set()
-    assert [answer.status_code for answer in await asyncio.gather(*asked)] == [200] * len(asked)
+    assert [response.status_code for response in await asyncio.gather(*pending)] == [200] * len(pending)
     assert begun == AT_ONCE + 2
     assert not house.services.turns.downloads.count_of("key-viewer (token)")
 
@@ -133,13 +133,13 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
     monkeypatch.setattr(house.services.accounts, "users", slow)
     ann, ben = await house.signed_in(Role.ADMIN, "ann"), await house.signed_in(Role.ADMIN, "ben")
-    asked = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
+    pending = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
     await until(lambda: running == READS_AT_ONCE)
-    asked.append(asyncio.create_task(ben.get("/users")))
+    pending.append(asyncio.create_task(ben.get("/users")))
     await until(lambda: running == READS_AT_ONCE + 1)
     assert (await ann.post("/logout")).status_code == 303
     gate.set()
-    assert {answer.status_code for answer in await asyncio.gather(*asked)} == {200}
+    assert {response.status_code for response in await asyncio.gather(*pending)} == {200}
 
 
 async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:

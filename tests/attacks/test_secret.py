@@ -1,4 +1,4 @@
-"""The operator password (#21) is in parameter sets alone: in no store, log, trace or answer beside them."""
+"""The operator password (#21) is in parameter sets alone: in no store, log, trace or response beside them."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ IDS = re.compile(r'name="(id|raw|reviewed_at)" value="([^"]*)"')
 
 @pytest.fixture(scope="module")
 def lived(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Site, list[str]]]:
-    """A site whose unit has had every password, in every way; what the server has answered meanwhile."""
+    """Yield a site whose unit has had every password, in every way; and the server's responses meanwhile."""
     folder = tmp_path_factory.mktemp("secret")
     with site(folder, 1, line_options=("--no-script", "--speedup", "3")) as made:
-        said: list[str] = []
+        texts: list[str] = []
         with made.api("engineer") as api, _signed_in(made) as page:
             for client in (api, page):
-                client.event_hooks["response"].append(lambda answer: said.append(_text(answer)))
+                client.event_hooks["response"].append(lambda response: texts.append(_text(response)))
             _live(api, page)
         made.stop()
-        yield made, said
+        yield made, texts
 
 
-def _text(answer: httpx.Response) -> str:
-    answer.read()
-    path = answer.request.url.path
-    # What a person has typed is shown to that person again, for review, and a form carries it to the second
-    # step. A document with secrets is asked for as such.
-    return "" if path.endswith(("/review", "/document")) else answer.text
+def _text(response: httpx.Response) -> str:
+    response.read()
+    path = response.request.url.path
+    # A person's input is shown to that person again, for review, and a form carries it to the second step. A
+    # document with secrets is requested as such.
+    return "" if path.endswith(("/review", "/document")) else response.text
 
 
 @contextmanager
@@ -137,10 +137,10 @@ def _look_everywhere(api: httpx.Client, page: httpx.Client) -> None:
         page.get(path)
 
 
-def test_no_answer_names_it(lived: tuple[Site, list[str]]) -> None:
-    _, said = lived
-    assert len(said) > 30
-    assert [text for text in said if _names(text)] == []
+def test_no_response_names_it(lived: tuple[Site, list[str]]) -> None:
+    _, texts = lived
+    assert len(texts) > 30
+    assert [text for text in texts if _names(text)] == []
 
 
 def test_no_log_names_it(lived: tuple[Site, list[str]]) -> None:

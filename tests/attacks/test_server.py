@@ -54,7 +54,7 @@ def old_target(target: Site) -> Site:
 
 @pytest.mark.soak
 @pytest.mark.parametrize("attack", ATTACKS)
-def test_nobody_waits_long_meanwhile(old_target: Site, table: list[Measured], attack: str) -> None:
+def test_no_client_waits_long_meanwhile(old_target: Site, table: list[Measured], attack: str) -> None:
     measured = measure(old_target, attack, LONG_S)
     table.append(measured)
     assert measured.faults == []

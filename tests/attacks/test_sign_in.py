@@ -24,14 +24,14 @@ from app.database import Database
 from app.main import create_app
 from app.web.access import Role
 from bus.contract import CONTRACT_VERSION, Hello, encode
-from tests.app.whole_app import PASSWORD, House, settings_in, whole_app
+from tests.app.complete_app import PASSWORD, House, complete_app, settings_in
 
 BY = {"by": "attacker", "origin": "test"}
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -60,9 +60,9 @@ async def test_a_named_operator_cannot_be_locked_out(house: House) -> None:
 async def test_guessing_from_one_place_comes_to_nothing(house: House) -> None:
     await house.add("ann", Role.OPERATOR)
     client = at(house, "198.51.100.1")
-    answers = [await sign_in(client, password=f"guess{number}") for number in range(50)]
-    assert answers.count(401) == FREE
-    assert answers.count(429) == 50 - FREE
+    statuses = [await sign_in(client, password=f"guess{number}") for number in range(50)]
+    assert statuses.count(401) == FREE
+    assert statuses.count(429) == 50 - FREE
 
 
 async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) -> None:
@@ -73,9 +73,9 @@ async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) ->
     flood = [asyncio.create_task(sign_in(attacker, f"n{number}", "x")) for number in range(200)]
     await asyncio.sleep(0)
     assert await sign_in(at(house, "192.0.2.7")) == 303
-    answers = await asyncio.gather(*flood)
-    assert set(answers) <= {401, 429}
-    assert answers.count(429) > 150
+    statuses = await asyncio.gather(*flood)
+    assert set(statuses) <= {401, 429}
+    assert statuses.count(429) > 150
 
 
 async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) -> None:
@@ -87,11 +87,12 @@ async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) ->
     assert events[0]["who"] == "unknown name"
 
 
-async def test_the_time_of_a_refusal_does_not_tell_which_names_there_are(
+async def test_the_time_of_a_refusal_does_not_reveal_which_names_exist(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An unknown name was checked with today's parameters of Argon2, a user of an earlier version with that
-    one's; and the first refusal of a known name was on disk before it was answered."""
+    one's; and the first refusal of a known name was on disk before the response.
+    """
     verified: list[str] = []
     monkeypatch.setattr(passwords, "_hasher", _Hasher(verified))
     for number in range(4):
@@ -124,7 +125,7 @@ class _Hasher:
         return False
 
 
-async def test_a_refusal_is_answered_before_it_is_written_down(
+async def test_a_refusal_is_returned_before_it_is_recorded(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The disk is waited for by known names only: unknown ones are counted together."""
@@ -132,9 +133,9 @@ async def test_a_refusal_is_answered_before_it_is_written_down(
     order: list[str] = []
     record = house.services.events.record
 
-    async def recording(**said: Any) -> int:
-        order.append(said["what"].code)
-        return await record(**said)
+    async def recording(**fields: Any) -> int:
+        order.append(fields["what"].code)
+        return await record(**fields)
 
     monkeypatch.setattr(house.services.events.repeated, "_record", recording)
 
@@ -155,8 +156,8 @@ async def test_a_refusal_is_answered_before_it_is_written_down(
 async def test_the_account_page_is_no_way_around(house: House) -> None:
     client = await house.signed_in(Role.OPERATOR, "ann")
     form = {"present": "wrong", "password": "a good new one", "again": "a good new one"}
-    answers = [(await client.post("/account/password", data=form)).status_code for _ in range(FREE + 3)]
-    assert answers == [422] * FREE + [429] * 3
+    statuses = [(await client.post("/account/password", data=form)).status_code for _ in range(FREE + 3)]
+    assert statuses == [422] * FREE + [429] * 3
     await house.services.events.repeated.record_rest()
     refused = [event for event in await house.events("user") if event["what"] == "password change refused"]
     assert [(event["who"], event["count"] or 1) for event in refused] == [
@@ -202,7 +203,7 @@ async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: Ho
 
 
 def elsewhere(folder: Path, change: Callable[[Accounts], object]) -> None:
-    """What ``lineside token …`` or ``lineside user …`` does in a process of its own."""
+    """Do what ``lineside token …`` or ``lineside user …`` does in a separate process."""
     database, passwords = Database(folder / "data" / "lineside.db", checkpoints=False), Passwords()
     try:
         asyncio.run(change(Accounts(database, passwords, EventLog(database))))  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
-"""Writes that wait in the kernel while the server stands still, starts, or is busy with the request before.
+"""Writes that wait in the kernel while the server is suspended, starts, or is busy with the request before.
 
-What is proven is what reached the units: nothing after its time. The server, the worker and the units are
-processes and threads of their own; only their standing still is played, by signals.
+The test is what reached the units: nothing after its time. The server, the worker and the units are separate
+processes and threads; only their suspension is simulated, by signals.
 """
 
 from __future__ import annotations
@@ -208,8 +208,8 @@ def test_what_waited_for_the_start_is_not_sent_and_what_follows_at_once_is_not_l
 
 
 def _outcome(program: Client) -> tuple[int, str]:
-    status, said = program.response()
-    return status, said["code"]
+    status, result = program.response()
+    return status, result["code"]
 
 
 def _connected(connect: Connect, port: int) -> Client | None:

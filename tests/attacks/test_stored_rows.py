@@ -1,4 +1,6 @@
-"""Whoever writes the store, or has made a worker write it, breaks no page: what cannot be read is marked."""
+"""Hostile rows in the store, written directly or by a worker, break no page: what cannot be read is
+marked.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ import pytest
 
 from app.audit.entry import new_entry
 from app.web.access import Role
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 FRAME = '{"at":%s,"direction":"in","data":"10 02","meaning":"x"}'
 HOSTILE: dict[str, dict[str, Any]] = {
@@ -46,7 +48,7 @@ SHOWN_AS_CODES = {"a message that there is not", "a message without its values"}
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -56,19 +58,21 @@ async def put(house: House, *rows: dict[str, Any]) -> list[int]:
     def work(connection: sqlite3.Connection) -> list[int]:
         numbers = []
         for row in rows:
-            whole = {**new_entry(kind="estop", time=1_700_000_000.0, what="fine"), **row}
+            columns = {**new_entry(kind="estop", time=1_700_000_000.0, what="fine"), **row}
             text = {
                 name: value.encode("utf-8", "surrogatepass")
-                for name, value in whole.items()
+                for name, value in columns.items()
                 if isinstance(value, str)
             }
             (last,) = connection.execute("SELECT max(id) FROM events").fetchone()
             numbers.append(last + 1)
-            whole |= {"id": last + 1, "previous": b"x", "hash": b"x", **text}
+            columns |= {"id": last + 1, "previous": b"x", "hash": b"x", **text}
             marks = ", ".join(
-                "CAST(? AS TEXT)" if isinstance(value, bytes) else "?" for value in whole.values()
+                "CAST(? AS TEXT)" if isinstance(value, bytes) else "?" for value in columns.values()
             )
-            connection.execute(f"INSERT INTO events ({', '.join(whole)}) VALUES ({marks})", [*whole.values()])
+            connection.execute(
+                f"INSERT INTO events ({', '.join(columns)}) VALUES ({marks})", [*columns.values()]
+            )
         return numbers
 
     return await house.services.database.write(work)
@@ -78,17 +82,17 @@ async def look(house: House) -> dict[int, dict[str, Any]]:
     """Every view of the events; the rows of the API by id."""
     page = await house.signed_in(Role.ADMIN)
     for language in ("en", "de"):
-        answer = await page.get("/events", headers={"Accept-Language": language})
-        assert answer.status_code == 200, language
-        assert "<script>" not in answer.text.partition("<main")[2]
+        response = await page.get("/events", headers={"Accept-Language": language})
+        assert response.status_code == 200, language
+        assert "<script>" not in response.text.partition("<main")[2]
     file = await page.get("/api/v1/events.csv")
     assert file.status_code == 200
     listed = await page.get("/api/v1/events", params={"limit": 1000})
     assert listed.status_code == 200
     span = {"from": "2023-11-14T00:00:00Z", "to": "2023-11-15T00:00:00Z"}
     for path, query in (("events", span), ("history/marks", span), ("events/proof", {})):
-        answer = await page.get(f"/api/v1/{path}", params=query)
-        assert answer.status_code == 200, answer.text
+        response = await page.get(f"/api/v1/{path}", params=query)
+        assert response.status_code == 200, response.text
     rows = {event["id"]: event for event in listed.json()["events"]}
     csv.field_size_limit(10_000_000)
     assert {int(row["id"]) for row in csv.DictReader(io.StringIO(file.text))} == rows.keys()
@@ -96,7 +100,7 @@ async def look(house: House) -> dict[int, dict[str, Any]]:
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-async def test_a_row_that_nobody_could_have_written(house: House, name: str) -> None:
+async def test_an_impossible_row(house: House, name: str) -> None:
     before, hostile, after = await put(house, {}, HOSTILE[name], {})
     rows = await look(house)
     assert rows[before]["what"] == rows[after]["what"] == "fine"
@@ -105,7 +109,7 @@ async def test_a_row_that_nobody_could_have_written(house: House, name: str) -> 
     assert (rows[hostile]["time"] is None) is ("time" in HOSTILE[name])
 
 
-async def test_a_result_that_nobody_could_have_written(house: House) -> None:
+async def test_an_impossible_result(house: House) -> None:
     """The entry of a result is joined to that of its command."""
     [command] = await put(house, {"kind": "command", "bus": "dry-end", "unit": 1})
     await put(
@@ -116,10 +120,10 @@ async def test_a_result_that_nobody_could_have_written(house: House) -> None:
 
 
 async def test_the_server_starts_on_such_rows(tmp_path: Path) -> None:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         await put(house, *HOSTILE.values())
         await put(house, {"kind": "command", "time": float("inf"), "frames": "{"})
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         assert (await look(house)).keys()
 
 

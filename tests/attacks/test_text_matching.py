@@ -17,7 +17,7 @@ from app.messages import Language, Languages
 from app.web.access import Role
 from app.web.bounds import LONGEST_QUERY
 from app.web.formats import Formats
-from tests.app.whole_app import House, whole_app
+from tests.app.complete_app import House, complete_app
 
 MARK = "zq7"
 HOSTILE = f"{MARK}: {MARK}; {MARK}"
@@ -31,7 +31,7 @@ ADDRESS_TEXTS = [
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    async with whole_app(tmp_path) as house:
+    async with complete_app(tmp_path) as house:
         yield house
 
 
@@ -99,8 +99,12 @@ async def test_no_text_of_a_request_is_looked_up_in_a_catalog(
     for route in routes:
         for method, path, more in requests_of(route):
             if not path.endswith(skipped):
-                answer: httpx.Response = await client.request(method, path, **more)
-                assert answer.status_code < 500 or answer.status_code == 503, (method, path, answer.text)
+                response: httpx.Response = await client.request(method, path, **more)
+                assert response.status_code < 500 or response.status_code == 503, (
+                    method,
+                    path,
+                    response.text,
+                )
     assert [text for text in looked_up if MARK in text] == []
 
 
@@ -113,5 +117,5 @@ async def test_no_text_of_an_address_makes_a_route_fail(house: House) -> None:
             for text in ADDRESS_TEXTS:
                 # Encoded, the dots reach the route; the client would resolve them.
                 path = quote(filled(route.path, text)).replace("..", "%2E%2E")
-                answer = await client.get(path, params=dict.fromkeys(names, text))
-                assert answer.status_code < 500, (path, answer.text)
+                response = await client.get(path, params=dict.fromkeys(names, text))
+                assert response.status_code < 500, (path, response.text)

@@ -1,4 +1,4 @@
-"""Clients of a WebSocket that send more than anybody reads, or read nothing, on real sockets."""
+"""Clients of a WebSocket that send more than is read, or read nothing, on real sockets."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ CPU_S = 0.5
 
 
 def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
-    """As a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: what it says of itself."""
+    """Return a frame as a client sends it (RFC 6455, 5.2), masked with zeros; ``size``: the length that it
+    claims.
+    """
     size = len(payload) if size is None else size
     length = bytes([0x80 | size]) if size < 126 else struct.pack("!BQ", 0x80 | 127, size)
     return bytes([opcode]) + length + b"\0\0\0\0" + payload
@@ -46,7 +48,7 @@ def frame(opcode: int, payload: bytes = b"", size: int | None = None) -> bytes:
 
 @dataclass
 class Site:
-    """A server with an app that reads a socket when it is told to, and writes to it."""
+    """A server with an app that reads and writes a socket when the test lets it."""
 
     port: int = 0
     connections: Connections = field(default_factory=Connections)
@@ -148,9 +150,9 @@ async def test_a_flood_of_frames_ends_its_socket(site: Site, flood: bytes) -> No
     reader = await site.connect()
     begun = time.thread_time()
     site.writers[0].write(flood)
-    heard = await everything(reader)
+    received = await everything(reader)
     assert time.thread_time() - begun < CPU_S
-    assert b"too many messages" in heard or heard == b""
+    assert b"too many messages" in received or received == b""
     assert len(site.messages) <= MOST_FRAMES_AT_ONCE
     assert site.protocol.queue.qsize() <= MOST_FRAMES_AT_ONCE
 
@@ -158,8 +160,8 @@ async def test_a_flood_of_frames_ends_its_socket(site: Site, flood: bytes) -> No
 async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives(site: Site) -> None:
     reader = await site.connect()
     site.writers[0].write(frame(FIN | TEXT, b"x", size=100_000_000))
-    heard = await everything(reader)
-    assert struct.pack("!H", 1009) in heard
+    received = await everything(reader)
+    assert struct.pack("!H", 1009) in received
 
 
 @pytest.mark.parametrize("early", [frame(FIN | TEXT, b"{}"), frame(FIN | TEXT, b"x", size=100_000_000)])
@@ -187,7 +189,7 @@ async def test_fragments_count_together(site: Site) -> None:
     assert struct.pack("!H", 1009) in await everything(reader)
 
 
-async def test_a_client_that_asks_and_does_not_read_is_dropped(site: Site) -> None:
+async def test_a_client_that_sends_and_does_not_read_is_dropped(site: Site) -> None:
     await site.connect()
     await site.accepted.wait()
     site.protocol.transport.write(b"x" * 10_000_000)
@@ -245,7 +247,7 @@ async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:
     assert [len(group) for group in site.connections._strangers.values()] == [1]
 
 
-async def test_a_worker_may_say_much_at_once(site: Site) -> None:
+async def test_a_worker_may_send_much_at_once(site: Site) -> None:
     reader = await site.connect(FEED_PATH)
     site.writers[0].write(frame(FIN | TEXT, b"{}") * 2000 + frame(FIN | TEXT, b"x" * 1_000_000))
     async with asyncio.timeout(PATIENCE_S):

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 from app.web.access import Role
-from tests.app.whole_app import PASSWORD, House
+from tests.app.complete_app import PASSWORD, House
 
 ENGINEER = "the-engineer"
 Withdraw = Callable[[House, Path], Awaitable[None]]
@@ -54,7 +54,7 @@ def in_another_process(folder: Path, change: str) -> None:
 
 
 async def noticed(house: House) -> None:
-    """The server looks at the store by itself."""
+    """Wait until the server has checked the store."""
     event = asyncio.Event()
 
     async def notice(_: str) -> None:

@@ -1,4 +1,6 @@
-"""The smallest app a worker can talk to: it listens on /feed, keeps what it hears, says what it is told."""
+"""A minimal app for a worker: it listens on /feed, records what it receives, and sends what the test gives
+it.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +39,14 @@ PATIENCE_S = 20.0
 
 
 class FakeApp:
-    """``async with FakeApp() as app``: a server on a port of its own, which can stop and start again."""
+    """``async with FakeApp() as app``: a server on a free port, which can stop and start again."""
 
     def __init__(self) -> None:
         self.messages: list[WorkerMessage] = []
         self.confirms = True
         self.refuses = ""
         self.version = CONTRACT_VERSION
-        self.heard: dict[str, int] = {}
+        self.received: dict[str, int] = {}
         self._server: Server | None = None
         self._port = 0
         self.close_codes: list[int | None] = []
@@ -80,7 +82,7 @@ class FakeApp:
             hello = decode_from_worker(await _bytes_of(connection))
             assert isinstance(hello, Hello)
             self._keep(hello)
-            seq = self.heard.setdefault(hello.worker, 0)
+            seq = self.received.setdefault(hello.worker, 0)
             await connection.send(
                 encode(Welcome(version=self.version, seq=seq, app_time=time.time(), refused=self.refuses))
             )
@@ -89,7 +91,7 @@ class FakeApp:
                 message = decode_from_worker(await _bytes_of(connection))
                 self._keep(message)
                 if isinstance(message, Batch):
-                    self.heard[hello.worker] = message.seq
+                    self.received[hello.worker] = message.seq
                     if self.confirms:
                         await connection.send(encode(Delivered(seq=message.seq)))
         except ConnectionClosed:
@@ -100,7 +102,7 @@ class FakeApp:
         self.messages.append(message)
         self._news.set()
 
-    async def say(self, message: AppMessage) -> None:
+    async def send(self, message: AppMessage) -> None:
         """To the worker that is connected."""
         assert self._connection is not None
         await self._connection.send(encode(message))
@@ -113,11 +115,11 @@ class FakeApp:
                 await self._news.wait()
 
     async def perform(self, action: Action, timeout_s: float = 2.0, command_id: str = "") -> Result:
-        """Command the worker and wait for the fate."""
+        """Command the worker and wait for the result."""
         self._count += 1
-        command_id = command_id or f"ask-{self._count}"
-        await self.say(ClockSync(app_time=time.time()))
-        await self.say(Command(command_id, time.time() + timeout_s, action))
+        command_id = command_id or f"command-{self._count}"
+        await self.send(ClockSync(app_time=time.time()))
+        await self.send(Command(command_id, time.time() + timeout_s, action))
         await self.until(lambda: self.results(command_id))
         return self.results(command_id)[0]
 
@@ -137,7 +139,7 @@ class FakeApp:
         return [each for each in self.updates() if isinstance(each, Reading) and unit in (None, each.unit)]
 
     def read(self, number: int) -> set[int]:
-        """The units whose parameter ``number`` was told."""
+        """Return the units whose parameter ``number`` was reported."""
         values = (each for each in self.updates() if isinstance(each, ParameterValue))
         return {value.unit for value in values if value.number == number}
 

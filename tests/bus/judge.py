@@ -1,7 +1,7 @@
-"""The judge of a host: what it told, held against the simulated line's own record.
+"""Judges a host: compares its reports with the simulated line's record.
 
-The record is the other witness: what each unit heard, did and said, before any fault touched it. Every
-function gives the complaints, in words; none is the verdict.
+The record is independent evidence: what each unit received, did and sent, before any fault changed it. Every
+function returns the defects as text; none is the pass.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ Times = defaultdict[tuple[int, int, int | None], list[float]]
 
 
 @dataclass
-class Said:
-    """What units said: each status body and each parameter's value, with the times."""
+class SentValues:
+    """What units sent: each status body and each parameter's value, with the times."""
 
     statuses: defaultdict[bytes, list[float]] = field(default_factory=lambda: defaultdict(list))
     parameters: Times = field(default_factory=lambda: defaultdict(list))
 
     @classmethod
-    def of(cls, record: WireRecord) -> Said:
+    def of(cls, record: WireRecord) -> SentValues:
         """All that is on record."""
-        said, asked = cls(), dict[int, bytes]()
+        sent, requests = cls(), dict[int, bytes]()
         for entry in record.since(0, Happened.RECEIVED, Happened.RESPONDED):
             if entry.what is Happened.RECEIVED:
-                asked[entry.unit] = entry.data
+                requests[entry.unit] = entry.data
             else:
-                said._note(asked[entry.unit], entry)
-        return said
+                sent._note(requests[entry.unit], entry)
+        return sent
 
     def _note(self, request: bytes, entry: WireEvent) -> None:
         body = entry.data
@@ -65,23 +65,25 @@ class Said:
 
 
 def status_body(reading: Reading) -> bytes:
-    """The body of the answer that ``reading`` claims to be."""
+    """Return the body of the response that ``reading`` reports."""
     speeds = reading.commanded.to_bytes(4, "big") + reading.actual.to_bytes(4, "big")
     return bytes((reading.unit, ACK)) + speeds + bytes((reading.analog, reading.outputs, reading.inputs))
 
 
 def made_up(updates: Iterable[Update], record: WireRecord, epoch: float) -> list[str]:
-    """Readings and parameters that no unit had said when they were told; ``epoch``: the record's zero."""
-    said = Said.of(record)
-    return [f"no unit ever said {update}" for update in updates if not _was_said(update, said, epoch)]
+    """Return readings and parameters that no unit had sent when they were reported; ``epoch``: the record's
+    zero.
+    """
+    sent = SentValues.of(record)
+    return [f"no unit ever said {update}" for update in updates if not _was_sent(update, sent, epoch)]
 
 
-def _was_said(update: Update, said: Said, epoch: float) -> bool:
+def _was_sent(update: Update, sent: SentValues, epoch: float) -> bool:
     match update:
         case Reading():
-            times = said.statuses.get(status_body(update), [])
+            times = sent.statuses.get(status_body(update), [])
         case ParameterValue():
-            times = said.parameters.get((update.unit, update.number, update.raw), [])
+            times = sent.parameters.get((update.unit, update.number, update.raw), [])
         case _:
             return True
     return any(at <= update.at - epoch for at in times)
@@ -92,13 +94,13 @@ def _was_said(update: Update, said: Said, epoch: float) -> bool:
 
 @dataclass
 class Case:
-    """One command from its asking to its fate. Times on the record's clock."""
+    """One command from its request to its result. Times on the record's clock."""
 
     action: Action
-    asked_at: float
+    requested_at: float
     deadline: float
     result: Result
-    told_at: float
+    reported_at: float
 
     def wanted(self) -> dict[bytes, int]:
         """Every request that may act for it, as a body, and the unit meant (0: all)."""
@@ -123,7 +125,7 @@ def _body(unit: int, command: int, raw: int) -> bytes:
 
 
 def untrue_result(case: Case, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
-    """What was told to have come of ``case``, against what its units did; asked before the next case."""
+    """Compare the result of ``case`` with what its units did; called before the next case."""
     acted = [entry.data for entry in _acted(case, record)]
     outcome, complaints = case.result.outcome, list[str]()
     for unit, shown in _shown(case.action, unit_at).items():
@@ -143,7 +145,7 @@ def _acted(case: Case, record: WireRecord) -> list[WireEvent]:
     return [
         entry
         for entry in record.since(0, Happened.ACTED)
-        if entry.data in wanted and case.asked_at <= entry.at <= case.told_at
+        if entry.data in wanted and case.requested_at <= entry.at <= case.reported_at
     ]
 
 
@@ -161,14 +163,14 @@ def _shown(action: Action, unit_at: Callable[[int], Unit]) -> dict[int, bool]:
 
 
 def unasked(cases: list[Case], record: WireRecord) -> list[str]:
-    """Writes that a unit carried out and nobody had asked for at that time.
+    """Return writes that a unit carried out without a command at that time.
 
-    A whole-line change may also put a unit's present speed back into its memory.
+    A change of all units may also write a unit's present speed back into its memory.
     """
     present: dict[int, int] = {}
     complaints = []
     for entry in record.since(0, Happened.ACTED):
-        case = next((case for case in cases if case.asked_at <= entry.at <= case.told_at), None)
+        case = next((case for case in cases if case.requested_at <= entry.at <= case.reported_at), None)
         back = isinstance(case and case.action, SetLine) and _puts_back(entry, present)
         if case is None or not (entry.data in case.wanted() or back):
             complaints.append(f"unit {entry.unit} did {entry.data.hex(' ')} at {entry.at:.3f}, unasked")
@@ -182,7 +184,7 @@ def _puts_back(entry: WireEvent, present: dict[int, int]) -> bool:
 
 
 def _follow(entry: WireEvent, present: dict[int, int]) -> None:
-    """Keep track of the speed that a unit has, as far as the record tells it."""
+    """Update the speed that a unit has, as far as the record shows it."""
     if entry.data[1] == SET:
         present[entry.data[0]] = int.from_bytes(entry.data[2:], "big")
     elif entry.data[1] == EXECUTE:
@@ -196,7 +198,11 @@ def too_late(cases: list[Case], written: Iterable[tuple[float, bytes]], slack_s:
         if body[1] not in WRITES:
             continue
         for case in cases:
-            if body in case.wanted() and case.asked_at <= at <= case.told_at and at > case.deadline + slack_s:
+            if (
+                body in case.wanted()
+                and case.requested_at <= at <= case.reported_at
+                and at > case.deadline + slack_s
+            ):
                 complaints.append(f"{case.action}: {body.hex(' ')} left {at - case.deadline:.3f} s late")
     return complaints
 
@@ -216,12 +222,12 @@ def rash_broadcasts(cases: list[Case], record: WireRecord) -> list[str]:
 
 
 def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, WireEvent]]:
-    heard: dict[float, WireEvent] = {
+    received: dict[float, WireEvent] = {
         entry.at: entry for entry in record.since(0, Happened.RECEIVED) if entry.data == bytes((0, EXECUTE))
     }
-    for entry in heard.values():
+    for entry in received.values():
         for case in cases:
-            if case.asked_at <= entry.at <= case.told_at and isinstance(case.action, SetLine):
+            if case.requested_at <= entry.at <= case.reported_at and isinstance(case.action, SetLine):
                 yield case, entry
 
 

@@ -1,7 +1,7 @@
 """A second decoder, written from the manual's section 2.0 alone and sharing nothing with ``bus.wire``.
 
-It sees the whole recording at once, which makes it simple enough to be believed: at every ``10 02`` it
-reads a frame; if that is none, it looks again one byte further on.
+It has the complete recording, which keeps it simple: at every ``10 02`` it reads a frame; if that is none, it
+continues one byte further on.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ def _frame_at(recording: bytes, start: int) -> tuple[bytes, int] | None:
         at += 1
         if len(body) > 13:
             return None
-    # The longest message of the manual is the answer to READ SPEED AND STATUS, 13 bytes; the shortest has 2.
+    # The longest message of the manual is the response to READ SPEED AND STATUS, 13 bytes; the shortest has
+    # 2.
     if len(body) < 2 or at + 2 >= len(recording):
         return None
     good = (sum(body) + recording[at + 2]) % 256 == 0

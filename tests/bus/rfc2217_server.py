@@ -14,7 +14,7 @@ LOOK_S = 0.02
 
 
 class _PortWithoutPins(serial.Serial):
-    """A pseudo-terminal has no modem lines; the port manager asks for them."""
+    """A pseudo-terminal without the modem lines that the port manager reads."""
 
     cts = dsr = ri = cd = property(lambda _: False)
 

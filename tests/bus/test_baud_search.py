@@ -1,4 +1,4 @@
-"""At which rate a silent line is asked."""
+"""At which baud rate a line without responses is polled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def expecting_4800() -> BaudSearch:
 
 
 def at_4800() -> BaudSearch:
-    """The line was silent at 9600, so the port has gone on to the rate that is expected."""
+    """Return a search at the expected rate, after no response at 9600."""
     rate = expecting_4800()
     assert rate.look(LONG, 9600, responds=False)
     assert rate.turn(9600, responds=False) == 4800
@@ -24,13 +24,13 @@ def at_4800() -> BaudSearch:
     return rate
 
 
-def test_without_an_expectation_a_silent_line_stays_at_its_rate() -> None:
+def test_without_an_expected_rate_a_line_without_responses_stays_at_its_rate() -> None:
     rate = BaudSearch(0.0)
     assert not rate.look(100.0, 9600, responds=False)
     assert rate.turn(9600, responds=False) is None
 
 
-def test_a_silent_line_is_asked_at_both_rates_in_turn() -> None:
+def test_a_line_without_responses_is_polled_at_both_rates_in_turn() -> None:
     assert not expecting_4800().look(LOOK_ELSEWHERE_S, 9600, responds=False)
     rate = at_4800()
     assert rate.turn(4800, responds=False) is None, "once for each look"
@@ -43,7 +43,7 @@ def test_a_silent_line_is_asked_at_both_rates_in_turn() -> None:
     assert rate.turn(9600, responds=False) == 4800
 
 
-def test_a_line_that_answers_at_the_expected_rate_is_looked_for_no_more() -> None:
+def test_a_response_at_the_expected_rate_ends_the_search() -> None:
     rate = expecting_4800()
     assert not rate.look(100.0, 9600, responds=True), "some have not been switched off and on yet"
     assert not rate.look(100.0, 4800, responds=True)
@@ -57,7 +57,7 @@ def test_nor_is_one_that_was_found_there_by_looking() -> None:
     assert rate.turn(4800, responds=False) is None
 
 
-def test_an_answer_after_the_look_keeps_the_line_at_its_rate() -> None:
+def test_a_response_after_the_try_keeps_the_line_at_its_rate() -> None:
     rate = expecting_4800()
     assert rate.look(LONG, 9600, responds=False)
     assert rate.turn(9600, responds=True) is None
@@ -65,7 +65,7 @@ def test_an_answer_after_the_look_keeps_the_line_at_its_rate() -> None:
 
 
 @pytest.mark.parametrize("present", [9600, 2400])
-def test_a_change_that_left_every_unit_where_it_answers_ends_what_was_expected(present: int) -> None:
+def test_a_change_that_left_every_unit_at_its_rate_ends_the_expectation(present: int) -> None:
     rate = expecting_4800()
     rate.expect(present, present)
     assert not rate.look(100.0, present, responds=False)

@@ -22,7 +22,7 @@ def unbounded(kind: inspect.Type, place: str = "") -> Iterator[str]:
             for each in types:
                 yield from unbounded(each, place)
         case inspect.StructType(cls=cls, fields=fields):
-            # A message bounds by itself how deep others are in it.
+            # A message limits the depth of those in it.
             for field in () if place.startswith("Message.") else fields:
                 yield from unbounded(field.type, f"{cls.__name__}.{field.name}")
         case inspect.IntType(ge=None) | inspect.IntType(le=None):

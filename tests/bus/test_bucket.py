@@ -20,7 +20,7 @@ def test_a_clock_that_steps_back_costs_nothing() -> None:
     assert [bucket.take(at) for at in (0.0, 0.4, 0.5)] == [False, False, True]
 
 
-def test_what_is_over_the_capacity_says_how_long_to_wait() -> None:
+def test_an_amount_over_the_capacity_returns_the_time_to_wait() -> None:
     bucket = Bucket(per_s=10.0, capacity=100.0)
     assert bucket.pour(100.0, 0.0) == 0.0
     assert bucket.pour(5.0, 0.0) == pytest.approx(0.5)
@@ -29,7 +29,7 @@ def test_what_is_over_the_capacity_says_how_long_to_wait() -> None:
     assert bucket.pour(100.0, 1e9) == 0.0, "what was not used does not add up"
 
 
-def test_what_is_taken_out_leaves_room_and_never_more_than_all() -> None:
+def test_removed_amounts_leave_room_up_to_the_capacity() -> None:
     bucket = Bucket(per_s=1.0, capacity=1)
     bucket.fill(0.0)
     assert not bucket.has_room(0.0)

@@ -68,7 +68,7 @@ def test_a_row_is_sound(row: Parameter) -> None:
         assert row.scale is Scale.PLAIN
 
 
-def test_choices_that_nobody_stated_are_not_named() -> None:
+def test_undocumented_choices_are_not_named() -> None:
     named = {number: sorted(row.choices) for number, row in PARAMETERS.items() if row.choices}
     assert named == {8: [0, 1, 2], 16: [0, 1], 19: [0, 1, 2], 26: [0, 1], 28: [2]}
 

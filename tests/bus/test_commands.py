@@ -1,4 +1,4 @@
-"""The eight commands and their answers, both ways, and what can answer what."""
+"""The eight commands and their responses, both ways, and which response fits which request."""
 
 from __future__ import annotations
 
@@ -118,11 +118,11 @@ def test_a_parameter_write_is_acknowledged_with_or_without_the_value(data: bytes
     assert parse_reply(WriteParameterRequest(1, 6, 5), body, BINARY) == Ack(1, data)
 
 
-def test_an_answer_to_86h_as_the_manual_draws_it_without_ack_is_not_taken() -> None:
+def test_a_response_to_86h_without_ack_as_the_manual_draws_it_is_not_taken() -> None:
     assert parse_reply(WriteParameterRequest(1, 6, 5), b"\x01\x00\x00\x00\x05", BINARY) is None
 
 
-ANSWERS: dict[str, tuple[bytes, set[int]]] = {
+RESPONSES: dict[str, tuple[bytes, set[int]]] = {
     "ACK": (b"\x06", {0x82, 0x83, 0x84, 0x86, 0x87, 0x88}),
     "ACK and 1 byte": (b"\x06\x01", {0x85, 0x86}),
     "ACK and 2 bytes": (b"\x06\x00\x01", {0x85, 0x86}),
@@ -139,28 +139,28 @@ ANSWERS: dict[str, tuple[bytes, set[int]]] = {
 }
 
 
-@pytest.mark.parametrize("answer", ANSWERS)
+@pytest.mark.parametrize("response", RESPONSES)
 @pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
-def test_an_answer_is_taken_only_by_commands_that_have_it(request_: Request, answer: str) -> None:
-    data, commands = ANSWERS[answer]
+def test_a_response_is_taken_only_by_commands_that_have_it(request_: Request, response: str) -> None:
+    data, commands = RESPONSES[response]
     reply = parse_reply(request_, bytes((request_.unit,)) + data, BINARY)
     assert (reply is not None) == (request_.COMMAND in commands)
 
 
 @pytest.mark.parametrize("request_", one_of_each, ids=lambda request: f"{request.COMMAND:02X}h")
-def test_the_answer_of_another_unit_is_never_taken(request_: Request) -> None:
-    for data, _ in ANSWERS.values():
+def test_the_response_of_another_unit_is_never_taken(request_: Request) -> None:
+    for data, _ in RESPONSES.values():
         assert parse_reply(request_, bytes((request_.unit + 1,)) + data, BINARY) is None
 
 
-def test_nothing_answers_a_broadcast() -> None:
+def test_a_broadcast_has_no_response() -> None:
     assert parse_reply(ExecuteSpeedRequest(0), b"\x00\x06", BINARY) is None
     assert longest_reply_bytes(ExecuteSpeedRequest(0), BINARY) == 0
     assert usual_reply_bytes(ExecuteSpeedRequest(0), BINARY) == 0
 
 
 @given(requests, st.binary(max_size=20), st.sampled_from([BINARY, BCD]))
-def test_any_body_is_an_answer_of_the_unit_asked_or_none(
+def test_any_body_is_a_response_of_the_addressed_unit_or_none(
     request: Request, body: bytes, dialect: Dialect
 ) -> None:
     reply = parse_reply(request, body, dialect)
@@ -237,9 +237,9 @@ def test_a_reply_that_does_not_fit_is_refused(reply: Reply) -> None:
 
 
 @given(requests, st.sampled_from([BINARY, Dialect(checksum_10h="twice")]))
-def test_no_answer_is_longer_than_the_longest(request: Request, dialect: Dialect) -> None:
+def test_no_response_is_longer_than_the_longest(request: Request, dialect: Dialect) -> None:
     longest = longest_reply_bytes(request, dialect)
-    for data, commands in ANSWERS.values():
+    for data, commands in RESPONSES.values():
         if request.COMMAND not in commands or request.unit == 0:
             continue
         stuffed = 5 + 2 * (1 + len(data)) - 1
@@ -249,11 +249,11 @@ def test_no_answer_is_longer_than_the_longest(request: Request, dialect: Dialect
 
 def test_the_costs_of_protocol_md() -> None:
     """A poll is 7 + 18 bytes, 26.04 ms at 9600 baud; 38.4 of them fit a second."""
-    asked = len(encode_request(ReadStatusRequest(4), BINARY))
-    answered = len(encode_reply(status(4), BINARY))
-    assert (asked, answered) == (7, 18)
+    requested = len(encode_request(ReadStatusRequest(4), BINARY))
+    responded = len(encode_reply(status(4), BINARY))
+    assert (requested, responded) == (7, 18)
     assert usual_reply_bytes(ReadStatusRequest(4), BINARY) == 18
-    assert wire_seconds(asked + answered, 9600) == pytest.approx(0.02604, abs=1e-5)
+    assert wire_seconds(requested + responded, 9600) == pytest.approx(0.02604, abs=1e-5)
 
 
 def test_only_reads_are_not_writes() -> None:

@@ -1,4 +1,4 @@
-"""Faults of a lineside.toml are said with the line and what would be right."""
+"""Faults of a lineside.toml are reported with the line and what would be right."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_worker_reads_its_own_bus(tmp_path: Path) -> None:
     assert bus.unit[0].labels.output == {1: "Brake release"}
 
 
-def test_a_bus_that_is_not_there_is_said_with_those_that_are(tmp_path: Path) -> None:
+def test_an_unknown_bus_is_reported_with_the_configured_ones(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"no \[\[bus\]\] named 'mid'; it has wet-end, dry-end"):
         load_bus(write(tmp_path, GOOD), "mid")
 
@@ -79,7 +79,7 @@ def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("line", "written", "said"),
+    ("line", "written", "fault_text"),
     [
         (11, "baud = 4801", "bus.baud = 4801: it must be 300, 600, 1200, 2400, 4800 or 9600"),
         (11, "buad = 4800", "unknown key buad in [[bus]]; did you mean baud?"),
@@ -95,23 +95,23 @@ def test_a_value_beyond_what_the_parser_takes(tmp_path: Path, value: str) -> Non
         (21, "id = 1", "unit id 1 is given twice; every unit on a bus has its own (#17)"),
     ],
 )
-def test_each_fault_names_its_line(tmp_path: Path, line: int, written: str, said: str) -> None:
+def test_each_fault_names_its_line(tmp_path: Path, line: int, written: str, fault_text: str) -> None:
     lines = GOOD.splitlines()
     lines[line - 1] = written
-    assert f"FILE:{line}: {said}" in fault(tmp_path, "\n".join(lines))
+    assert f"FILE:{line}: {fault_text}" in fault(tmp_path, "\n".join(lines))
 
 
-def test_a_missing_key_is_said_where_it_would_stand(tmp_path: Path) -> None:
+def test_a_missing_key_is_reported_at_its_place(tmp_path: Path) -> None:
     assert "FILE:13: [[bus.unit]] needs name = …" in fault(tmp_path, GOOD.replace('name = "Unwind"\n', ""))
 
 
-def test_every_fault_is_said_at_once(tmp_path: Path) -> None:
+def test_every_fault_is_reported_at_once(tmp_path: Path) -> None:
     text = GOOD.replace("4800", "1").replace("id = 16", "id = 0")
     assert len(fault(tmp_path, text).splitlines()) == 2
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "fault_text"),
     [
         ("[site]\nname = Mill\n", "FILE:2: this is not TOML: Invalid value; the line is 'name = Mill'"),
         ("[site\n", "FILE:1: this is not TOML: Expected ']'"),
@@ -119,8 +119,8 @@ def test_every_fault_is_said_at_once(tmp_path: Path) -> None:
         ("", "there is no [[bus]] named 'dry-end'; it has none"),
     ],
 )
-def test_a_fault_of_the_writing_itself(tmp_path: Path, text: str, said: str) -> None:
-    assert said in fault(tmp_path, text)
+def test_a_fault_of_the_writing_itself(tmp_path: Path, text: str, fault_text: str) -> None:
+    assert fault_text in fault(tmp_path, text)
 
 
 def test_lines_are_found_in_arrays_dotted_keys_and_long_values() -> None:

@@ -65,33 +65,33 @@ def test_words(frame: str, words: str) -> None:
     assert str(only(bytes.fromhex(frame)).meaning) == words
 
 
-def test_the_value_of_a_parameter_is_ambiguous_alone_and_says_so() -> None:
+def test_the_value_of_a_parameter_without_its_request_is_described_as_ambiguous() -> None:
     alone = only(encode_reply(ParameterReply(1, 5, 4), PLAIN))
     assert alone.fields == {"raw": 5, "width": 4}
     assert "only the request shows" in str(alone.meaning)
 
 
-def test_the_request_before_it_tells_what_an_answer_means() -> None:
-    asked, answered = (
+def test_the_request_before_it_determines_the_meaning_of_a_response() -> None:
+    request, response = (
         encode_request(ReadParameterRequest(1, 6), PLAIN),
         encode_reply(ParameterReply(1, 50, 2), PLAIN),
     )
-    described = describe_bytes(asked + answered)[1]
+    described = describe_bytes(request + response)[1]
     assert isinstance(described, Described)
     assert described.fields == {"number": 6, "name": "Acceleration Ramp Rate", "raw": 50}
     assert str(described.meaning) == "unit 1: #6 Acceleration Ramp Rate is 50"
 
 
-def test_an_answer_to_a_parameter_write_that_says_a_value() -> None:
-    asked = encode_request(WriteParameterRequest(1, 6, 50), PLAIN)
-    described = describe_bytes(asked + encode_reply(Ack(1, b"\x00\x32"), PLAIN))[1]
+def test_a_response_to_a_parameter_write_with_a_value() -> None:
+    request = encode_request(WriteParameterRequest(1, 6, 50), PLAIN)
+    described = describe_bytes(request + encode_reply(Ack(1, b"\x00\x32"), PLAIN))[1]
     assert isinstance(described, Described)
     assert (described.kind, described.fields) == ("ack", {"raw": 50, "width": 2})
-    refused = describe_bytes(asked + encode_reply(Nak(1, 0x80), PLAIN))[1]
+    refused = describe_bytes(request + encode_reply(Nak(1, 0x80), PLAIN))[1]
     assert str(refused.meaning) == "unit 1: NAK to write parameter, unit is not in REMOTE mode"
 
 
-def test_the_answer_of_another_unit_is_read_alone() -> None:
+def test_the_response_of_another_unit_is_described_alone() -> None:
     described = describe_bytes(
         encode_request(ReadParameterRequest(1, 6), PLAIN) + encode_reply(ParameterReply(2, 50, 2), PLAIN)
     )[1]
@@ -114,7 +114,7 @@ def test_a_good_frame_that_means_nothing_is_unknown(body: str) -> None:
     assert only(frame).kind == "unknown"
 
 
-def test_rubbish_is_named() -> None:
+def test_noise_is_described() -> None:
     (described,) = describe_bytes(b"\x55\xaa")
     assert isinstance(described, DescribedNoise)
     assert (described.wire, str(described.meaning)) == (
@@ -128,9 +128,9 @@ def test_a_doubled_checksum_byte_is_not_listed() -> None:
 
 
 def test_the_password_is_in_no_words() -> None:
-    asked = encode_request(WriteParameterRequest(1, 21, 4711), PLAIN)
+    request = encode_request(WriteParameterRequest(1, 21, 4711), PLAIN)
     read = encode_request(ReadParameterRequest(1, 21), PLAIN) + encode_reply(ParameterReply(1, 4711), PLAIN)
-    for described in describe_bytes(asked + read):
+    for described in describe_bytes(request + read):
         assert "4711" not in str(described.meaning)
     assert is_secret(WriteParameterRequest(1, 21, 4711))
     assert is_secret(ReadParameterRequest(1, 21))
@@ -149,5 +149,5 @@ def test_anything_can_be_described(data: bytes) -> None:
 
 def test_a_status_is_the_same_with_its_request_before_it() -> None:
     status = encode_reply(StatusReply(1, 500, 490, 7, 0x40, 0x03), PLAIN)
-    asked = encode_request(ReadStatusRequest(1), PLAIN)
-    assert describe_bytes(asked + status)[1] == only(status)
+    request = encode_request(ReadStatusRequest(1), PLAIN)
+    assert describe_bytes(request + status)[1] == only(status)

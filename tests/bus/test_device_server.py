@@ -1,4 +1,4 @@
-"""``socket://`` while the device server misbehaves: said in words, recovered alone, nothing sent late."""
+"""``socket://`` with a faulty device server: reported, recovered automatically, nothing sent late."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.test_open_port import Ear
+from tests.bus.test_open_port import Receiver
 
 TCP_USER_TIMEOUT = 18
 """Linux, which names it only from Python 3.12 on."""
@@ -83,7 +83,7 @@ async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_ser
         assert (await app.perform(SetSpeed(1, 778))).outcome == "verified"
 
 
-async def test_one_that_goes_away_is_told_and_so_is_what_it_says_then(line: LineServer) -> None:
+async def test_a_lost_device_server_is_reported_with_its_cause(line: LineServer) -> None:
     async with working(line) as app:
         line.unplug()
         await app.until(lambda: any("refuses the connection" in cause for cause in causes(app)))
@@ -94,7 +94,7 @@ async def test_one_that_goes_away_is_told_and_so_is_what_it_says_then(line: Line
 
 async def test_one_that_lost_its_power_is_noticed_by_what_it_does_not_confirm(line: LineServer) -> None:
     """A dead box cannot be had here; what makes the kernel notice one is looked at instead."""
-    port = await open_port(line.port.name, 9600, Ear())
+    port = await open_port(line.port.name, 9600, Receiver())
     connection: socket.socket = port._transport.get_extra_info("socket")  # type: ignore[attr-defined]
     assert connection.getsockopt(socket.IPPROTO_TCP, TCP_USER_TIMEOUT) == TCP_LOST_AFTER_MS < 1000
     assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)

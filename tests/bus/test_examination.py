@@ -23,53 +23,53 @@ from bus.wire.commands import (
     is_write,
 )
 
-Answering = Callable[[Probe], ProbeOutcome]
-SILENCE = ProbeOutcome()
+Responder = Callable[[Probe], ProbeOutcome]
+NO_RESPONSE = ProbeOutcome()
 GARBAGE = ProbeOutcome(garbled=True)
 
 
-def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = False) -> Answering:
-    """A unit as the manual has it, but for what is asked otherwise."""
+def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = False) -> Responder:
+    """Return a unit as in the manual, except for the given traits."""
 
-    def answer(question: Probe) -> ProbeOutcome:
-        request = question.request
+    def respond(probe: Probe) -> ProbeOutcome:
+        request = probe.request
         if isinstance(request, ReadStatusRequest):
             return ProbeOutcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
         assert isinstance(request, ReadParameterRequest)
-        if encode_request(request, Dialect())[-1] == 0x10 and question.doubled is not twice:
-            return SILENCE
+        if encode_request(request, Dialect())[-1] == 0x10 and probe.doubled is not twice:
+            return NO_RESPONSE
         number = request.number // 16 * 10 + request.number % 16 if bcd else request.number
         if number > last:
             return ProbeOutcome(Nak(address, 0x82))
         return ProbeOutcome(ParameterReply(address, address if number == 17 else 0, 4))
 
-    return answer
+    return respond
 
 
-def outcome_of(answering: Answering, address: int = 5) -> tuple[Found | None, list[Probe]]:
+def outcome_of(respond: Responder, address: int = 5) -> tuple[Found | None, list[Probe]]:
     examination = examine(address, 9600)
-    asked: list[Probe] = []
+    probes: list[Probe] = []
     try:
-        question = next(examination)
+        probe = next(examination)
         while True:
-            asked.append(question)
-            question = examination.send(answering(question))
+            probes.append(probe)
+            probe = examination.send(respond(probe))
     except StopIteration as end:
-        return end.value, asked
+        return end.value, probes
 
 
-def found(answering: Answering, address: int = 5) -> Found:
-    one, asked = outcome_of(answering, address)
+def found(respond: Responder, address: int = 5) -> Found:
+    one, probes = outcome_of(respond, address)
     assert one is not None
-    assert not any(is_write(question.request) for question in asked)
-    assert all(getattr(question.request, "number", 0) != 21 for question in asked)
+    assert not any(is_write(probe.request) for probe in probes)
+    assert all(getattr(probe.request, "number", 0) != 21 for probe in probes)
     return one
 
 
-def test_a_silent_address_is_asked_once() -> None:
-    one, asked = outcome_of(lambda _: SILENCE)
+def test_an_address_without_a_response_is_probed_once() -> None:
+    one, probes = outcome_of(lambda _: NO_RESPONSE)
     assert one is None
-    assert asked == [Probe(ReadStatusRequest(5))]
+    assert probes == [Probe(ReadStatusRequest(5))]
 
 
 def test_a_unit() -> None:
@@ -87,10 +87,10 @@ def test_how_far_the_list_goes(last: int) -> None:
     assert (Message.of("found_parameters", last=last) in one.remarks) == (last < 40)
 
 
-def test_between_two_parameters_81h_is_asked() -> None:
-    """So that no answer to 85h, late or doubled, can pass for another one's."""
-    _, asked = outcome_of(unit(last=20))
-    commands = [question.request.COMMAND for question in asked]
+def test_between_two_parameters_81h_is_sent() -> None:
+    """Otherwise a late or duplicate response to 85h could pass for that to the next one."""
+    _, probes = outcome_of(unit(last=20))
+    commands = [probe.request.COMMAND for probe in probes]
     assert all(not (a == b == ReadParameterRequest.COMMAND) for a, b in pairwise(commands))
 
 
@@ -102,13 +102,13 @@ def test_a_unit_that_counts_in_bcd() -> None:
     assert one.remarks[0] == Message("found_bcd")
 
 
-def test_a_unit_that_answers_for_another_address() -> None:
-    def answer(question: Probe) -> ProbeOutcome:
-        outcome = unit(5)(question)
+def test_a_unit_that_responds_for_another_address() -> None:
+    def respond(probe: Probe) -> ProbeOutcome:
+        outcome = unit(5)(probe)
         wrong = isinstance(outcome.reply, ParameterReply) and outcome.reply.raw == 5
         return replace(outcome, reply=ParameterReply(5, 9, 4)) if wrong else outcome
 
-    one = found(answer)
+    one = found(respond)
     assert one.own_address == 9
     assert one.remarks[0] == Message.of("found_other_address", own=9, unit=5)
 
@@ -118,59 +118,59 @@ def test_a_unit_that_wants_a_checksum_of_10h_twice() -> None:
 
 
 def test_the_unit_whose_81h_has_the_checksum_10h() -> None:
-    """Unit 111, where it takes that twice only, hears nothing that is sent plainly."""
+    """Unit 111, where it accepts such a checksum only doubled, receives nothing that is sent plainly."""
     plain = unit(111, twice=True)
-    one = found(lambda asked: plain(asked) if asked.doubled else SILENCE, 111)
+    one = found(lambda probe: plain(probe) if probe.doubled else NO_RESPONSE, 111)
     assert (one.kind, one.checksum_10h) == ("digimax", "twice")
-    assert outcome_of(lambda _: SILENCE, 111)[0] is None
+    assert outcome_of(lambda _: NO_RESPONSE, 111)[0] is None
 
 
 def test_a_unit_that_sends_a_checksum_of_10h_twice() -> None:
-    one = found(lambda question: replace(unit()(question), checksum_10h="twice"))
+    one = found(lambda probe: replace(unit()(probe), checksum_10h="twice"))
     assert one.checksum_10h == "twice"
     assert Message("found_checksum_twice") in one.remarks
 
 
-def test_two_units_that_garble_every_answer() -> None:
+def test_two_units_that_garble_every_response() -> None:
     one = found(lambda _: GARBAGE)
     assert one.kind == "garbled"
     assert one.remarks[0] == Message("found_garbled")
 
 
-def test_two_units_that_let_some_answers_through() -> None:
+def test_two_units_that_garble_some_responses() -> None:
     turns = iter(range(1000))
-    one = found(lambda question: unit()(question) if next(turns) % 2 == 0 else GARBAGE)
+    one = found(lambda probe: unit()(probe) if next(turns) % 2 == 0 else GARBAGE)
     assert one.kind == "garbled"
 
 
 def test_a_response_that_comes_after_its_window_is_late_and_not_doubled() -> None:
     """Of each two requests, the response to the first comes in the window of the second."""
-    owed = False
+    lost = False
 
-    def answer(question: Probe) -> ProbeOutcome:
-        nonlocal owed
-        owed, was_owed = not owed and isinstance(question.request, ReadParameterRequest), owed
-        return SILENCE if owed else replace(unit()(question), surplus=int(was_owed))
+    def respond(probe: Probe) -> ProbeOutcome:
+        nonlocal lost
+        lost, was_late = not lost and isinstance(probe.request, ReadParameterRequest), lost
+        return NO_RESPONSE if lost else replace(unit()(probe), surplus=int(was_late))
 
-    one = found(answer)
+    one = found(respond)
     assert (one.kind, one.late) == ("digimax", True)
 
 
-def test_two_units_that_answer_one_after_the_other() -> None:
-    one = found(lambda question: replace(unit()(question), surplus=1))
+def test_two_units_that_respond_one_after_the_other() -> None:
+    one = found(lambda probe: replace(unit()(probe), surplus=1))
     assert one.kind == "garbled"
 
 
 def test_a_little_noise_makes_a_remark_only() -> None:
     turns = iter(range(1000))
-    one = found(lambda question: replace(unit()(question), garbled=next(turns) == 2))
+    one = found(lambda probe: replace(unit()(probe), garbled=next(turns) == 2))
     assert one.kind == "digimax"
     assert "1 of " in str(one.remarks[0])
 
 
-def test_noise_that_does_not_come_again_is_nobody() -> None:
+def test_noise_that_is_not_repeated_is_no_unit() -> None:
     outcomes = iter([GARBAGE])
-    assert outcome_of(lambda _: next(outcomes, SILENCE))[0] is None
+    assert outcome_of(lambda _: next(outcomes, NO_RESPONSE))[0] is None
 
 
 def test_what_refuses_81h_is_no_digimax() -> None:
@@ -179,16 +179,16 @@ def test_what_refuses_81h_is_no_digimax() -> None:
     assert one.remarks[0] == Message.of("found_refuses", error="89")
 
 
-def test_what_answers_in_frames_of_another_shape_is_no_digimax() -> None:
+def test_a_device_with_frames_of_another_shape_is_no_digimax() -> None:
     one = found(lambda _: ProbeOutcome(unexpected=True))
     assert one.kind == "foreign"
 
 
-def test_a_unit_that_answers_81h_only() -> None:
-    def answer(question: Probe) -> ProbeOutcome:
-        return unit()(question) if isinstance(question.request, ReadStatusRequest) else SILENCE
+def test_a_unit_that_responds_to_81h_only() -> None:
+    def respond(probe: Probe) -> ProbeOutcome:
+        return unit()(probe) if isinstance(probe.request, ReadStatusRequest) else NO_RESPONSE
 
-    one = found(answer)
+    one = found(respond)
     assert one.kind == "digimax"
     assert one.parameters == ()
     assert Message("found_no_address") in one.remarks
@@ -211,7 +211,7 @@ def test_the_read_of_the_password_is_left_out() -> None:
     assert found(unit(86), 86).kind == "digimax"
 
 
-def test_a_silent_address_costs_the_request_the_turnaround_and_a_byte() -> None:
+def test_an_address_without_a_response_costs_the_request_the_turnaround_and_a_byte() -> None:
     assert no_response_s(9600, 0.050) == pytest.approx(8 * 10 / 9600 + 0.050 + 0.010)
     assert no_response_s(300, 0.0) == pytest.approx(8 * 10 / 300 + 0.010)
 
@@ -256,8 +256,8 @@ def test_what_turns_at_speed_has_no_emergency_stop(
 ) -> None:
     status = StatusReply(5, 500, actual, 0, outputs, inputs)
 
-    def answer(question: Probe) -> ProbeOutcome:
-        outcome = unit()(question)
+    def respond(probe: Probe) -> ProbeOutcome:
+        outcome = unit()(probe)
         return replace(outcome, reply=status) if isinstance(outcome.reply, StatusReply) else outcome
 
-    assert found(answer).estop_healthy == healthy
+    assert found(respond).estop_healthy == healthy

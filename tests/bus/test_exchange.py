@@ -1,4 +1,4 @@
-"""One exchange: what is the answer, and what everything else is."""
+"""One exchange: which frame is the response, and what every other one is."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def kinds(events: list[ExchangeEvent]) -> list[type]:
     return [type(event) for event in events]
 
 
-def test_what_is_sent_is_the_request() -> None:
+def test_the_request_is_sent() -> None:
     assert Exchange(StageSpeedRequest(4, 528), PLAIN).sent == encode_request(StageSpeedRequest(4, 528), PLAIN)
 
 
@@ -47,7 +47,7 @@ def test_a_bad_request_makes_no_exchange() -> None:
         Exchange(StageSpeedRequest(4, 100_000), PLAIN)
 
 
-def test_the_answer() -> None:
+def test_the_response() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     (event,) = exchange.receive(frame(STATUS), 1.5)
     assert isinstance(event, Answered)
@@ -57,14 +57,14 @@ def test_the_answer() -> None:
     assert exchange.pending.outstanding == ()
 
 
-def test_a_refusal_is_an_answer() -> None:
+def test_a_refusal_is_a_response() -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 99_999), PLAIN)
     (event,) = exchange.receive(frame(Nak(4, 0x81)), 0.0)
     assert isinstance(event, Answered)
     assert event.reply == Nak(4, 0x81)
 
 
-def test_an_answer_byte_by_byte_is_timed_by_its_first_byte() -> None:
+def test_a_response_byte_by_byte_is_timed_by_its_first_byte() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = [
         event for at, byte in enumerate(frame(STATUS)) for event in exchange.receive(bytes((byte,)), at)
@@ -73,7 +73,7 @@ def test_an_answer_byte_by_byte_is_timed_by_its_first_byte() -> None:
     assert exchange.first_byte_at == 0
 
 
-def test_the_answer_of_another_unit_is_foreign() -> None:
+def test_the_response_of_another_unit_is_foreign() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     (event,) = exchange.receive(frame(StatusReply(5, 1, 1, 1, 1, 1)), 0.0)
     assert isinstance(event, Foreign)
@@ -87,13 +87,13 @@ def test_another_hosts_request_is_foreign() -> None:
 
 
 @pytest.mark.parametrize("reply", [Ack(4), ParameterReply(4, 7, 1), Ack(4, b"\x00" * 10)], ids=str)
-def test_an_answer_of_the_wrong_length_is_unexpected(reply: Reply) -> None:
+def test_a_response_of_the_wrong_length_is_unexpected(reply: Reply) -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(reply), 0.0)) == [Unexpected]
     assert exchange.awaiting
 
 
-def test_an_echo_is_not_an_answer_and_does_not_time_it() -> None:
+def test_an_echo_is_not_a_response_and_does_not_time_it() -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
     assert kinds(exchange.receive(exchange.sent, 1.0)) == [Echo]
     assert exchange.first_byte_at is None
@@ -102,7 +102,7 @@ def test_an_echo_is_not_an_answer_and_does_not_time_it() -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 1, 5, 8])
-def test_an_echo_and_its_answer_in_one_piece(cut: int) -> None:
+def test_an_echo_and_its_response_in_one_piece(cut: int) -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
     together = exchange.sent + frame(Ack(4))
     at = len(exchange.sent) + cut
@@ -111,17 +111,17 @@ def test_an_echo_and_its_answer_in_one_piece(cut: int) -> None:
     assert exchange.first_byte_at == (1.0 if cut else 2.0)
 
 
-def test_a_second_copy_of_the_answer_is_doubled() -> None:
+def test_a_second_copy_of_the_response_is_a_duplicate() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(STATUS) * 2, 0.0)) == [Answered, Doubled]
 
 
-def test_another_frame_after_the_answer_is_late() -> None:
+def test_another_frame_after_the_response_is_late() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     assert kinds(exchange.receive(frame(STATUS) + frame(Ack(4)), 0.0)) == [Answered, Late]
 
 
-def test_an_answer_after_giving_up_is_late_and_ends_the_doubt() -> None:
+def test_a_response_after_the_timeout_is_late_and_ends_the_pending_one() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     exchange.give_up()
     assert exchange.pending.outstanding == (ReadStatusRequest(4),)
@@ -137,7 +137,7 @@ def test_nothing_is_awaited_after_a_broadcast() -> None:
     assert exchange.pending.outstanding == ()
 
 
-def test_a_spoilt_answer_is_noise_that_says_checksum() -> None:
+def test_a_damaged_response_is_noise_with_a_checksum_fault() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     spoilt = bytearray(frame(STATUS))
     spoilt[5] ^= 1
@@ -148,7 +148,7 @@ def test_a_spoilt_answer_is_noise_that_says_checksum() -> None:
     assert exchange.awaiting
 
 
-def test_the_answer_between_noise() -> None:
+def test_the_response_between_noise() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = exchange.receive(b"\xff\x00" + frame(STATUS) + b"\x55\x10\x02", 0.0)
     assert kinds(events) == [Noise, Answered, Noise]
@@ -156,14 +156,14 @@ def test_the_answer_between_noise() -> None:
 
 def test_a_doubled_checksum_byte_passes_into_the_next_exchange_without_noise() -> None:
     first = Exchange(WriteOutputRequest(234, 1, True), PLAIN)
-    answer = frame(Ack(234))
-    assert answer[-1] == 0x10
-    first.receive(answer, 0.0)
+    response = frame(Ack(234))
+    assert response[-1] == 0x10
+    first.receive(response, 0.0)
     second = Exchange(ReadStatusRequest(4), PLAIN, decoder=first.decoder)
     assert kinds(second.receive(b"\x10" + frame(STATUS), 1.0)) == [DoubledChecksum, Answered]
 
 
-def test_an_answer_that_may_be_late_is_not_believed() -> None:
+def test_a_response_that_may_be_late_is_not_believed() -> None:
     pending = PendingResponses(4, PLAIN).sent(ReadParameterRequest(4, 5))
     exchange = Exchange(ReadParameterRequest(4, 6), PLAIN, pending=pending)
     assert kinds(exchange.receive(frame(ParameterReply(4, 500, 2)), 0.0)) == [Late]
@@ -172,9 +172,9 @@ def test_an_answer_that_may_be_late_is_not_believed() -> None:
 
 
 @given(st.lists(st.sampled_from([0x10, 0x02, 0x03, 0x04, 0x06, 0x15, 0x81, 0x80]), max_size=60).map(bytes))
-def test_whatever_comes_an_answer_is_at_most_one_and_of_the_unit(data: bytes) -> None:
+def test_any_bytes_give_at_most_one_response_and_it_is_of_the_unit(data: bytes) -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
-    answers = [event for event in exchange.receive(data, 0.0) if isinstance(event, Answered)]
-    assert len(answers) <= 1
-    assert all(answer.frame.body[0] == 4 for answer in answers)
-    assert exchange.awaiting == (not answers)
+    responses = [event for event in exchange.receive(data, 0.0) if isinstance(event, Answered)]
+    assert len(responses) <= 1
+    assert all(response.frame.body[0] == 4 for response in responses)
+    assert exchange.awaiting == (not responses)

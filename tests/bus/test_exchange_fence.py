@@ -1,4 +1,4 @@
-"""Late and doubled answers: the table of what needs a fence, and a unit that answers as late as it likes."""
+"""Late and duplicate responses: the table of what needs a fence, and a unit with arbitrary delays."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class TestTheTable:
     def test_a_poll_may_follow_anything(self, lost: Request) -> None:
         assert not fence_needed(lost, POLL)
 
-    def test_a_lost_parameter_may_be_asked_again_but_not_another(self) -> None:
+    def test_a_lost_parameter_may_be_read_again_but_not_another(self) -> None:
         assert not fence_needed(READ, READ)
         assert fence_needed(READ, ReadParameterRequest(1, 4))
 
@@ -77,18 +77,18 @@ class TestTheTable:
     def test_writes_pass_for_each_other_even_for_themselves(self, lost: Request, following: Request) -> None:
         assert fence_needed(lost, following)
 
-    def test_the_answer_to_86h_may_carry_a_value(self) -> None:
+    def test_the_response_to_86h_may_carry_a_value(self) -> None:
         assert fence_needed(WRITE, READ)
         assert fence_needed(READ, WRITE)
 
-    def test_other_writes_and_parameter_reads_are_told_apart(self) -> None:
+    def test_other_writes_and_parameter_reads_are_distinguished(self) -> None:
         assert not fence_needed(SPEED, READ)
         assert not fence_needed(READ, SPEED)
 
-    def test_another_unit_is_told_apart(self) -> None:
+    def test_another_unit_is_distinguished(self) -> None:
         assert not fence_needed(SPEED, SetAndExecuteSpeedRequest(2, 5))
 
-    def test_nothing_answers_a_broadcast_so_nothing_is_late(self) -> None:
+    def test_a_broadcast_has_no_response_that_could_be_late(self) -> None:
         assert possible_shapes(ExecuteSpeedRequest(0), PLAIN) == frozenset()
         assert (
             PendingResponses(0, PLAIN).sent(ExecuteSpeedRequest(0)).fence_before(ExecuteSpeedRequest(0))
@@ -96,24 +96,24 @@ class TestTheTable:
         )
 
     @pytest.mark.parametrize("lost", ALL, ids=str)
-    def test_the_fence_can_be_told_from_what_was_lost(self, lost: Request) -> None:
+    def test_the_fence_is_distinct_from_the_lost_response(self, lost: Request) -> None:
         fence = fence_for(1, lost)
         assert not is_write(fence)
         assert not fence_needed(lost, fence)
 
 
-class TestDoubt:
-    def test_a_poll_sent_before_a_write_proves_nothing_after_it(self) -> None:
+class TestPendingResponses:
+    def test_a_poll_sent_before_a_write_verifies_nothing_after_it(self) -> None:
         pending = PendingResponses(1, PLAIN).sent(POLL).sent(SPEED)
         assert pending.fence_before(POLL) == ReadParameterRequest(1, 17)
         assert PendingResponses(1, PLAIN).sent(POLL).fence_before(POLL) is None
 
-    def test_illegal_command_is_not_believed_in_doubt(self) -> None:
+    def test_an_ambiguous_illegal_command_is_not_believed(self) -> None:
         assert not PendingResponses(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x89")
         assert PendingResponses(1, PLAIN).sent(POLL).believes(SPEED, b"\x01\x15\x80")
         assert PendingResponses(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
 
-    def test_an_answered_parameter_may_come_twice(self) -> None:
+    def test_a_parameter_response_may_come_twice(self) -> None:
         answered = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
         assert answered.fence_before(ReadParameterRequest(1, 4)) == POLL
         assert answered.fence_before(READ) is None
@@ -129,7 +129,7 @@ class TestDoubt:
             pending = pending.sent(POLL).sent(READ)
         assert len(pending.outstanding) == MOST_OUTSTANDING
 
-    def test_a_long_run_ends_only_with_an_answer_of_another_shape(self) -> None:
+    def test_a_long_run_ends_only_with_a_response_of_another_shape(self) -> None:
         pending = PendingResponses(1, PLAIN)
         for _ in range(2 * LONG_RUN):
             pending = pending.sent(READ)
@@ -140,7 +140,9 @@ class TestDoubt:
         assert pending.outstanding == ()
 
     @given(st.lists(st.sampled_from(ALL), max_size=10), st.sampled_from(ALL))
-    def test_answered_fences_always_lead_to_the_request(self, lost: list[Request], wanted: Request) -> None:
+    def test_fences_with_responses_always_lead_to_the_request(
+        self, lost: list[Request], wanted: Request
+    ) -> None:
         pending = PendingResponses(1, PLAIN)
         for request in lost:
             pending = pending.sent(request)
@@ -152,8 +154,8 @@ class TestDoubt:
             assert fences <= len(lost) + 1
 
 
-class TestDoubts:
-    def test_another_unit_in_between_lets_the_last_answer_be_forgotten(self) -> None:
+class TestPendingByUnit:
+    def test_a_request_to_another_unit_discards_the_last_response(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02"))
         assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
@@ -172,7 +174,7 @@ class TestDoubts:
         assert pending.fence_before(ExecuteSpeedRequest(0)) is None
 
 
-# --- a unit that answers as late as it likes -----------------------------------------------------
+# --- a unit with arbitrary delays ------------------------------------------------------------------
 
 
 @dataclass
@@ -185,7 +187,7 @@ class Sent:
 
 @dataclass
 class LateUnit:
-    """Answers in order; any answer may be lost, come much later, or come twice in a row."""
+    """Responds in order; any response may be lost, come much later, or come twice in a row."""
 
     draw: st.DataObject
     queue: list[tuple[Sent, bytes]] = field(default_factory=list)
@@ -193,10 +195,10 @@ class LateUnit:
 
     def send(self, sent: Sent) -> None:
         if self.draw.draw(st.integers(0, 5)) > 0:
-            self.queue.append((sent, encode_reply(self._answer(sent.request), PLAIN)))
+            self.queue.append((sent, encode_reply(self._response(sent.request), PLAIN)))
 
     def deliver(self) -> list[tuple[Sent, bytes]]:
-        """What comes within one window. The copy of the last answer, if any, comes first."""
+        """Return what comes within one window. The duplicate of the last response, if any, comes first."""
         second = [self.copy] if self.copy else []
         count = self.draw.draw(st.integers(0, len(self.queue)))
         came, self.queue = self.queue[:count], self.queue[count:]
@@ -204,7 +206,7 @@ class LateUnit:
         self.copy = came[-1] if twice else None
         return second + came
 
-    def _answer(self, request: Request) -> Reply:
+    def _response(self, request: Request) -> Reply:
         choices: list[Reply]
         match request:
             case ReadStatusRequest():
@@ -218,12 +220,12 @@ class LateUnit:
         return self.draw.draw(st.sampled_from(choices))
 
 
-wishes = st.sampled_from([*ALL, ReadParameterRequest(1, 4), SetAndExecuteSpeedRequest(1, 6)])
+requests = st.sampled_from([*ALL, ReadParameterRequest(1, 4), SetAndExecuteSpeedRequest(1, 6)])
 
 
 @settings(max_examples=200)
-@given(st.lists(wishes, min_size=1, max_size=12), st.data())
-def test_no_late_or_doubled_answer_is_ever_taken_for_another(
+@given(st.lists(requests, min_size=1, max_size=12), st.data())
+def test_no_late_or_duplicate_response_is_ever_taken_for_another(
     wanted: list[Request], data: st.DataObject
 ) -> None:
     unit, pending, writes = LateUnit(data), PendingByUnit(PLAIN), 0

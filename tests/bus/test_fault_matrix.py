@@ -1,8 +1,8 @@
-"""Proof of truth: no reading that no unit said, no fate that is not so, whatever the line suffers.
+"""Truth of reports: every reading was sent by a unit and every result is so, under all faults of the line.
 
-Each fault alone, then all together, over hundreds of writes. The worker runs as it is: on a virtual clock,
-and once more over a real pseudo-terminal and a real WebSocket. The judge holds what it told against the
-line's own record.
+Each fault alone, then all together, over hundreds of writes. The complete worker runs on a virtual clock, and
+a second time over a real pseudo-terminal and a real WebSocket. The judge compares its reports with the line's
+record.
 """
 
 from __future__ import annotations
@@ -50,8 +50,9 @@ JAM = 0.002
 """Floods and frames of 10,000 bytes fill the cable for seconds: at this rate others are seen as well."""
 LARGE = (FaultKind.FLOOD, FaultKind.HUGE)
 STRANGER = 99
-"""Among other faults a foreign answer carries an address that no unit here has. A unit that speaks in the
-name of another at the very moment when that one is asked cannot be told from it by anybody."""
+"""Among other faults a foreign response carries an address that no unit here has. A unit that sends in the
+name of another at the very moment of its poll cannot be told from it.
+"""
 ALL_AT_ONCE = {
     kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.EVERYBODY
 }
@@ -67,8 +68,8 @@ def _quiet_log() -> Iterator[None]:
     structlog.reset_defaults()
 
 
-def wishes(seed: int, count: int) -> Iterator[Action]:
-    """Writes of every kind; each value is asked for once, so that whoever has it has it from here."""
+def commands(seed: int, count: int) -> Iterator[Action]:
+    """Yield writes of every kind; each value is written once, so that its source is certain."""
     dice = random.Random(seed)
     for fresh in range(1, count + 1):
         unit = dice.randrange(1, UNITS + 1)
@@ -85,9 +86,9 @@ def wishes(seed: int, count: int) -> Iterator[Action]:
 
 
 class Trial:
-    """A list of wishes to one worker: what came of each, and what is wrong with it.
+    """A list of commands to one worker: the result of each, and what is wrong with it.
 
-    ``ask`` gives the fate of a wish, ``now`` the time of the record's clock.
+    ``perform`` returns the result of a command, ``now`` the time of the record's clock.
     """
 
     def __init__(
@@ -102,19 +103,19 @@ class Trial:
         self._perform, self._now, self._record, self._units = perform, now, record, units
 
     async def play(self, seed: int, count: int) -> None:
-        """One wish after the other, each judged as soon as its fate is known."""
+        """Send one command after the other and judge each result before the next."""
         dice = random.Random(seed)
-        for action in wishes(seed, count):
+        for action in commands(seed, count):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
             await self._judge(action, dice.choice((0.03, 0.2, 2.0)))
         self.complaints += unasked(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
 
     async def _judge(self, action: Action, timeout_s: float) -> None:
-        asked_at = self._now()
+        requested_at = self._now()
         before = {unit.address: (unit.setpoint, unit.entered) for unit in self._units}
         result = await self._perform(action, timeout_s)
-        case = Case(action, asked_at, asked_at + timeout_s, result, self._now())
+        case = Case(action, requested_at, requested_at + timeout_s, result, self._now())
         self.cases.append(case)
         self.complaints += untrue_result(case, self._record, self._unit_at)
         self.complaints += half_done(case, before, self._record, self._unit_at)
@@ -148,7 +149,7 @@ def virtual_trial(
     count: int,
     meddle: Callable[[VirtualLine], Awaitable[None]] | None = None,
 ) -> Trial:
-    """Play wishes on a virtual clock on a line with these faults, while ``meddle`` does what it does."""
+    """Send commands on a virtual clock to a line with these faults, while ``meddle`` runs."""
 
     async def scene(line: VirtualLine) -> Trial:
         def perform(action: Action, timeout_s: float) -> Awaitable[Result]:
@@ -171,11 +172,11 @@ def virtual_trial(
     return run(scene, UNITS, seed=seed)
 
 
-def test_on_a_good_line_every_write_that_had_the_time_is_proven() -> None:
+def test_on_a_good_line_every_write_in_time_is_verified() -> None:
     trial = virtual_trial({}, seed=7, count=100)
     assert trial.complaints == []
     for case in trial.cases:
-        assert case.result.outcome in ("verified", "acknowledged") or case.deadline - case.asked_at < 0.1
+        assert case.result.outcome in ("verified", "acknowledged") or case.deadline - case.requested_at < 0.1
 
 
 @pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.EVERYBODY])
@@ -186,7 +187,7 @@ def test_each_fault_alone(kind: FaultKind) -> None:
 
 
 def test_a_unit_that_takes_every_address_for_its_own() -> None:
-    """It carries out what others are asked, so what it holds staged is not in the host's hands."""
+    """It carries out the requests of others, so the host does not control what it holds staged."""
     trial = virtual_trial({FaultKind.EVERYBODY: TOGETHER}, seed=7, count=100)
     assert [complaint for complaint in trial.complaints if "still holds" not in complaint] == []
     assert trial.outcomes()["verified"] > 10
@@ -210,7 +211,7 @@ async def pull_the_cable(line: VirtualLine) -> None:
 
 
 async def work_at_the_panels(line: VirtualLine) -> None:
-    """Somebody takes units to LOCAL and back, and switches one off and on."""
+    """Switch units to LOCAL and back, and one off and on."""
     dice = random.Random(line.line.faults.seed)
     while True:
         await asyncio.sleep(dice.uniform(0.05, 0.5))
@@ -222,7 +223,7 @@ async def work_at_the_panels(line: VirtualLine) -> None:
 
 @pytest.mark.parametrize("meddle", [pull_the_cable, work_at_the_panels])
 @pytest.mark.parametrize("rates", [{}, ALL_AT_ONCE], ids=["alone", "among faults"])
-def test_hands_at_the_line(
+def test_operation_at_the_panels(
     meddle: Callable[[VirtualLine], Awaitable[None]], rates: dict[FaultKind, float]
 ) -> None:
     trial = virtual_trial(rates, 7, 150, meddle)
@@ -232,7 +233,7 @@ def test_hands_at_the_line(
 
 
 def test_a_refusal_speaks_for_its_own_try_only() -> None:
-    """The first try was carried out and its answer lost; then somebody took the unit to LOCAL."""
+    """The first try was carried out and its response lost; then the unit was switched to LOCAL."""
 
     async def scene(line: VirtualLine) -> Result:
         def take_to_local() -> None:
@@ -267,9 +268,9 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
             leave.set()
             with suppress(asyncio.CancelledError):
                 await worker
-            told: list[Update] = app.updates()
+            reported: list[Update] = app.updates()
     came = ((entry.at, entry.data) for entry in simulated.record.since(0, Happened.CAME))
-    trial.complaints += made_up(told, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
+    trial.complaints += made_up(reported, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
     trial.complaints += too_late(trial.cases, bodies(came), slack_s=CLOCK_SLACK_S)
     assert trial.complaints == []
     assert trial.outcomes()["verified"] > 5

@@ -112,8 +112,8 @@ def test_agrees_with_the_reference_decoder(data: bytes) -> None:
 
 
 @given(noise, bodies, noise)
-def test_rubbish_around_a_frame(before: bytes, body: bytes, after: bytes) -> None:
-    """A frame after rubbish is lost only where the rubbish ends inside what looks like a frame itself."""
+def test_noise_around_a_frame(before: bytes, body: bytes, after: bytes) -> None:
+    """A frame after noise is lost only where the noise ends inside what looks like a frame."""
     data = before + encode_frame(body, ONCE) + after
     assume(b"\x10" not in before)
     assert bodies_in(data)[:1] == [body]
@@ -121,8 +121,9 @@ def test_rubbish_around_a_frame(before: bytes, body: bytes, after: bytes) -> Non
 
 @given(bodies, st.data())
 def test_one_wrong_byte_is_never_accepted_as_the_frame(body: bytes, data: st.DataObject) -> None:
-    """A sum finds every error in one byte of the content; only where the error makes or unmakes a 10h
-    can it shift the frame's end, and then what is accepted is a whole frame with a right checksum."""
+    """A sum finds every error in one byte of the content; only where the error makes or unmakes a 10h can it
+    shift the frame's end, and then what is accepted is a complete frame with a right checksum.
+    """
     frame = encode_frame(body, ONCE)
     position = data.draw(st.integers(0, len(frame) - 1))
     wrong = data.draw(st.integers(0, 255).filter(lambda value: value != frame[position]))
@@ -181,7 +182,7 @@ def test_a_10h_after_another_checksum_is_noise() -> None:
         ("10 02 04 06", Fault.CUT),
     ],
 )
-def test_noise_says_why(data: str, fault: Fault) -> None:
+def test_noise_has_its_reason(data: str, fault: Fault) -> None:
     first = everything(bytes.fromhex(data))[0]
     assert isinstance(first, Noise)
     assert first.reason is fault
@@ -231,7 +232,7 @@ def test_a_flood_is_held_in_bounded_memory_and_looked_at_a_bounded_number_of_tim
 
 
 def test_a_noisy_line_of_20000_frames_loses_next_to_nothing() -> None:
-    """The figure of design.md: dropping whole candidates lost 2,517 good frames, going back lost 2."""
+    """Dropping complete candidates lost 2,517 good frames, going back lost 2."""
     rng = random.Random(9600)
     sent, line = [], bytearray()
     for number in range(20_000):

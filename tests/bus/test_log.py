@@ -21,7 +21,7 @@ class FullDisk(io.StringIO):
             raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk_costs_lines_and_nobody_who_writes_them() -> None:
+def test_a_full_disk_costs_lines_and_raises_nothing() -> None:
     disk = FullDisk()
     log = Unbreakable(disk)
     print("lost", file=log, flush=True)

@@ -70,7 +70,7 @@ def test_it_survives_the_wire() -> None:
         {"code": "x", "params": {str(n): n for n in range(21)}},
     ],
 )
-def test_what_is_beyond_the_bounds_is_refused(hostile: dict[str, object]) -> None:
+def test_params_beyond_the_bounds_are_refused(hostile: dict[str, object]) -> None:
     with pytest.raises((msgspec.ValidationError, RecursionError)):
         _DECODE(msgspec.msgpack.encode(hostile))
 

@@ -1,4 +1,4 @@
-"""Ports: pseudo-terminals and TCP, opened, used, lost; and what is said when one cannot be opened."""
+"""Ports: pseudo-terminals and TCP, opened, used, lost; and the error when one cannot be opened."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ PATIENCE_S = 20.0
 POLL = encode_request(ReadStatusRequest(1), Dialect())
 
 
-class Ear:
-    """Hears a port."""
+class Receiver:
+    """Receives from a port."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -83,7 +83,7 @@ def line(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[LineServer]
 
 @contextmanager
 def terminal() -> Iterator[str]:
-    """The name of a pseudo-terminal at whose other end nobody reads."""
+    """Yield the name of a pseudo-terminal with no reader at its other end."""
     master, slave = pty.openpty()
     try:
         yield os.ttyname(slave)
@@ -94,40 +94,40 @@ def terminal() -> Iterator[str]:
 
 @on_both_loops
 async def test_bytes_go_and_come(line: LineServer) -> None:
-    ear = Ear()
-    port = await open_port(line.port.name, 9600, ear)
+    receiver = Receiver()
+    port = await open_port(line.port.name, 9600, receiver)
     for count in (18, 36):
         port.write(POLL)
-        await ear.until(count)
+        await receiver.until(count)
     port.check()
     port.drop_output()
     port.close()
     await asyncio.sleep(0)
-    assert not ear.lost, "who closes a port is not told that it was lost"
+    assert not receiver.lost, "who closes a port is not told that it was lost"
 
 
 @on_both_loops
-async def test_a_pulled_port_is_told_once_and_found_again(line: LineServer) -> None:
-    ear = Ear()
-    port = await open_port(line.port.name, 9600, ear)
+async def test_a_pulled_port_is_reported_once_and_found_again(line: LineServer) -> None:
+    receiver = Receiver()
+    port = await open_port(line.port.name, 9600, receiver)
     port.write(POLL)
-    await ear.until(18)
+    await receiver.until(18)
     line.unplug()
     async with asyncio.timeout(PATIENCE_S):
-        while not ear.lost:
+        while not receiver.lost:
             try:
                 port.check()
                 port.write(POLL)
             except WireError as error:
-                ear.connection_lost(error.message)
+                receiver.connection_lost(error.message)
             await asyncio.sleep(0.05)
-    assert line.port.name in str(ear.lost[0])
+    assert line.port.name in str(receiver.lost[0])
     port.close()
     with pytest.raises(PortUnavailable) as absent:
-        await open_port(line.port.name, 9600, Ear())
+        await open_port(line.port.name, 9600, Receiver())
     assert line.port.name in str(absent.value)
     line.plug()
-    again = Ear()
+    again = Receiver()
     port = await open_port(line.port.name, 9600, again)
     port.write(POLL)
     await again.until(18)
@@ -136,9 +136,9 @@ async def test_a_pulled_port_is_told_once_and_found_again(line: LineServer) -> N
 
 
 @on_both_loops
-async def test_closing_never_waits_for_bytes_nobody_takes() -> None:
+async def test_closing_never_waits_for_undelivered_bytes() -> None:
     with terminal() as name:
-        port = await open_port(name, 300, Ear())
+        port = await open_port(name, 300, Receiver())
         with pytest.raises(WireError, match=r"handshake|accepted"):
             _fill(port)
         began = asyncio.get_running_loop().time()
@@ -148,31 +148,31 @@ async def test_closing_never_waits_for_bytes_nobody_takes() -> None:
 
 
 @on_both_loops
-async def test_what_comes_while_nobody_listens_gathers_and_a_lost_port_is_noticed_all_the_same() -> None:
+async def test_bytes_without_a_reader_gather_and_a_lost_port_is_noticed() -> None:
     master, slave = pty.openpty()
-    ear = Ear()
-    port = await open_port(os.ttyname(slave), 9600, ear)
+    receiver = Receiver()
+    port = await open_port(os.ttyname(slave), 9600, receiver)
     port.listen(now=False)
     for byte in (b"a", b"b", b"c"):
         os.write(master, byte)
         await asyncio.sleep(0.01)
-    assert not ear.data
+    assert not receiver.data
     port.listen(now=True)
-    await ear.until(3)
-    assert ear.data == b"abc"
+    await receiver.until(3)
+    assert receiver.data == b"abc"
     port.listen(now=False)
     os.close(slave)
     os.close(master)
-    await ear.until(3, lost=True)
-    assert ear.data == b"abc"
+    await receiver.until(3, lost=True)
+    assert receiver.data == b"abc"
     port.listen(now=True)
     port.close()
 
 
 @on_both_loops
-async def test_a_port_that_takes_half_a_request_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_port_that_takes_half_a_request_reports_it(monkeypatch: pytest.MonkeyPatch) -> None:
     with terminal() as name:
-        port = await open_port(name, 9600, Ear())
+        port = await open_port(name, 9600, Receiver())
         monkeypatch.setattr(os, "write", lambda _fd, data: len(data) // 2)
         with pytest.raises(PartlySent, match="3 of 7"):
             port.write(POLL)
@@ -182,9 +182,9 @@ async def test_a_port_that_takes_half_a_request_says_so(monkeypatch: pytest.Monk
 
 
 @on_both_loops
-async def test_another_baud_rate_without_opening_anew() -> None:
+async def test_another_baud_rate_without_reopening() -> None:
     with terminal() as name:
-        port = await open_port(name, 9600, Ear())
+        port = await open_port(name, 9600, Receiver())
         port.retune(4800)
         with serial.Serial(name) as other:
             assert other.is_open
@@ -209,7 +209,7 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
             await holder.stdout.readexactly(4)
             assert [pid for pid, _ in users_of(name) if pid == holder.pid]
             with pytest.raises(PortUnavailable, match=rf"in use by .*\(process {holder.pid}\)"):
-                await open_port(name, 9600, Ear())
+                await open_port(name, 9600, Receiver())
         finally:
             holder.kill()
             await holder.communicate()
@@ -229,19 +229,19 @@ async def test_a_taken_port_is_named_with_its_holder() -> None:
 async def test_why_a_port_cannot_be_opened(port: str, words: str) -> None:
     if port.startswith("rfc2217") and _has_serialx():
         pytest.skip("the extra is installed here")
-    with pytest.raises(PortUnavailable) as told:
-        await open_port(port, 9600, Ear())
-    assert words in str(told.value)
-    assert port in str(told.value)
+    with pytest.raises(PortUnavailable) as raised:
+        await open_port(port, 9600, Receiver())
+    assert words in str(raised.value)
+    assert port in str(raised.value)
 
 
-def test_a_missing_right_is_said_with_the_group_that_has_it() -> None:
+def test_a_missing_right_is_reported_with_the_group_that_has_it() -> None:
     denied = serial.SerialException(errno.EACCES, "could not open port")
     assert "usermod -aG root" in str(why_not("/dev/null", denied))
 
 
 @on_both_loops
-async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_server_that_never_responds_does_not_stop_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tcp, "CONNECT_TIMEOUT_S", 0.2)
     full = socket.socket()
     full.bind(("127.0.0.1", 0))
@@ -252,7 +252,7 @@ async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: p
             each.setblocking(False)
             each.connect_ex(full.getsockname())
         with pytest.raises(PortUnavailable, match=r"does not respond|refuses"):
-            await open_port(f"socket://127.0.0.1:{full.getsockname()[1]}", 9600, Ear())
+            await open_port(f"socket://127.0.0.1:{full.getsockname()[1]}", 9600, Receiver())
     finally:
         for each in (*waiting, full):
             each.close()
@@ -261,7 +261,7 @@ async def test_a_server_that_never_answers_does_not_stop_the_loop(monkeypatch: p
 @on_both_loops
 async def test_a_device_servers_rate_is_not_ours_to_set() -> None:
     with LineServer(SimulatedLine(demo_line(1, script=False).plant, speedup=20), TcpLinePort()) as line:
-        port = await open_port(line.port.name, 9600, Ear())
+        port = await open_port(line.port.name, 9600, Receiver())
         with pytest.raises(WireError, match="device server"):
             port.retune(4800)
         port.close()

@@ -1,4 +1,4 @@
-"""What is kept while the app is away: in order, numbered without a gap, bounded."""
+"""What is buffered while the app is away: in order, numbered without a gap, bounded."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_what_was_sent_but_never_confirmed_is_bounded_too(outbox: Outbox) -> Non
     assert drain(outbox) == [result(3), *[reading(number) for number in range(20, 30)]]
 
 
-def test_what_is_of_the_moment_only_is_not_kept(outbox: Outbox) -> None:
+def test_momentary_updates_are_not_kept(outbox: Outbox) -> None:
     passing: list[Update] = [Progress("a", 0.0, "sent"), BusFigures(0.0, 1, 1, 1, 1), Frames([])]
     outbox.put(passing)
     outbox.disconnected()
@@ -131,7 +131,7 @@ def test_what_the_app_would_refuse_for_its_age_is_dropped_and_counted(outbox: Ou
     assert outbox.lost == 1
 
 
-def test_an_app_that_never_confirms_costs_nothing_for_what_is_of_the_moment(outbox: Outbox) -> None:
+def test_an_app_that_never_confirms_costs_nothing_for_momentary_updates(outbox: Outbox) -> None:
     outbox.resume(0)
     for _ in range(1000):
         outbox.put([BusFigures(0.0, 1, 1, 1, 1), Frames([])])
@@ -186,7 +186,7 @@ def test_an_app_that_is_away_for_hours_costs_no_more_than_a_few_megabytes() -> N
     )
 )
 def test_whatever_happens_nothing_is_lost_doubled_or_out_of_order(steps: list[tuple[str, int]]) -> None:
-    """A model of the app: it keeps a batch once by its number and says how far it is."""
+    """A model of the app: it stores a batch once by its number and confirms the last one."""
     outbox, made, sent = Outbox(10_000), 0, []
     outbox.resume(0)
     app: list[Update] = []

@@ -1,4 +1,4 @@
-"""Which values a parameter may be given, and what is said of the others."""
+"""Which values a parameter may be given, and the errors for the others."""
 
 from __future__ import annotations
 

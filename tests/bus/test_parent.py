@@ -46,7 +46,7 @@ def test_a_child_whose_parent_is_gone_already_does_not_begin() -> None:
     assert (done.returncode, done.stdout) == (1, b"")
 
 
-def test_a_process_that_nobody_tied_lives_on() -> None:
+def test_a_process_without_a_parent_watch_lives_on() -> None:
     free = {name: value for name, value in os.environ.items() if name != PARENT}
     called = [sys.executable, "-c", CHILD]
     assert subprocess.run(called, env=free, input=b"\n", capture_output=True, check=True).stdout == b"tied\n"

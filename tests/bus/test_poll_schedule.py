@@ -25,7 +25,7 @@ TIMEOUT_S = 0.068
 
 @dataclass
 class Line:
-    """Plays a schedule against units that answer, but for the dead ones."""
+    """Plays a schedule against units that respond, except for the dead ones."""
 
     schedule: PollSchedule
     dead: set[int] = field(default_factory=set)
@@ -72,7 +72,7 @@ def line_of(units: int, dead: Collection[int] = ()) -> Line:
     return Line(PollSchedule(range(1, units + 1), POLL_S, seed=7), set(dead))
 
 
-def test_the_first_answer_of_every_unit_comes_before_all_else() -> None:
+def test_the_first_response_of_every_unit_comes_before_all_else() -> None:
     line = line_of(8).play(1.0)
     assert [(task.kind, task.unit) for _, task, _ in line.tasks[:8]] == [
         (TaskKind.FIRST, u) for u in range(1, 9)
@@ -95,7 +95,7 @@ def test_the_decimals_of_all_units_are_read_before_anything_else() -> None:
     ]
 
 
-def test_with_nobody_watching_it_is_an_exact_round() -> None:
+def test_without_open_pages_it_is_an_exact_rotation() -> None:
     line = line_of(5).play(30.0)
     units = [task.unit for _, task, _ in line.of(TaskKind.POLL, since=5.0)]
     first = units.index(1)
@@ -110,7 +110,7 @@ def test_all_parameters_are_read_in_time_and_again_later() -> None:
     assert max(counts.values()) >= 2
 
 
-def test_the_slow_circle_leaves_the_scan_its_wire() -> None:
+def test_the_slow_scan_leaves_the_fast_scan_its_wire() -> None:
     line = line_of(8).play(60.0)
     assert line.share(TaskKind.PARAMETER, since=10.0) < 0.015
     assert line.share(TaskKind.POLL, since=10.0) > 0.97
@@ -135,7 +135,7 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
 
 
 @pytest.mark.parametrize("opened", [3, 250])
-def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) -> None:
+def test_a_unit_with_an_open_page_is_polled_at_once_and_steadily(opened: int) -> None:
     turns = PollOrder(range(1, 256), POLL_S)
     for unit in range(1, 256):
         turns.join(unit)
@@ -150,7 +150,7 @@ def test_a_unit_that_somebody_opens_is_polled_at_once_and_steadily(opened: int) 
     assert set(taken) == set(range(1, 256))
 
 
-def test_who_comes_and_goes_takes_nobodys_turn() -> None:
+def test_units_added_and_removed_take_no_other_turn() -> None:
     turns = PollOrder(range(1, 41), POLL_S)
     for unit in range(1, 41):
         turns.join(unit)
@@ -222,7 +222,7 @@ def test_the_others_keep_their_rate_while_one_is_dead() -> None:
     assert rate(ill) >= 0.98 * rate(well)
 
 
-def test_a_whole_line_that_comes_back_is_found_at_once() -> None:
+def test_a_complete_line_that_comes_back_is_found_at_once() -> None:
     line = line_of(32, dead=set(range(1, 33))).play(100.0)
     line.dead.clear()
     back = line.now
@@ -230,7 +230,7 @@ def test_a_whole_line_that_comes_back_is_found_at_once() -> None:
     assert len(line.schedule.poll_order) == 32
 
 
-def test_a_returned_unit_is_learned_anew() -> None:
+def test_a_returned_unit_is_relearned() -> None:
     line = line_of(2).play(60.0)
     line.dead.add(2)
     line.schedule.stopped_responding(2, line.now)
@@ -249,7 +249,7 @@ def test_after_a_write_the_needed_ones_are_read_again() -> None:
     assert again >= set(NEEDED_TO_SHOW)
 
 
-def test_what_a_unit_does_not_have_is_not_asked_again() -> None:
+def test_a_parameter_that_a_unit_does_not_have_is_not_read_again() -> None:
     schedule = line_of(1).play(0.01).schedule
     schedule.parameters.forget(1)
     schedule.parameters.was_read(1, 40, available=False)
@@ -292,21 +292,21 @@ def test_a_share_is_kept_however_long_its_uses_are(uses: list[float], fraction: 
 
 @given(st.integers(0, 1000))
 def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
-    silence = ProbeBackoff(seed)
-    silence.alone = False
-    silence.stopped_responding(1, 0.0)
+    backoff = ProbeBackoff(seed)
+    backoff.alone = False
+    backoff.stopped_responding(1, 0.0)
     now = 0.0
     for _ in range(10):
-        due = silence.wake_at()
+        due = backoff.wake_at()
         assert due is not None
         assert due - now <= STEPS_S[-1]
         now = due
-        assert silence.due(now) == 1
-        silence.unanswered(1, now, 0.01)
-    assert silence.back_off_s(1) == STEPS_S[-1]
+        assert backoff.due(now) == 1
+        backoff.unanswered(1, now, 0.01)
+    assert backoff.back_off_s(1) == STEPS_S[-1]
 
 
-def test_every_fourth_read_of_the_circle_is_the_decimals_of_the_next_unit() -> None:
+def test_every_fourth_read_of_the_slow_scan_is_the_decimals_of_the_next_unit() -> None:
     gaps = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
     for unit in (1, 2):
         for number in range(1, 41):
@@ -320,7 +320,7 @@ def test_every_fourth_read_of_the_circle_is_the_decimals_of_the_next_unit() -> N
     assert taken == [(1, 1), (1, 2), (1, 4), (1, 3), (1, 5), (1, 6), (1, 7), (2, 3)]
 
 
-def test_a_unit_that_was_forgotten_is_in_no_part_of_the_circle() -> None:
+def test_a_removed_unit_is_in_no_part_of_the_slow_scan() -> None:
     gaps = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
     gaps.was_read(1, 3, available=True)
     gaps.was_read(1, 6, available=True)

@@ -35,7 +35,7 @@ DIALECTS = [
         ExecuteSpeedRequest(0),
     ],
 )
-def test_it_is_what_the_codec_says(request_: Request, dialect: Dialect) -> None:
+def test_it_equals_the_codecs_output(request_: Request, dialect: Dialect) -> None:
     for _ in range(2):
         prepared = prepare(request_, dialect)
         assert prepared.wire == encode_request(request_, dialect)
@@ -43,7 +43,7 @@ def test_it_is_what_the_codec_says(request_: Request, dialect: Dialect) -> None:
         assert prepared.longest_reply_bytes == longest_reply_bytes(request_, dialect)
 
 
-def test_how_short_an_answer_can_be() -> None:
+def test_how_short_a_response_can_be() -> None:
     plain = Dialect()
     assert least_reply_bytes(ReadStatusRequest(1), plain) == 18
     assert least_reply_bytes(ReadParameterRequest(1, 3), plain) == 8

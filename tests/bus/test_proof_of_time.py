@@ -12,7 +12,7 @@ from tests.bus.virtual_line import VirtualLine, run
 UNITS = 4
 RATE = 0.05
 BLOCKING = (FaultKind.EVERYBODY, FaultKind.HUGE, FaultKind.FLOOD)
-"""These block the whole line by themselves."""
+"""Each of these blocks all traffic on the line."""
 SET_AND_EXECUTE = 0x84
 
 
@@ -58,7 +58,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert run(scene, UNITS, seed=10) != first
 
 
-def test_ten_minutes_without_a_fault_tell_every_unit_alike() -> None:
+def test_ten_minutes_without_a_fault_report_every_unit_alike() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(600)
         counts = [len(line.readings(unit)) for unit in line.units]

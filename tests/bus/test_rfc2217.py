@@ -21,7 +21,7 @@ from bus.wire.commands import SetAndExecuteSpeedRequest
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.rfc2217_server import DeviceServer
-from tests.bus.test_open_port import POLL, Ear, on_both_loops
+from tests.bus.test_open_port import POLL, Receiver, on_both_loops
 
 pytest.importorskip("serialx", reason="the extra 'rfc2217' is not installed")
 
@@ -38,38 +38,38 @@ def server() -> Iterator[DeviceServer]:
 
 @on_both_loops
 async def test_bytes_go_and_come_whatever_they_are(server: DeviceServer) -> None:
-    ear = Ear()
-    port = await open_port(server.url, 4800, ear)
+    receiver = Receiver()
+    port = await open_port(server.url, 4800, receiver)
     port.write(POLL)
-    await ear.until(18)
+    await receiver.until(18)
     assert server.bauds[-1] == 4800
     port.write(ESCAPED)
-    await ear.until(18 + 7)
-    ear.data.clear()
+    await receiver.until(18 + 7)
+    receiver.data.clear()
     port.write(POLL)
-    await ear.until(18)
-    assert bytes(ear.data[4:8]) == b"\0\0\0\xff"
+    await receiver.until(18)
+    assert bytes(receiver.data[4:8]) == b"\0\0\0\xff"
     port.check()
     port.drop_output()
     port.close()
     await asyncio.sleep(0.01)
-    assert not ear.lost
+    assert not receiver.lost
 
 
 @on_both_loops
-async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: DeviceServer) -> None:
-    ear = Ear()
-    port = await open_port(server.url, 9600, ear)
+async def test_a_server_that_closes_is_reported_once_and_found_again(server: DeviceServer) -> None:
+    receiver = Receiver()
+    port = await open_port(server.url, 9600, receiver)
     port.write(POLL)
-    await ear.until(18)
+    await receiver.until(18)
     server.hang_up()
-    await ear.until(lost=True)
-    assert len(ear.lost) == 1
-    assert server.url in str(ear.lost[0])
+    await receiver.until(lost=True)
+    assert len(receiver.lost) == 1
+    assert server.url in str(receiver.lost[0])
     with pytest.raises(WireError):
         port.check()
     port.close()
-    again = Ear()
+    again = Receiver()
     port = await open_port(server.url, 9600, again)
     port.write(POLL)
     await again.until(18)
@@ -78,9 +78,9 @@ async def test_a_server_that_hangs_up_is_told_once_and_found_again(server: Devic
 
 
 @on_both_loops
-async def test_nobody_there_is_said_in_words() -> None:
+async def test_a_missing_server_is_reported() -> None:
     with pytest.raises(PortUnavailable, match=r"rfc2217://127\.0\.0\.1:1 (refuses|cannot be)"):
-        await open_port("rfc2217://127.0.0.1:1", 9600, Ear())
+        await open_port("rfc2217://127.0.0.1:1", 9600, Receiver())
 
 
 async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> None:

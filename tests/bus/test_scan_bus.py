@@ -24,7 +24,7 @@ async def scan(line: VirtualLine, last: int = 8) -> Result:
     return await line.perform(ScanBus(1, last), within_s=600.0)
 
 
-def test_it_finds_units_that_nobody_configured() -> None:
+def test_it_finds_unconfigured_units() -> None:
     result = run(scan, PRESENT, configured=CONFIGURED)
     assert result.outcome == "verified"
     assert result.found == [
@@ -33,7 +33,7 @@ def test_it_finds_units_that_nobody_configured() -> None:
 
 
 def test_a_scan_teaches_no_parameter_that_there_is_not() -> None:
-    """Its probes ask for numbers beyond the list, and the app refuses a message with one."""
+    """Its probes request numbers beyond the list, and the app rejects a message with one."""
 
     async def scene(line: VirtualLine) -> set[int]:
         await scan(line)
@@ -42,7 +42,7 @@ def test_a_scan_teaches_no_parameter_that_there_is_not() -> None:
     assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, 41))
 
 
-def test_the_app_hears_of_strangers_only_in_the_result() -> None:
+def test_unconfigured_units_are_reported_only_in_the_result() -> None:
     async def scene(line: VirtualLine) -> set[int]:
         await scan(line)
         return {update.unit for update in line.updates if isinstance(update, Reading | UnitLink)}
@@ -50,10 +50,10 @@ def test_the_app_hears_of_strangers_only_in_the_result() -> None:
     assert run(scene, PRESENT, configured=CONFIGURED) <= set(range(1, CONFIGURED + 1))
 
 
-def test_the_silent_are_asked_again_and_progress_is_told() -> None:
+def test_addresses_without_a_response_are_probed_again_and_progress_is_reported() -> None:
     async def scene(line: VirtualLine) -> list[Progress]:
         await scan(line)
-        return told(line)
+        return reported(line)
 
     progress = run(scene, PRESENT, configured=CONFIGURED)
     assert [each.unit for each in progress] == [1, 2, 3, 4, 5, 6, 7, 8, 6, 7, 8]
@@ -61,17 +61,17 @@ def test_the_silent_are_asked_again_and_progress_is_told() -> None:
     assert progress[-1].done == 7
 
 
-def told(line: VirtualLine) -> list[Progress]:
-    """How far a scan of eight addresses said it was."""
+def reported(line: VirtualLine) -> list[Progress]:
+    """Return the progress that a scan of eight addresses reported."""
     return [update for update in line.updates if isinstance(update, Progress) and update.of == 8]
 
 
-def test_a_unit_whose_first_answer_was_lost_is_found() -> None:
+def test_a_unit_whose_first_response_was_lost_is_found() -> None:
     async def scene(line: VirtualLine) -> Result:
         await asyncio.sleep(2.0)
         line.faults.set(FaultKind.DEAD, 1.0, unit=4)
         scanning = asyncio.create_task(line.perform(ScanBus(1, 8), within_s=600.0))
-        await line.until(lambda: any(each.unit == 5 for each in told(line)))
+        await line.until(lambda: any(each.unit == 5 for each in reported(line)))
         line.faults.clear()
         return await scanning
 
@@ -96,7 +96,7 @@ async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
     return (len(line.readings()) - had) / (line.loop.time() - began)
 
 
-def test_a_unit_that_answers_for_others_is_named() -> None:
+def test_a_unit_that_responds_for_others_is_named() -> None:
     async def scene(line: VirtualLine) -> Result:
         line.faults.set(FaultKind.EVERYBODY, 1.0, unit=2)
         return await scan(line)
@@ -105,7 +105,7 @@ def test_a_unit_that_answers_for_others_is_named() -> None:
     assert "unit 2 responds to addresses that are not its own" in message
 
 
-def test_what_is_no_digimax_is_called_so() -> None:
+def test_a_device_that_is_no_digimax_is_reported_as_foreign() -> None:
     async def scene(line: VirtualLine) -> Result:
         line.faults.set(FaultKind.WRONG_LENGTH, 1.0, unit=4)
         line.faults.set(FaultKind.CORRUPT, 1.0, unit=5)
@@ -117,7 +117,7 @@ def test_what_is_no_digimax_is_called_so() -> None:
 
 
 def test_two_units_at_one_address_are_recognised_every_time() -> None:
-    """Their answers fall into each other: often not even a frame's beginning comes through."""
+    """Their responses overlap: often not even the beginning of a frame arrives."""
 
     async def scene(line: VirtualLine) -> list[str]:
         line.plant.sections.append(Section(Unit(Memory({17: 3}))))
@@ -128,7 +128,7 @@ def test_two_units_at_one_address_are_recognised_every_time() -> None:
     assert run(scene, 3, configured=3) == ["garbled"] * 20
 
 
-def test_a_scan_without_a_port_says_so() -> None:
+def test_a_scan_without_a_port_reports_it() -> None:
     async def scene(line: VirtualLine) -> Result:
         await asyncio.sleep(2.0)
         line.unplug()

@@ -22,13 +22,13 @@ from tests.bus.virtual_line import VirtualClock, VirtualLine, VirtualPort, run, 
 ALLOWED_S = 0.050
 """The default of ``turnaround_ms``."""
 USB_LATENCY_S = 0.016
-"""An FTDI adapter without low latency hands over what it received every 16 ms."""
+"""An FTDI adapter without low latency delivers what it received every 16 ms."""
 UNITS = 4
 TURNAROUNDS_S = [0.001, 0.045, 0.048, 0.050, 0.055, 0.060, 0.100, 0.400]
 
 
 class AdapterPort(VirtualPort):
-    """Hands bytes over every ``latency_s`` seconds, or at once."""
+    """Delivers bytes every ``latency_s`` seconds, or at once."""
 
     latency_s = 0.0
     _timer: asyncio.TimerHandle | None = None

@@ -1,4 +1,4 @@
-"""Each fault makes of an answer just what its name says, as often as its rate says, by its seed."""
+"""Each fault changes a response as its name states, as often as its rate states, by its seed."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def frames_in(data: bytes) -> list[bytes]:
     ]
 
 
-def heard(pieces: list[Piece]) -> list[bytes]:
+def received(pieces: list[Piece]) -> list[bytes]:
     return frames_in(b"".join(piece.data for piece in pieces))
 
 
-def test_without_a_fault_an_answer_stays_what_it_is() -> None:
+def test_without_a_fault_a_response_is_unchanged() -> None:
     assert Faults().spoil(4, FRAME, BODY) == [Piece(0.0, FRAME)]
 
 
@@ -42,7 +42,7 @@ def test_lost(seed: int) -> None:
 
 
 @given(seeds)
-def test_late_and_slow_are_whole_answers_after_their_time(seed: int) -> None:
+def test_late_and_slow_are_complete_responses_after_their_time(seed: int) -> None:
     [late], [slow] = spoilt(FaultKind.LATE, seed), spoilt(FaultKind.SLOW, seed)
     assert late.data == slow.data == FRAME
     assert slow.delay < 0.05 < late.delay
@@ -50,34 +50,34 @@ def test_late_and_slow_are_whole_answers_after_their_time(seed: int) -> None:
 
 @given(seeds)
 def test_doubled(seed: int) -> None:
-    assert heard(spoilt(FaultKind.DOUBLED, seed)) == [BODY, BODY]
+    assert received(spoilt(FaultKind.DOUBLED, seed)) == [BODY, BODY]
 
 
 @given(seeds)
 def test_foreign_is_a_good_frame_of_another_unit(seed: int) -> None:
-    [body] = heard(spoilt(FaultKind.FOREIGN, seed))
+    [body] = received(spoilt(FaultKind.FOREIGN, seed))
     assert body[0] != BODY[0]
     assert body[1:] == BODY[1:]
 
 
 @given(seeds)
-def test_cut_and_corrupt_are_never_taken_for_an_answer(seed: int) -> None:
+def test_cut_and_corrupt_are_never_taken_for_a_response(seed: int) -> None:
     for kind in (FaultKind.CUT, FaultKind.CORRUPT):
         [piece] = spoilt(kind, seed)
         assert piece.data != FRAME
-        assert heard([piece]) == []
+        assert received([piece]) == []
 
 
 @given(seeds)
-def test_noise_leaves_the_answer_whole_beside_it(seed: int) -> None:
+def test_noise_leaves_the_response_beside_it_intact(seed: int) -> None:
     [piece] = spoilt(FaultKind.NOISE, seed)
     assert len(piece.data) > len(FRAME)
-    assert heard([piece]) == [BODY]
+    assert received([piece]) == [BODY]
 
 
 @given(seeds)
-def test_wrong_length_is_a_good_frame_that_nothing_asked_for(seed: int) -> None:
-    [body] = heard(spoilt(FaultKind.WRONG_LENGTH, seed))
+def test_wrong_length_is_a_good_frame_that_fits_no_request(seed: int) -> None:
+    [body] = received(spoilt(FaultKind.WRONG_LENGTH, seed))
     assert len(body) - 2 not in (0, 1, 2, 4, 11)
 
 
@@ -85,14 +85,14 @@ def test_wrong_length_is_a_good_frame_that_nothing_asked_for(seed: int) -> None:
 def test_huge_is_ten_thousand_bytes_that_hold_no_frame(seed: int) -> None:
     [piece] = spoilt(FaultKind.HUGE, seed)
     assert len(piece.data) > HUGE_BYTES
-    assert heard([piece]) == []
+    assert received([piece]) == []
 
 
 @given(seeds, st.integers(1, 3000))
-def test_rubbish_never_frames(seed: int, count: int) -> None:
-    rubbish = Faults(seed).noise_bytes(count)
-    events = FrameDecoder(Dialect()).feed(rubbish)
-    assert len(rubbish) == count
+def test_noise_never_frames(seed: int, count: int) -> None:
+    noise = Faults(seed).noise_bytes(count)
+    events = FrameDecoder(Dialect()).feed(noise)
+    assert len(noise) == count
     assert all(isinstance(event, Noise) for event in events)
 
 
@@ -104,7 +104,7 @@ def test_a_rate_is_a_rate_and_belongs_to_its_unit(kind: FaultKind) -> None:
     assert not any(faults.strikes(kind, 8) for _ in range(1000))
 
 
-def test_a_fault_of_the_whole_line_strikes_every_unit_until_cleared() -> None:
+def test_a_fault_of_the_line_affects_every_unit_until_cleared() -> None:
     faults = Faults()
     faults.set(FaultKind.LOST, 1.0)
     assert faults.strikes(FaultKind.LOST, 3)
@@ -126,7 +126,7 @@ def test_the_same_seed_has_the_same_bad_luck() -> None:
     assert luck(1) != luck(2)
 
 
-def test_a_foreign_answer_can_carry_a_given_address() -> None:
+def test_a_foreign_response_can_carry_a_given_address() -> None:
     faults = Faults(foreign_address=99)
     faults.set(FaultKind.FOREIGN, 1.0)
-    assert heard(faults.spoil(4, FRAME, BODY)) == [b"\x63" + BODY[1:]]
+    assert received(faults.spoil(4, FRAME, BODY)) == [b"\x63" + BODY[1:]]

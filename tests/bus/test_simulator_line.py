@@ -1,4 +1,4 @@
-"""The UART's timetable and the whole line on a clock of the test's own."""
+"""The UART's timetable and the simulated line, on the test's clock."""
 
 from __future__ import annotations
 
@@ -101,9 +101,9 @@ def test_no_reply_byte_comes_before_its_time_and_all_come(data: bytes, at: float
     got = b""
     while wake := line.wake():
         got += line.due(wake.at)
-        whole = int((wake.at - at) / byte_s + 1e-6)
-        assert len(got) <= whole
-        assert len(got) >= whole - WAKE_S / byte_s - 1
+        complete = int((wake.at - at) / byte_s + 1e-6)
+        assert len(got) <= complete
+        assert len(got) >= complete - WAKE_S / byte_s - 1
     assert got == data
 
 
@@ -148,7 +148,7 @@ def test_an_exchange_takes_its_bytes_and_the_turnaround(baud: int, turnaround_s:
 
 
 def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
-    """Requests queued at once are answered one per request time, however the clock was read."""
+    """Requests queued at once each get a response one request time apart, however the clock was read."""
     there = host()
     began = there.now
     there.exchange(*[ReadStatusRequest(1)] * 50, seconds=3.0)
@@ -166,7 +166,7 @@ def test_speedup_shortens_the_wire() -> None:
     assert there.got[-1][0] - began == pytest.approx((7 + len(there.data)) * BYTE_S / 10)
 
 
-def test_every_unit_hears_the_broadcast_and_none_answers() -> None:
+def test_every_unit_receives_the_broadcast_and_none_responds() -> None:
     there = host()
     assert (
         len(there.exchange(StageSpeedRequest(1, 500), StageSpeedRequest(2, 600), StageSpeedRequest(3, 700)))
@@ -176,7 +176,7 @@ def test_every_unit_hears_the_broadcast_and_none_answers() -> None:
     assert [unit.commanded for unit in there.line.plant.units] == [500, 600, 700]
 
 
-def test_a_host_at_another_speed_is_not_heard_until_the_unit_has_changed_too() -> None:
+def test_a_host_at_another_rate_is_not_received_until_the_unit_has_changed_too() -> None:
     there = host(traits=Traits(baud_changes="at once"))
     assert there.exchange(WriteParameterRequest(2, 18, 48)) == [bytes((2, 6))]
     assert there.exchange(ReadStatusRequest(2)) == []
@@ -193,7 +193,7 @@ def test_an_unknown_host_speed_is_taken_for_the_right_one() -> None:
     assert len(there.exchange(ReadStatusRequest(1))) == 1
 
 
-def test_a_frame_in_pieces_and_after_rubbish_is_still_heard() -> None:
+def test_a_frame_in_pieces_and_after_noise_is_received() -> None:
     there = host()
     frame = encode_request(ReadStatusRequest(1), PLAIN)
     there.line.receive(there.now, b"\x10\x02\x99" + frame[:3], 9600)
@@ -203,7 +203,7 @@ def test_a_frame_in_pieces_and_after_rubbish_is_still_heard() -> None:
     assert len(there.bodies()) == 1
 
 
-def test_a_bad_checksum_is_met_with_silence() -> None:
+def test_a_bad_checksum_has_no_response() -> None:
     there = host()
     frame = bytearray(encode_request(ReadStatusRequest(1), PLAIN))
     frame[-1] ^= 1
@@ -224,7 +224,7 @@ def test_two_units_at_one_address_garble_each_other() -> None:
 # --- faults on the line ---------------------------------------------------------------------------
 
 
-def test_a_dead_unit_neither_hears_nor_acts() -> None:
+def test_a_dead_unit_neither_receives_nor_acts() -> None:
     there = host()
     there.line.faults.set(FaultKind.DEAD, 1.0, unit=2)
     assert there.exchange(SetAndExecuteSpeedRequest(2, 500)) == []
@@ -240,7 +240,7 @@ def test_a_nak_out_of_nowhere_means_that_nothing_was_done() -> None:
     assert there.line.plant.unit(1).commanded != 500
 
 
-def test_a_lost_answer_was_a_write_all_the_same() -> None:
+def test_a_write_with_a_lost_response_was_carried_out() -> None:
     there = host()
     there.line.faults.set(FaultKind.LOST, 1.0)
     assert there.exchange(SetAndExecuteSpeedRequest(1, 500)) == []
@@ -253,15 +253,15 @@ def test_a_unit_may_take_every_address_for_its_own() -> None:
     assert [body[0] for body in there.exchange(ReadStatusRequest(9), ReadStatusRequest(77))] == [9, 77]
 
 
-def test_an_echoing_adapter_gives_the_request_back_before_the_answer() -> None:
+def test_an_echoing_adapter_returns_the_request_before_the_response() -> None:
     there = host()
     there.line.faults.set(FaultKind.ECHO, 1.0)
-    echo, answer = there.exchange(ReadStatusRequest(2))
+    echo, response = there.exchange(ReadStatusRequest(2))
     assert echo == bytes((2, 0x81))
-    assert answer[:2] == bytes((2, 6))
+    assert response[:2] == bytes((2, 6))
 
 
-def test_a_late_answer_comes_before_any_later_answer_of_that_unit() -> None:
+def test_a_late_response_comes_before_any_later_response_of_that_unit() -> None:
     there = host()
     there.line.faults.set(FaultKind.LATE, 1.0, unit=1)
     there.write(ReadStatusRequest(1))
@@ -295,7 +295,7 @@ def test_a_pulled_cable_takes_with_it_what_was_under_way() -> None:
 # --- the record and the seed ----------------------------------------------------------------------
 
 
-def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
+def test_the_record_has_requests_actions_responses_and_bytes() -> None:
     there = host()
     there.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     there.exchange(SetAndExecuteSpeedRequest(1, 500), SetAndExecuteSpeedRequest(2, 500), ReadStatusRequest(9))
@@ -305,8 +305,8 @@ def test_the_record_tells_what_was_asked_done_said_and_sent() -> None:
         (Happened.RECEIVED, unit) for unit in (1, 2, 0)
     ]
     assert [entry for entry in entries if entry[0] is Happened.ACTED] == [(Happened.ACTED, 1)]
-    said = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.RESPONDED)}
-    assert said == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
+    responses = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.RESPONDED)}
+    assert responses == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
     counted = [entry.number for entry in there.line.record.since()]
     assert counted == list(range(1, there.line.record.count + 1))
     assert list(there.line.record.since(there.line.record.count)) == []
@@ -327,8 +327,8 @@ def test_the_same_seed_gives_the_same_bytes_at_the_same_times() -> None:
 
 
 @given(st.floats(0, 1e6))
-def test_what_is_due_at_a_wake_is_done_at_it(start: float) -> None:
-    """However the times round, a wake that was kept is never asked for again."""
+def test_work_due_at_a_wake_is_done_at_it(start: float) -> None:
+    """With any rounding of times, a wake that was met is not requested a second time."""
     line = SimulatedLine(demo_line(1, script=False).plant)
     line.advance(start)
     wake = line.wake()

@@ -13,12 +13,12 @@ from bus.simulator.section import Section
 from bus.simulator.unit import Unit
 
 
-def answers(line: DemoLine) -> bytes:
-    """What every unit says to 81h now."""
-    said = b""
+def responses(line: DemoLine) -> bytes:
+    """Return the responses of every unit to 81h."""
+    sent = b""
     for unit in line.plant.units:
-        said += encode(unit, respond(unit, bytes((unit.address, 0x81))))
-    return said
+        sent += encode(unit, respond(unit, bytes((unit.address, 0x81))))
+    return sent
 
 
 def run(line: DemoLine, seconds: int) -> None:
@@ -30,8 +30,8 @@ def test_the_same_seed_gives_the_same_bytes_after_ten_minutes() -> None:
     lines = [demo_line(8, seed=seed) for seed in (5, 5, 6)]
     for line in lines:
         run(line, 600)
-    first, again, other = map(answers, lines)
-    assert first == again
+    first, same, other = map(responses, lines)
+    assert first == same
     assert first != other
 
 
@@ -85,7 +85,7 @@ def test_the_demo_line_is_mostly_well_and_not_always() -> None:
     assert 0.02 < stopped / steps < 0.2
 
 
-def test_whoever_presses_a_contact_lets_it_go() -> None:
+def test_a_pressed_contact_is_released() -> None:
     unit = Unit()
     script = Script([unit], [Habit("estop", True, every_s=10, hold_s=2)])
     pressed = []

@@ -42,7 +42,7 @@ def test_a_ramp_of_nought_is_no_ramp() -> None:
     assert run(section(SPEED_SETPOINT=1000, ACCELERATION=0), 1.5) == pytest.approx(1000, abs=5)
 
 
-def test_at_speed_is_the_window_around_what_is_asked() -> None:
+def test_at_speed_is_the_window_around_the_command() -> None:
     machine = section(SPEED_SETPOINT=1000, AT_SPEED_WINDOW=10)
     seen = set()
     for _ in range(300):

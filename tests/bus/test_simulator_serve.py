@@ -122,7 +122,7 @@ def test_a_pulled_adapter_comes_back_as_another_device_behind_the_same_link(tmp_
     assert not link.is_symlink()
 
 
-def test_a_host_at_the_wrong_speed_hears_nothing() -> None:
+def test_a_host_at_the_wrong_rate_receives_nothing() -> None:
     with served(PtyPort()) as line, opened(line.port.name, 4800) as host:
         assert exchange(host, ReadStatusRequest(1), patience_s=0.3) is None
         host.baudrate = 9600
@@ -134,7 +134,7 @@ def test_the_hosts_speed_can_be_left_out_of_it() -> None:
         assert exchange(host, ReadStatusRequest(1))
 
 
-def test_a_host_that_sets_no_speed_is_heard() -> None:
+def test_a_host_that_sets_no_rate_is_received() -> None:
     with served(PtyPort()) as line:
         host = os.open(line.port.name, os.O_RDWR | os.O_NOCTTY)
         os.write(host, encode_request(ReadStatusRequest(1), PLAIN))
@@ -160,41 +160,41 @@ def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> Non
             assert exchange(host, ReadStatusRequest(1))
 
 
-def test_hands_from_outside() -> None:
+def test_remote_control() -> None:
     with served(PtyPort()) as line, opened(line.port.name) as host:
         control = SimulatorControl(line)
-        hands = Remote(control.port)
+        remote = Remote(control.port)
         try:
-            assert hands.do("port") == line.port.name
-            hands.do("mode", unit=1, to="local")
+            assert remote.do("port") == line.port.name
+            remote.do("mode", unit=1, to="local")
             assert exchange(host, SetAndExecuteSpeedRequest(1, 500)) == Nak(1, 0x80)
-            hands.do("mode", unit=1, to="remote")
+            remote.do("mode", unit=1, to="remote")
             assert exchange(host, SetAndExecuteSpeedRequest(1, 500)) == Ack(1)
-            assert hands.do("state", unit=1)["setpoint"] == 500
-            hands.do("input", unit=1, input="estop", on=True)
+            assert remote.do("state", unit=1)["setpoint"] == 500
+            remote.do("input", unit=1, input="estop", on=True)
             reply = exchange(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert not reply.inputs & 2
-            assert hands.do("parameter", unit=1, number=6, raw=77) == 77
-            hands.do("fault", kind="dead", rate=1, unit=1)
+            assert remote.do("parameter", unit=1, number=6, raw=77) == 77
+            remote.do("fault", kind="dead", rate=1, unit=1)
             assert exchange(host, ReadStatusRequest(1), patience_s=0.3) is None
-            hands.do("clear")
+            remote.do("clear")
             assert exchange(host, ReadStatusRequest(1))
-            acted = hands.do("record", kinds=["acted"])
+            acted = remote.do("record", kinds=["acted"])
             assert [(entry["unit"], entry["hex"]) for entry in acted] == [(1, "01 84 00 00 01 f4")]
-            assert hands.do("record", kinds=["acted"], since=acted[-1]["number"]) == []
-            place = hands.do("spare", parameters={17: 2}, last_parameter=20)
-            assert hands.do("parameter", place=place, number=17, raw=9) == 9
+            assert remote.do("record", kinds=["acted"], since=acted[-1]["number"]) == []
+            place = remote.do("spare", parameters={17: 2}, last_parameter=20)
+            assert remote.do("parameter", place=place, number=17, raw=9) == 9
             assert exchange(host, ReadParameterRequest(9, 21)) == Nak(9, 0x82)
-            hands.do("remove", unit=9)
+            remote.do("remove", unit=9)
             assert exchange(host, ReadStatusRequest(9), patience_s=0.3) is None
-            hands.do("unplug")
-            hands.do("plug")
-            for wish in ({"do": "fly"}, {"do": "mode", "unit": 99, "to": "local"}):
+            remote.do("unplug")
+            remote.do("plug")
+            for action in ({"do": "fly"}, {"do": "mode", "unit": 99, "to": "local"}):
                 with pytest.raises(RuntimeError):
-                    hands.do(wish.pop("do"), **wish)
+                    remote.do(action.pop("do"), **action)
         finally:
-            hands.close()
+            remote.close()
             control.close()
 
 
@@ -206,9 +206,9 @@ def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, endi
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == str(link)
-        hands = Remote(int(process.stdout.readline().rsplit(":", 1)[1]))
-        assert hands.do("state", unit=3)["mode"] == "remote"
-        hands.close()
+        remote = Remote(int(process.stdout.readline().rsplit(":", 1)[1]))
+        assert remote.do("state", unit=3)["mode"] == "remote"
+        remote.close()
         with opened(str(link)) as host:
             assert exchange(host, ReadStatusRequest(3))
         process.send_signal(ending)

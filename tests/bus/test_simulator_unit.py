@@ -1,4 +1,4 @@
-"""The rules of one simulated unit: modes, staging, ranges, refusals, and what it says of itself."""
+"""The rules of one simulated unit: modes, staging, ranges, refusals, and its status."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ def body_of(request: Request, dialect: Dialect = PLAIN) -> bytes:
 
 
 def exchange(unit: Unit, request: Request, dialect: Dialect = PLAIN) -> Reply | None:
-    """Over the wire and back: the request as the host encodes it, the answer as the host reads it."""
-    answer = encode(unit, respond(unit, body_of(request, dialect)))
-    if not answer:
+    """Return the unit's response to ``request``, encoded and decoded as on the wire."""
+    response = encode(unit, respond(unit, body_of(request, dialect)))
+    if not response:
         return None
-    frame = FrameDecoder(dialect).feed(answer)[0]
+    frame = FrameDecoder(dialect).feed(response)[0]
     assert isinstance(frame, ReceivedFrame)
     return parse_reply(request, frame.body, dialect)
 
@@ -90,7 +90,7 @@ def test_writes_need_remote(mode: Mode, request: Request) -> None:
 
 
 @given(request=reads, mode=st.sampled_from(Mode))
-def test_reads_are_answered_in_every_mode_and_change_nothing(request: Request, mode: Mode) -> None:
+def test_reads_get_a_response_in_every_mode_and_change_nothing(request: Request, mode: Mode) -> None:
     unit = Unit()
     unit.memory[numbers.CONTROL_MODE] = mode
     before = state(unit)
@@ -132,7 +132,7 @@ def test_a_staged_speed_shows_only_once_executed() -> None:
     assert status(unit).commanded == 528
 
 
-def test_the_broadcast_is_carried_out_and_not_answered() -> None:
+def test_the_broadcast_is_carried_out_without_a_response() -> None:
     unit = Unit()
     exchange(unit, StageSpeedRequest(1, 528))
     turn = respond(unit, bytes.fromhex("00 83"))
@@ -216,10 +216,10 @@ def test_setup_during_run_can_be_locked_while_the_speed_stays_free() -> None:
     assert exchange(stopped(unit), WriteParameterRequest(1, 6, 50)) == Ack(1)
 
 
-@pytest.mark.parametrize(("number", "bytes_in_answer"), [(3, 1), (1, 2), (2, 4)])
-def test_a_parameter_is_answered_in_the_width_of_its_type(number: int, bytes_in_answer: int) -> None:
+@pytest.mark.parametrize(("number", "response_bytes"), [(3, 1), (1, 2), (2, 4)])
+def test_a_parameter_is_returned_in_the_width_of_its_type(number: int, response_bytes: int) -> None:
     reply = exchange(Unit(), ReadParameterRequest(1, number))
-    assert reply == ParameterReply(1, Unit().memory[number], bytes_in_answer)
+    assert reply == ParameterReply(1, Unit().memory[number], response_bytes)
 
 
 def test_or_always_in_four_bytes() -> None:
@@ -234,7 +234,7 @@ def test_an_old_firmware_ends_at_twenty() -> None:
     assert exchange(unit, WriteParameterRequest(1, 21, 0)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
 
 
-def test_a_unit_that_counts_in_bcd_answers_eleven_for_11h() -> None:
+def test_a_unit_that_counts_in_bcd_returns_eleven_for_11h() -> None:
     unit = Unit(Memory({11: 77}), Traits(Dialect(parameter_numbers="bcd")))
     assert exchange(unit, ReadParameterRequest(1, 0x11)) == ParameterReply(1, 77, 4)
     assert exchange(unit, ReadParameterRequest(1, 0x1A)) == Nak(1, Code.ILLEGAL_PARAMETER_NUMBER)
@@ -286,7 +286,7 @@ def test_the_analog_output_has_limits(raw: int, taken: bool) -> None:
         ("01 84 00 01 86 A0", Code.ILLEGAL_SPEED),
     ],
 )
-def test_what_is_no_command_is_said_to_be_none(body: str, refusal: Code) -> None:
+def test_an_unknown_command_is_refused(body: str, refusal: Code) -> None:
     assert respond(Unit(), bytes.fromhex(body)).reply == Nak(1, refusal)
 
 
@@ -336,7 +336,7 @@ def test_the_remote_bit_is_off_in_keylock() -> None:
         (Inputs(preset=True, up=True), 200),
     ],
 )
-def test_contacts_at_the_terminals_change_what_is_commanded(contacts: Inputs, commanded: int) -> None:
+def test_contacts_at_the_terminals_change_the_commanded_speed(contacts: Inputs, commanded: int) -> None:
     unit = Unit(inputs=contacts)
     exchange(unit, SetAndExecuteSpeedRequest(1, 500))
     assert status(unit).commanded == commanded

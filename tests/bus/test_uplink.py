@@ -1,4 +1,4 @@
-"""The link to the app: its order of speech, its patience, its words."""
+"""The link to the app: the order of its messages, its timeouts, its log."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from tests.bus.fake_app import TOKEN, FakeApp
 
 
 class FakeReceiver:
-    """What the app asked for."""
+    """Records the app's requests."""
 
     def __init__(self) -> None:
-        self.asked: list[object] = []
+        self.requests: list[object] = []
         self.news = asyncio.Event()
 
     def hello(self) -> Hello:
@@ -58,12 +58,12 @@ class FakeReceiver:
         self._keep(watch)
 
     def _keep(self, what: object) -> None:
-        self.asked.append(what)
+        self.requests.append(what)
         self.news.set()
 
     async def until(self, what: object) -> None:
         async with asyncio.timeout(20):
-            while what not in self.asked:
+            while what not in self.requests:
                 self.news.clear()
                 await self.news.wait()
 
@@ -108,26 +108,26 @@ async def test_hello_snapshot_then_batches_that_are_forgotten_once_delivered() -
         assert len(outbox) == 0
 
 
-async def test_what_the_app_wants_reaches_the_desk() -> None:
+async def test_the_apps_requests_reach_the_receiver() -> None:
     async with FakeApp() as app, linked(app) as (_, receiver):
         await app.until(app.snapshots)
         command = Command("c", time.time() + 2, SetSpeed(1, 5))
         for message in (Watch(units=[1]), ClockSync(app_time=time.time()), command, Cancel("c")):
-            await app.say(message)
+            await app.send(message)
         await receiver.until("c")
-        assert [each for each in receiver.asked if each != Watch(units=[])] == [
+        assert [each for each in receiver.requests if each != Watch(units=[])] == [
             Watch(units=[1]),
             command,
             "c",
         ]
-        await app.say(WantSnapshot())
+        await app.send(WantSnapshot())
         await app.until(lambda: len(app.snapshots()) == 2)
 
 
-async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
+async def test_it_reconnects_indefinitely_and_no_unit_is_watched_meanwhile() -> None:
     async with FakeApp() as app, linked(app) as (outbox, receiver):
         await app.until(app.snapshots)
-        await app.say(Watch(units=[1]))
+        await app.send(Watch(units=[1]))
         await receiver.until(Watch(units=[1]))
         await app.stop()
         await receiver.until(Watch(units=[]))
@@ -137,7 +137,7 @@ async def test_it_comes_back_for_ever_and_nobody_watches_meanwhile() -> None:
         assert [batch.live for batch in app.batches()] == [False]
 
 
-async def test_it_says_that_it_leaves() -> None:
+async def test_it_announces_that_it_leaves() -> None:
     async with FakeApp() as app:
         async with linked(app):
             await app.until(app.snapshots)
@@ -148,12 +148,12 @@ async def test_it_says_that_it_leaves() -> None:
 async def test_a_wrong_token_is_named() -> None:
     with capture_logs() as logs:
         async with FakeApp() as app, linked(app, token="wrong"):
-            await _said(logs)
+            await _logged(logs)
     assert "does not accept the token (401): create one with 'lineside token create'" in logs[0]["why"]
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "logged"),
     [
         (b'{"detail":"the token plc expired on 2026-11-22"}', "the token plc expired on 2026-11-22"),
         (b'{"detail":"two\\nlines\\u001b[31m"}', "twolines[31m"),
@@ -163,9 +163,9 @@ async def test_a_wrong_token_is_named() -> None:
         (b"\xff", "create one with 'lineside token create'"),
     ],
 )
-def test_why_a_token_is_not_accepted_is_one_line_of_bounded_length(body: bytes, said: str) -> None:
+def test_why_a_token_is_not_accepted_is_one_line_of_bounded_length(body: bytes, logged: str) -> None:
     response = Response(403, "Forbidden", Headers(), body)
-    assert _about_status(response) == f"the dashboard does not accept the token (403): {said}"
+    assert _about_status(response) == f"the dashboard does not accept the token (403): {logged}"
 
 
 async def test_a_refusal_and_another_version_are_named() -> None:
@@ -174,7 +174,7 @@ async def test_a_refusal_and_another_version_are_named() -> None:
             async with FakeApp() as app:
                 app.refuses, app.version = refuses, version
                 async with linked(app):
-                    await _said(logs)
+                    await _logged(logs)
         assert words in logs[0]["why"]
 
 
@@ -188,7 +188,7 @@ async def test_words_it_does_not_know_do_not_end_the_link() -> None:
         assert len(app.snapshots()) == 1
 
 
-async def _said(logs: list[MutableMapping[str, Any]]) -> None:
+async def _logged(logs: list[MutableMapping[str, Any]]) -> None:
     for _ in range(1000):
         if logs:
             return
@@ -196,7 +196,7 @@ async def _said(logs: list[MutableMapping[str, Any]]) -> None:
     raise AssertionError("nothing was logged")
 
 
-async def test_an_address_that_names_no_host_is_said_and_does_not_end_the_worker() -> None:
+async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker() -> None:
     receiver = FakeReceiver()
     uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), receiver, ClockOffset(), time.time)
     with capture_logs() as logs:

@@ -65,13 +65,13 @@ def test_speed_raw(text: str, raw: int) -> None:
         "1_0",
     ],
 )
-def test_what_is_not_a_number(text: str) -> None:
+def test_a_text_that_is_not_a_number(text: str) -> None:
     with pytest.raises(CallerError, match=r"is not a number; write it like 12\.34"):
         speed_raw(text, 2)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error"),
     [
         ("", "empty is not zero"),
         (" ", "empty is not zero"),
@@ -79,8 +79,8 @@ def test_what_is_not_a_number(text: str) -> None:
         ("\N{MINUS SIGN}0,5", "below 0"),
     ],
 )
-def test_what_is_wrong_with_it_is_said(text: str, said: str) -> None:
-    with pytest.raises(CallerError, match=said):
+def test_the_fault_of_a_number_is_stated(text: str, error: str) -> None:
+    with pytest.raises(CallerError, match=error):
         speed_raw(text, 2)
 
 
@@ -183,7 +183,7 @@ def test_a_speed_cannot_be_typed_before_its_decimals_are_known() -> None:
         parameter_raw(PARAMETERS[2], "1000", None)
 
 
-def test_a_baud_rate_is_typed_as_people_say_it() -> None:
+def test_a_baud_rate_is_typed_as_a_number() -> None:
     assert parameter_raw(PARAMETERS[18], "9600", None) == 96
     with pytest.raises(CallerError, match="not a baud rate"):
         parameter_raw(PARAMETERS[18], "9601", None)
@@ -196,7 +196,7 @@ def test_a_speed_of_more_decimals_than_a_value_can_have_is_raw() -> None:
         speed_raw("5", 10)
 
 
-def test_what_is_no_number_is_not_repeated_where_the_parameter_is_secret() -> None:
+def test_an_invalid_number_is_not_repeated_where_the_parameter_is_secret() -> None:
     [secret] = [parameter for parameter in PARAMETERS.values() if parameter.secret]
     assert parameter_raw(secret, " 1234 ", None) == 1234
     with pytest.raises(CallerError) as refused:

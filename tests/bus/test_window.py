@@ -1,4 +1,4 @@
-"""The window of an answer: when it ends, when nothing is heard, and what a stalled process still hears."""
+"""The window of a response: when it ends, with and without bytes, and after a stall of the process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ QUIET_S = 0.005
 
 
 class Bench(PlayedClock):
-    """A clock whose alarms may ring late, a port that only notes whether it is heard."""
+    """A clock whose alarms may fire late, and a port that only records whether it is read."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ def test_bytes_that_come_hold_it_open_but_not_past_the_last_moment() -> None:
     assert bench.ended_at() == [0.09]
 
 
-def test_an_answer_that_pauses_is_over() -> None:
+def test_a_response_that_pauses_is_over() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09)
     bench.pass_time(0.049)
@@ -99,7 +99,7 @@ def test_bytes_gather_until_they_are_wanted() -> None:
     assert bench.ended_at() == [0.05]
 
 
-def test_what_gathered_is_heard_when_the_exchange_is_over_before_that() -> None:
+def test_gathered_bytes_are_received_when_the_exchange_is_over_before_that() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.pass_time(0.01)
@@ -119,7 +119,7 @@ def test_an_earlier_alarm_does_not_wake_the_port() -> None:
     assert bench.ended_at() == [0.10]
 
 
-def test_a_stalled_process_looks_once_more_before_a_unit_is_silent() -> None:
+def test_a_stalled_process_reads_the_port_before_a_timeout() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09)
     bench.pass_time(0.3, stalled_until=0.3)
@@ -128,7 +128,7 @@ def test_a_stalled_process_looks_once_more_before_a_unit_is_silent() -> None:
     assert bench.ended_at() == [0.301]
 
 
-def test_a_process_that_stalled_while_bytes_gathered_hears_them_first() -> None:
+def test_a_process_that_stalled_while_bytes_gathered_receives_them_first() -> None:
     bench = Bench()
     bench.window.open(100.05, 100.09, listen_at=100.02)
     bench.pass_time(0.3, stalled_until=0.3)

@@ -1,4 +1,4 @@
-"""The whole path: simulated units on a real pseudo-terminal, a worker process, a WebSocket, an app."""
+"""The complete path: simulated units on a real pseudo-terminal, a worker process, a WebSocket, an app."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def config(line: LineServer, folder: Path, units: int = UNITS) -> Path:
 
 @asynccontextmanager
 async def worker(file: Path, app: FakeApp, *more: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A worker process; it must end by itself on SIGTERM."""
+    """Run a worker process, which must end on SIGTERM."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "bus", "--config", str(file), "--bus", "b", "--app", app.url, *more),
         env={**os.environ, "LINESIDE_WORKER_TOKEN": TOKEN},
@@ -78,20 +78,20 @@ async def worker(file: Path, app: FakeApp, *more: str) -> AsyncIterator[asyncio.
     finally:
         if process.returncode is None:
             process.send_signal(signal.SIGTERM)
-        said = (await process.communicate())[1].decode()
-        print(said)
-    assert process.returncode in (0, -signal.SIGKILL), said
+        errors = (await process.communicate())[1].decode()
+        print(errors)
+    assert process.returncode in (0, -signal.SIGKILL), errors
 
 
 @asynccontextmanager
 async def running(line: LineServer, folder: Path, units: int = UNITS) -> AsyncIterator[FakeApp]:
-    """An app with a worker whose units have all answered once."""
+    """Run an app with a worker whose units have all responded once."""
     async with FakeApp() as app, worker(config(line, folder, units), app):
         await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
         yield app
 
 
-async def test_it_says_hello_then_everything_then_what_is_new(line: LineServer, tmp_path: Path) -> None:
+async def test_it_sends_hello_then_a_snapshot_then_changes(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         assert isinstance(app.messages[0], Hello)
         assert app.messages[0].bus == "b"
@@ -104,7 +104,7 @@ async def test_it_says_hello_then_everything_then_what_is_new(line: LineServer, 
         assert reading.commanded == line.call(lambda simulated: simulated.plant.unit(2).commanded)
 
 
-async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_path: Path) -> None:
+async def test_every_action_of_the_contract_has_its_outcome(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         await app.until(lambda: {1, 2, 3} <= app.read(8))
         result = await app.perform(SetSpeed(1, 700))
@@ -130,7 +130,7 @@ async def test_every_action_of_the_contract_has_its_fate(line: LineServer, tmp_p
         ]
 
 
-async def test_a_refusal_is_the_units_word_and_is_asked_once(line: LineServer, tmp_path: Path) -> None:
+async def test_a_refusal_is_final_and_sent_once(line: LineServer, tmp_path: Path) -> None:
     line.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     async with running(line, tmp_path) as app:
         result = await app.perform(SetSpeed(2, 100))
@@ -156,7 +156,7 @@ async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_pa
         assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
 
 
-async def test_a_dead_unit_is_told_and_found_again(line: LineServer, tmp_path: Path) -> None:
+async def test_a_dead_unit_is_reported_and_found_again(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
         await app.until(lambda: app.links(2)[-1:] == ["offline"])
@@ -205,10 +205,12 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
     async with running(line, tmp_path) as app:
         await app.stop()
         last = app.readings()[-1].at
-        heard = len(app.messages)
+        received = len(app.messages)
         await asyncio.sleep(1.0)
         await app.start()
-        await app.until(lambda: any(isinstance(each, Batch) and each.live for each in app.messages[heard:]))
+        await app.until(
+            lambda: any(isinstance(each, Batch) and each.live for each in app.messages[received:])
+        )
         kept = [batch for batch in app.batches() if not batch.live]
         assert kept
         times = [reading.at for reading in app.readings()]
@@ -217,7 +219,7 @@ async def test_readings_are_kept_while_the_app_is_away(line: LineServer, tmp_pat
         assert len({batch.seq for batch in app.batches()}) == len(app.batches())
 
 
-async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path: Path) -> None:
+async def test_a_killed_app_leaves_the_complete_new_line(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         command = asyncio.create_task(app.perform(SetLine({1: 301, 2: 302, 3: 303}), command_id="whole"))
         await app.until(lambda: any(getattr(update, "id", "") == "whole" for update in app.updates()))
@@ -232,7 +234,7 @@ async def test_a_killed_app_leaves_the_whole_new_line(line: LineServer, tmp_path
 async def test_the_trace_is_sent_while_followed_and_read_on_request(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
         assert not [update for update in app.updates() if isinstance(update, Frames)]
-        await app.say(Watch(units=[1], trace=True))
+        await app.send(Watch(units=[1], trace=True))
         await app.until(lambda: sum(isinstance(update, Frames) for update in app.updates()) > 60)
         result = await app.perform(ReadTrace(since=0.0, limit=50))
         assert len(result.frames) == 50
@@ -241,9 +243,9 @@ async def test_the_trace_is_sent_while_followed_and_read_on_request(line: LineSe
         assert later.frames[0].at >= result.frames[-1].at
 
 
-async def test_a_snapshot_is_said_again_when_asked_for(line: LineServer, tmp_path: Path) -> None:
+async def test_a_snapshot_is_repeated_on_request(line: LineServer, tmp_path: Path) -> None:
     async with running(line, tmp_path) as app:
-        await app.say(WantSnapshot())
+        await app.send(WantSnapshot())
         await app.until(lambda: len(app.snapshots()) == 2)
         snapshot = app.snapshots()[1]
         assert [unit.link.link for unit in snapshot.units] == ["online"] * UNITS
@@ -256,7 +258,7 @@ async def test_a_waiting_command_can_be_given_up(line: LineServer, tmp_path: Pat
         line.call(lambda simulated: simulated.faults.set(FaultKind.DEAD, 1.0, 2))
         command = asyncio.create_task(app.perform(ReadParameters(1, urgent=False), command_id="slow"))
         await app.until(lambda: any(getattr(update, "id", "") == "slow" for update in app.updates()))
-        await app.say(Cancel("slow"))
+        await app.send(Cancel("slow"))
         result = await command
         assert result.outcome in ("unverified", "not_sent")
 
@@ -284,7 +286,7 @@ async def test_it_leaves_with_its_parent(line: LineServer, tmp_path: Path) -> No
         await asyncio.to_thread(_wait_for_end, child)
 
 
-async def test_a_refused_worker_says_why(line: LineServer, tmp_path: Path) -> None:
+async def test_a_refused_worker_logs_the_reason(line: LineServer, tmp_path: Path) -> None:
     async with FakeApp() as app:
         app.refuses = "install the same release"
         async with worker(config(line, tmp_path), app) as process:
@@ -295,7 +297,7 @@ async def test_a_refused_worker_says_why(line: LineServer, tmp_path: Path) -> No
 
 
 def _wait_for_end(pid: int) -> None:
-    """Of a process that is nobody's child any more."""
+    """Wait for the end of a process that is not our child."""
     until = time.monotonic() + 10
     while time.monotonic() < until:
         try:

@@ -1,7 +1,7 @@
-"""A whole bus worker on a virtual clock: no port, no waiting, the same seed gives the same bytes.
+"""A complete bus worker on a virtual clock: no port, no waiting, the same seed gives the same bytes.
 
-``VirtualLoop`` never sleeps: its time jumps to the next timer. ``VirtualLine`` puts SIM's pure line behind
-the worker's injected port and clock; an hour of line time takes seconds.
+``VirtualLoop`` never sleeps: its time jumps to the next timer. ``VirtualLine`` puts the simulator's pure line
+behind the worker's injected port and clock; an hour of line time takes seconds.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class VirtualClock:
         return EPOCH + now
 
     def settle(self) -> None:
-        """Nobody sets this clock."""
+        """Do nothing: this clock is not adjusted."""
 
     def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
         return self._loop.call_at(when, callback)
@@ -158,7 +158,7 @@ class VirtualPort:
 
 
 class VirtualLine:
-    """A worker and its plant. ``updates`` is everything the worker told."""
+    """A worker and its plant. ``updates`` is everything that the worker reported."""
 
     def __init__(
         self,
@@ -218,14 +218,14 @@ class VirtualLine:
         return range(1, len(self.bus.unit) + 1)
 
     def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "") -> str:
-        """Ask the worker; gives the id."""
+        """Send the worker a command; return its id."""
         self._count += 1
         command_id = command_id or f"c{self._count}"
         self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action))
         return command_id
 
     def result_of(self, command_id: str) -> Result | None:
-        """The result told for ``command_id``, if any."""
+        """Return the result reported for ``command_id``, if any."""
         results = [
             update for update in self.updates if isinstance(update, Result) and update.id == command_id
         ]
@@ -233,7 +233,7 @@ class VirtualLine:
         return results[0] if results else None
 
     async def perform(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
-        """Ask the worker and wait for the fate."""
+        """Command the worker and wait for the result."""
         command_id = self.command(action, timeout_s=timeout_s)
         for _ in range(int(within_s / 0.005)):
             result = self.result_of(command_id)
@@ -243,11 +243,11 @@ class VirtualLine:
         raise AssertionError(f"no fate for {action} within {within_s} s")
 
     def readings(self, unit: int | None = None) -> list[Reading]:
-        """All readings told, or those of one unit."""
+        """Return all reported readings, or those of one unit."""
         return [u for u in self.updates if isinstance(u, Reading) and unit in (None, u.unit)]
 
     def parameters(self) -> list[ParameterValue]:
-        """All parameter values told."""
+        """Return all reported parameter values."""
         return [update for update in self.updates if isinstance(update, ParameterValue)]
 
     def acted(self, unit: int | None = None) -> list[tuple[float, int, bytes]]:

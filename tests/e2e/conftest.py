@@ -31,11 +31,12 @@ FLAGS = [
 AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
 expect.set_options(timeout=PAGE_MS)
 REQUEST_FAILED = ("Failed to load resource", "An unknown error occurred when fetching the script.")
-"""In Chromium's words. The script is the service worker's, asked for after the page was opened: where a test
-stops the server or the network at once, it comes in vain. That it can be had is proven in test_kiosk."""
+"""In Chromium's words. The script is the service worker's, requested after the page was opened: where a test
+stops the server or the network at once, the request fails. That it is served is tested in test_kiosk.
+"""
 AXE_RUN = """async options => (await axe.run(document, options)).violations.flatMap(broken =>
     broken.nodes.map(node => `${broken.id} (${broken.help}): ${node.html.slice(0, 200)}`))"""
-"""Only violations leave the page: the whole report of axe is megabytes."""
+"""Only violations leave the page: the complete report of axe is megabytes."""
 ENGLISH, GERMAN = "en-GB", "de-DE"
 SIZES = ((360, 740), (1280, 800), (1920, 1080))
 SCHEMES: dict[str, tuple[Literal["light", "dark"], ...]] = {
@@ -47,7 +48,7 @@ AXE_RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-pract
 
 
 class OpensPages(Protocol):
-    """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: nobody signed in."""
+    """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: not signed in."""
 
     def __call__(self, role: str | None = ..., site: Site | None = ..., **context: Any) -> Page: ...
 
@@ -63,7 +64,7 @@ def line_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[.
 
 @pytest.fixture(scope="module")
 def site(line_server: Callable[..., Site]) -> Site:
-    """Eight units that nobody but the test works on."""
+    """Return eight units that only the test operates."""
     return line_server(8, line_options=AT_REST)
 
 
@@ -116,7 +117,7 @@ def is_complaint(said: Any) -> bool:
 
 
 def signed_in(browser: Browser, site: Site, role: str) -> Any:
-    """The cookies of a role, asked for once for each site: signing in is slow on purpose."""
+    """Return the cookies of a role, requested once for each site: signing in is slow on purpose."""
     if role not in site.sessions:
         context: BrowserContext = browser.new_context(base_url=site.url)
         answer = context.request.post(

@@ -1,6 +1,6 @@
-"""A whole plant for a test: simulated units at a port, ``lineside serve`` on them, and people of each role.
+"""A complete plant for a test: simulated units at a port, ``lineside serve`` on them, and users of each role.
 
-Everything is a process of its own and speaks as it would on a machine: a device path, HTTP, the command.
+Each part is a separate process and communicates as on a machine: a device path, HTTP, the command.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_
 
 @dataclass
 class Line:
-    """A process of simulated units. ``port`` is what goes into lineside.toml, ``remote`` moves its hands."""
+    """A process of simulated units. ``port`` is the value for lineside.toml, ``remote`` operates the
+    units.
+    """
 
     port: str
     remote: Remote
@@ -77,7 +79,7 @@ def start_line(folder: Path, units: int, *options: str, name: str = "line") -> L
         text=True,
     )
     assert process.stdout is not None
-    # A real unit answers in time, whatever else the host does.
+    # A real unit responds in time, whatever the load of the host.
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, process.pid, -10)
     port = process.stdout.readline().strip()
@@ -108,9 +110,9 @@ def command(config: Path, *arguments: str, text: str = "") -> str:
 
 @cache
 def people() -> tuple[Path, dict[str, str]]:
-    """The data of a site on which nothing has happened but that one user and one token for each role were
-    added, and the tokens. Made once, copied for every site. The templates are compiled, too, which otherwise
-    each server does anew."""
+    """Return the data of a new site with one user and one token for each role, and the tokens. Made once,
+    copied for every site. The templates are compiled, too, which otherwise each server repeats.
+    """
     folder = Path(mkdtemp(prefix="lineside-people-"))
     atexit.register(shutil.rmtree, folder)
     config = folder / "lineside.toml"
@@ -138,8 +140,9 @@ async def _add_everybody(accounts: Accounts) -> dict[str, str]:
 
 @dataclass
 class Site:
-    """A served line. ``url`` holds for the whole life of the site, also when the server is restarted.
-    ``more``: other buses by name, each with the units that it has."""
+    """A served line. ``url`` is constant for the life of the site, also when the server is restarted.
+    ``more``: other buses by name, each with its units.
+    """
 
     folder: Path
     line: Line
@@ -158,7 +161,7 @@ class Site:
         return self.folder / "lineside.toml"
 
     def start(self) -> None:
-        """Start ``lineside serve`` and wait until it answers."""
+        """Start ``lineside serve`` and wait until it responds."""
         self.log = (self.folder / "serve.log").open("ab")
         self.server = subprocess.Popen(
             [LINESIDE, "serve", "--config", str(self.config)],
@@ -199,7 +202,7 @@ class Site:
         self.tokens = dict(tokens)
 
     def api(self, role: str | None = "admin") -> httpx.Client:
-        """A client of the API with a role's token (None: nobody)."""
+        """Return a client of the API with a role's token (None: anonymous)."""
         headers = {"Authorization": f"Bearer {self.tokens[role]}"} if role else {}
         url = f"{self.url}/api/v1"
         # Loading certificates takes longer than a call.
@@ -215,7 +218,7 @@ class Site:
         assert self.server is not None
         if self.server.poll() is not None:
             raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
-        # Nothing heavier: it is asked fifty times a second while the server starts, and that is measured.
+        # A light client: it polls fifty times a second while the server starts, and that is measured.
         asked = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
             asked.request("GET", "/healthz")
@@ -242,10 +245,11 @@ def site(
     more: dict[str, int] | None = None,
     environment: dict[str, str] | None = None,
 ) -> Iterator[Site]:
-    """A running site of ``units`` on the bus ``line``; ``toml`` is added to its file.
-    ``more``: further buses, each by name with its number of units. ``turnaround_ms``: how long an answer is
-    waited for; the simulated units are a process, which a busy machine may keep waiting.
-    ``environment``: more variables of the server's environment."""
+    """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
+    each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
+    units are a process, which a busy machine may delay. ``environment``: more variables of the server's
+    environment.
+    """
     made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
     try:
         for name, count in (more or {}).items():
@@ -261,7 +265,7 @@ def site(
 
 
 def free_port() -> int:
-    """A TCP port that nobody has at the moment."""
+    """Return a TCP port that is free at the moment."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return int(listener.getsockname()[1])
 

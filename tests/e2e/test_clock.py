@@ -79,7 +79,7 @@ def test_charts_end_at_the_servers_now(far_site: Site, browser_page: OpensPages)
         assert abs(datetime.fromisoformat(ends) - datetime.now(SERVER)) < NEAR
 
 
-def test_a_browser_that_does_not_know_the_zone_shows_utc_and_says_so(
+def test_a_browser_that_does_not_know_the_zone_shows_utc_with_a_notice(
     far_site: Site, browser_page: OpensPages
 ) -> None:
     page = browser_page("viewer", far_site, timezone_id=DEVICE)

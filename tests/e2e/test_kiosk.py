@@ -80,7 +80,7 @@ def _signed_in(browser: Browser, site: Site, name: str) -> Any:
 
 @pytest.fixture
 def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Callable[..., Page]]:
-    """``panel("desk", "/")``: a page of a panel with a touch screen and a clock that can be moved."""
+    """``panel("desk", "/")``: a page of a panel with a touch screen and a clock that the test can set."""
     contexts: list[BrowserContext] = []
 
     def open_page(name: str, path: str, *, clock: bool = False) -> Page:
@@ -102,7 +102,7 @@ def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Call
 
 
 def heard(site: Site) -> int:
-    """How many requests that write the units have heard."""
+    """Return how many requests that write the units have received."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
@@ -122,7 +122,7 @@ def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) 
     expect(desk.locator("#setpoint")).to_be_visible()
 
 
-def test_a_panel_stays_awake_and_asks_again_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
+def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     eventually(lambda: page.evaluate("window.locks.length") == 1, "one wake lock")
     page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
@@ -131,7 +131,7 @@ def test_a_panel_stays_awake_and_asks_again_when_it_is_shown_again(panel: Callab
     eventually(lambda: page.evaluate("window.locks.length") == 2, "another wake lock")
 
 
-def test_the_whole_screen_is_taken_and_given_back(panel: Callable[..., Page]) -> None:
+def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     button = page.locator("[data-full-screen]")
     button.tap()
@@ -169,7 +169,7 @@ def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> 
     eventually(lambda: heard(site) == before + 1, "the second key")
 
 
-def test_a_panel_that_nobody_touches_goes_home_and_leaves_no_review_open(
+def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     site: Site, panel: Callable[..., Page]
 ) -> None:
     page = panel("desk", "/", clock=True)
@@ -178,7 +178,7 @@ def test_a_panel_that_nobody_touches_goes_home_and_leaves_no_review_open(
     page.clock.fast_forward("05:30")
     expect(page).to_have_url(HOME)
     expect(page.locator(LIVE)).to_be_attached()
-    # Nobody has touched it since: the first touch here wakes only.
+    # Untouched since: the first touch here only wakes it.
     page.clock.fast_forward("00:10")
     expect(page.locator(".cover--guard")).to_be_attached()
     before = heard(site)
@@ -187,7 +187,7 @@ def test_a_panel_that_nobody_touches_goes_home_and_leaves_no_review_open(
     assert heard(site) == before
 
 
-def test_what_wants_somebody_does_not_go_dark(site: Site, panel: Callable[..., Page]) -> None:
+def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("wall", HOME, clock=True)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
@@ -228,7 +228,7 @@ def test_it_can_be_installed(browser_page: OpensPages) -> None:
 
 
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_")
-def test_without_a_network_it_says_so_and_comes_back(browser_page: OpensPages) -> None:
+def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL)
     page.goto("/")
     page.evaluate("navigator.serviceWorker.ready.then(() => true)")

@@ -1,6 +1,8 @@
-"""What a machine can do to the memory of a running server: its clock set, its disk full, broken or locked.
+"""Faults of a machine that affect the history of a running server: its clock set, its disk full, broken or
+locked.
 
-The server and its workers are the processes that a plant runs. The line goes on in every case, and says so.
+The server and its workers are the processes of a real plant. The line goes on in every case, and the fault is
+shown.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ def asked(site: Site, path: str, **query: Any) -> Any:
 
 
 def heard(site: Site, since: float, until: float) -> list[float]:
-    """When unit 1 was heard within a span."""
+    """Return when unit 1 responded within a span."""
     span = {name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", since), ("to", until))}
     found = asked(site, "/history", bus="line", unit=1, value="actual", points=20_000, **span)
     return [datetime.fromisoformat(t).timestamp() for t in found["t"]]
@@ -88,7 +90,7 @@ def state(site: Site) -> str:
 
 
 def notice(site: Site) -> str:
-    """What the pages say of the history."""
+    """Return the notice about the history on the pages."""
     return str(asked(site, "/line")["history"])
 
 
@@ -142,7 +144,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
     assert "whole" in site.command("audit", "verify")
 
 
-def test_pages_that_are_overwritten_while_it_runs_are_noticed_and_said(site: Site) -> None:
+def test_pages_overwritten_while_it_runs_are_detected_and_reported(site: Site) -> None:
     """Those of the readings: at the next look at them."""
     store = site.folder / "data" / "history.db"
     begun = time.time()
@@ -177,7 +179,7 @@ def mounted(*mount: str, at: Path) -> Iterator[None]:
         subprocess.run(["umount", "--lazy", str(at)], check=True)
 
 
-def test_a_history_that_is_read_only_at_the_start_is_said(site: Site) -> None:
+def test_a_history_that_is_read_only_at_the_start_is_reported(site: Site) -> None:
     store = site.folder / "data" / "history.db"
     site.stop()
     with mounted("--bind", str(store), at=store):

@@ -32,7 +32,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 @pytest.fixture
 def holder(site: Site) -> Iterator[httpx.Client]:
-    """A program of an admin that holds control; it may ask the pages too."""
+    """Yield a program of an admin that holds control; it may request pages too."""
     with httpx.Client(
         base_url=site.url,
         headers={"Authorization": f"Bearer {site.tokens['admin']}"},
@@ -68,7 +68,7 @@ def pages(site: Site) -> list[str]:
 
 
 def heard(site: Site) -> list[str]:
-    """Every request that writes, as the units heard it."""
+    """Return every request that writes, as the units received it."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
@@ -142,7 +142,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
 
 
 @pytest.mark.usefixtures("holder")
-def test_refusals_are_said_in_the_language_of_the_page(browser_page: OpensPages) -> None:
+def test_refusals_are_shown_in_the_language_of_the_page(browser_page: OpensPages) -> None:
     page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
@@ -154,7 +154,7 @@ def test_refusals_are_said_in_the_language_of_the_page(browser_page: OpensPages)
 # --- limits and blocks ----------------------------------------------------------------------------
 
 STATUS = {"load": 409, "write": 200}
-"""A recipe says why it cannot be loaded; a batch has a fate for each row."""
+"""A recipe states why it cannot be loaded; a batch has an outcome for each row."""
 SENDS: list[tuple[str, str, dict[str, Any]]] = [
     ("POST", "/api/v1/buses/line/units/1/speed", {"json": {"raw": 900, "confirm": True}}),
     ("POST", "/api/v1/buses/line/units/1/speed", {"json": {"raw": 900, "execute": False, "confirm": True}}),
@@ -355,7 +355,7 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
 
 
 def covered_while_the_server_stands(site: Site, tabs: dict[str, Page]) -> None:
-    """Each page says that it is cut off, lets nothing be pressed, and tries to send its forms in vain."""
+    """Check that each page is covered, disables its buttons, and sends no form."""
     assert site.server is not None
     site.server.send_signal(signal.SIGSTOP)
     try:
@@ -371,7 +371,7 @@ def covered_while_the_server_stands(site: Site, tabs: dict[str, Page]) -> None:
 
 
 def newest_event(site: Site) -> int:
-    """Of those that a person makes; a server that stood still has some of its own."""
+    """Return the newest event of a person; a suspended server adds others."""
     with site.api() as client:
         events = client.get("/events", params={"limit": 20}).json()["events"]
     by_itself = ("server", "worker", "clock", "bus", "unit")
@@ -392,7 +392,7 @@ def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, brows
     assert site.unit(2)["blocked"] is None
 
 
-# --- what is heard, and where the focus stays -----------------------------------------------------
+# --- screen reader texts, and where the focus stays -----------------------------------------------
 
 LISTEN = """() => {
     window.said = [];
@@ -407,7 +407,7 @@ LISTEN = """() => {
 
 
 @pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints"])
-def test_a_screen_reader_hears_the_verdict_and_no_figures(
+def test_a_screen_reader_gets_the_verdict_and_no_figures(
     site: Site, browser_page: OpensPages, holder: httpx.Client, path: str
 ) -> None:
     page = opened(browser_page("viewer", viewport=PANEL), path)
@@ -425,7 +425,7 @@ def test_a_screen_reader_hears_the_verdict_and_no_figures(
     assert not any(re.search(r"\d\.\d|ramping", text) for text in said), said
 
 
-def test_focus_stays_while_a_unit_is_not_heard(site: Site, browser_page: OpensPages) -> None:
+def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
     field.focus()
@@ -458,7 +458,7 @@ def test_focus_stays_in_the_row_that_was_written(browser_page: OpensPages, holde
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"})
 
 
-def test_nothing_moves_for_whoever_wants_no_motion(browser_page: OpensPages) -> None:
+def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
     moving = "document.getAnimations().map(one => one.effect.target.className)"
     assert page.evaluate(moving) == []

@@ -1,4 +1,4 @@
-"""What can be pressed is in reach and what is to be read is in sight, from the phone to the wall."""
+"""Controls are in reach and texts are visible, from the phone to the wall."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COVERED = """() => {
   }
   return said;
 }"""
-"""Each control that something lies over once it was brought into sight, as the focus would bring it."""
+"""Controls that are covered after they were scrolled into view, as the focus would do."""
 TOO_WIDE = """() => [...document.querySelectorAll("html, .table-wrap")]
   .map(one => one.scrollWidth - one.clientWidth).filter(over => over > 0)"""
 CUT = """() => [...document.querySelectorAll(".table--events td, .parts :is(td, th)")]

@@ -1,4 +1,6 @@
-"""A restore stopped half way says which rows are done, and again finishes the rest; bad files write none."""
+"""A restore stopped half way lists the rows done, and a second run finishes the rest; bad files write
+none.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
 HALL = {"width": 1920, "height": 1080}
 NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
-"""What somebody at the panel changed: each by one."""
+"""Changed at the panel, each by one."""
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +69,7 @@ def review(page: Page) -> None:
 
 
 def outcomes(page: Page) -> dict[int, str]:
-    """Number → what the table of rows says of it."""
+    """Return number → result in the table of rows."""
     rows = page.get_by_role("table", name="Rows to write").locator("tbody tr")
     said = rows.evaluate_all(
         "rows => rows.map(row => [row.cells[0].innerText, row.cells[row.cells.length - 1].innerText])"
@@ -100,7 +102,7 @@ def cut_the_drop(site: Site, page: Page) -> None:
     ],
     ids=lambda given: getattr(given, "__name__", ""),
 )
-def test_stopped_half_way_it_says_what_is_done_and_again_finishes_the_rest(
+def test_a_restore_stopped_half_way_lists_rows_done_and_a_second_run_finishes(
     site: Site, browser_page: OpensPages, trouble: Callable[[Site, Page], None], cause: str
 ) -> None:
     hands, wanted = site.line.remote, changed_at_the_panel(site)
@@ -140,7 +142,7 @@ def expect_proof(page: Page) -> None:
 
 
 def asked_again(page: Page, left: Locator) -> bool:
-    """Ask for what is left; where the unit does not respond yet, the page says so, and one goes back."""
+    """Request the remaining rows; where the unit does not respond yet, check the message and go back."""
     page.get_by_role("button", name="Review the remaining rows").click()
     refused = page.get_by_role("heading", name="Request refused")
     expect(left.or_(refused)).to_be_visible(timeout=PROCEDURE_MS)
@@ -221,7 +223,7 @@ def good_file(site: Site) -> str:
 
 
 def bad_files(good: str) -> dict[str, tuple[bytes, str]]:
-    """What people bring, and what has to be said of it."""
+    """Return invalid files, and the error for each."""
     row = next(line for line in good.splitlines() if line.startswith("6 = "))
     texts = {
         "another-program": ("[server]\nport = 8000\n", "not a parameter set"),
@@ -281,8 +283,8 @@ def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_pa
     assert runner.invoke(cli, ["diff", *to(site, 2), str(tmp_path / "none.toml")]).exit_code == 2
 
 
-def test_the_commands_in_a_cron_job_tell_all_by_their_exit_codes(site: Site, tmp_path: Path) -> None:
-    """Without a terminal nobody can be asked: nothing is written unless --yes was given."""
+def test_the_commands_in_a_cron_job_report_by_their_exit_codes(site: Site, tmp_path: Path) -> None:
+    """Without a terminal there is no prompt: nothing is written unless --yes was given."""
     file = tmp_path / "unit2.toml"
     runner = CliRunner()
 

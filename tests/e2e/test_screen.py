@@ -57,7 +57,7 @@ def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(browser_page: OpensP
     assert all("gradient" in image for image in drawn), drawn
 
 
-def test_how_units_answer_are_cards_on_a_phone_and_their_links_large_enough_for_gloves(
+def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_gloves(
     browser_page: OpensPages,
 ) -> None:
     page = opened(browser_page("engineer", viewport=PHONE, has_touch=True), "/bus/line")
@@ -84,7 +84,7 @@ def test_the_review_is_accessible_too(browser_page: OpensPages, axe: Callable[[P
     assert axe(page) == []
 
 
-def test_a_line_in_trouble_is_accessible_and_says_what_is_wrong(
+def test_a_line_with_faults_is_accessible_and_names_them(
     site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:
     page = opened(browser_page(viewport=PANEL), "/")
@@ -107,7 +107,7 @@ def test_a_line_in_trouble_is_accessible_and_says_what_is_wrong(
     expect(page.locator("[data-strip] a")).to_have_count(0)
 
 
-def test_the_phone_answers_without_a_touch(browser_page: OpensPages) -> None:
+def test_the_phone_shows_the_state_without_a_touch(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE), "/")
     expect(page.locator("h1")).to_be_in_viewport()
     expect(page.locator("h1")).to_have_text("All 8 units at speed")
@@ -169,7 +169,7 @@ def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -
     expect(page.locator(".cover")).to_have_count(0)
 
 
-def test_a_screen_reader_hears_which_lamps_are_lit_and_what_a_number_is(
+def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(
     site: Site, browser_page: OpensPages
 ) -> None:
     eventually(lambda: site.unit(1)["inputs"]["run"], "the run input seen")

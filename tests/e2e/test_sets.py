@@ -111,7 +111,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     expect(strip).not_to_contain_text("Coater")
 
 
-def test_the_list_of_drift_is_drawn_anew_by_itself_and_keeps_the_focus(
+def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     site: Site, browser_page: OpensPages
 ) -> None:
     ramp = site.line.remote.do("parameter", unit=2, number=7)
@@ -136,7 +136,7 @@ def test_the_list_of_drift_is_drawn_anew_by_itself_and_keeps_the_focus(
     expect(restore).to_be_focused()
 
 
-def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_page: OpensPages) -> None:
+def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, browser_page: OpensPages) -> None:
     page = browser_page("engineer", viewport=OFFICE)
     page.goto("/bus/line")
     expect(page.locator("body[data-link=live]")).to_be_attached()
@@ -165,7 +165,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_proven(site: Site, browser_pag
 
 
 def switch_off_and_on(served: Site) -> None:
-    """The new rate holds from the next power-up; the host follows by itself."""
+    """The new rate applies from the next power-up; the host follows automatically."""
     for unit in (1, 2, 3):
         served.line.remote.do("power_cycle", unit=unit)
     off = datetime.now(UTC)
@@ -183,7 +183,7 @@ def heard_since(served: Site, number: int, moment: datetime) -> bool:
     )
 
 
-def test_a_restore_is_reviewed_first_and_proven_afterwards(site: Site, browser_page: OpensPages) -> None:
+def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, browser_page: OpensPages) -> None:
     page = browser_page("engineer", viewport=OFFICE)
     address = take_set(page)
     with site.api("engineer") as client:
@@ -247,7 +247,7 @@ def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.soak
-def test_sets_that_nobody_asked_for_with_a_unit_that_is_silent_when_they_are_due(
+def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     line_server: Callable[..., Site], browser_page: OpensPages
 ) -> None:
     site = line_server(3, line_options=("--no-script", "--speedup", "3"))

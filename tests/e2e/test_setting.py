@@ -1,4 +1,4 @@
-"""Setting a speed, an output, a parameter and a whole line as a person does it, with the wire as witness."""
+"""Setting a speed, an output, a parameter and a line as a person does it, checked against the wire."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 
 
 def writes(site: Site) -> list[str]:
-    """Every request that writes, as the units heard it."""
+    """Return every request that writes, as the units received it."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
 
@@ -117,7 +117,7 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, browser_page: OpensP
 
 
 @pytest.mark.provokes("ERR_FAILED", "fetch")
-def test_a_press_without_an_answer_has_an_unknown_fate(site: Site, browser_page: OpensPages) -> None:
+def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/6")
     before = writes(site)
     page.route("**/speed", lambda _: None)
@@ -232,7 +232,7 @@ def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(browser_pa
     expect(page.locator('[data-together="offset"]')).to_have_value("-5")
 
 
-def test_what_is_refused_at_a_parameter_offers_the_nearest(browser_page: OpensPages) -> None:
+def test_a_refused_parameter_value_offers_the_nearest(browser_page: OpensPages) -> None:
     page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").fill("99999")
@@ -277,7 +277,7 @@ def test_an_output_is_switched_behind_a_review(site: Site, browser_page: OpensPa
     assert state(site, 2)["outputs"] == [True, *was[1:]]
 
 
-def test_a_unit_in_local_takes_the_controls_away_and_says_why(site: Site, browser_page: OpensPages) -> None:
+def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -321,7 +321,7 @@ def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> N
     assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
 
 
-def test_scaling_fills_in_what_is_ticked(browser_page: OpensPages) -> None:
+def test_scaling_fills_in_checked_rows(browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/setpoints")
     commanded = float(page.locator('[data-live="line/2.commanded"]').inner_text())
     page.locator("tr[data-unit='line/2'] [data-tick]").check()
@@ -374,7 +374,7 @@ def test_the_line_is_two_presses_from_zero_on_every_page(browser_page: OpensPage
     page.get_by_role("button", name="Cancel").click()
 
 
-def test_a_block_is_said_and_lifted(site: Site, browser_page: OpensPages) -> None:
+def test_a_block_is_shown_and_lifted(site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/7")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()

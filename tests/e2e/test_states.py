@@ -1,5 +1,6 @@
-"""Each state that a page of the line can be in: accessible by day on a wall and by night on a phone,
-large enough for a glove, and in reach of the Tab key with its focus in sight."""
+"""Each state that a page of the line can be in: accessible by day on a wall and by night on a phone, large
+enough for a glove, and in reach of the Tab key with a visible focus.
+"""
 
 from __future__ import annotations
 
@@ -80,11 +81,11 @@ def judged(page: Page, axe: Axe) -> list[str]:
 
 
 @pytest.mark.parametrize("path", ["/", "/units/line/2", "/units/line/3", "/units/line/4", "/setpoints"])
-def test_what_is_not_well_is_accessible(browser_page: OpensPages, axe: Axe, path: str) -> None:
+def test_active_conditions_are_accessible(browser_page: OpensPages, axe: Axe, path: str) -> None:
     assert judged(opened(browser_page(), path), axe) == []
 
 
-def test_each_end_of_a_wish_is_accessible_and_says_what_was_asked(
+def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     site: Site, browser_page: OpensPages, axe: Axe
 ) -> None:
     page = opened(browser_page("engineer", viewport=WALL), "/units/line/1")
@@ -103,7 +104,7 @@ def test_each_end_of_a_wish_is_accessible_and_says_what_was_asked(
     expect(page.locator("[data-review-done=bad]")).to_contain_text(
         "rejected by the unit: illegal speed value"
     )
-    expect(page.locator(".done__asked")).to_have_text(f"requested 999.0 · reads {before}")
+    expect(page.locator(".done__requested")).to_have_text(f"requested 999.0 · reads {before}")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")
     with site.api("engineer") as client:
@@ -177,7 +178,7 @@ def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
 
 
 @pytest.mark.parametrize(("path", "size"), [("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE)])
-def test_the_tab_key_reaches_the_end_with_its_focus_in_sight(
+def test_the_tab_key_reaches_the_end_with_a_visible_focus(
     browser_page: OpensPages, path: str, size: dict[str, int]
 ) -> None:
     page = opened(browser_page("engineer", viewport=size), path)
@@ -193,7 +194,9 @@ def test_the_tab_key_reaches_the_end_with_its_focus_in_sight(
     assert hidden == []
 
 
-def test_a_silent_unit_says_why_nothing_can_be_set(site: Site, browser_page: OpensPages, axe: Axe) -> None:
+def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
+    site: Site, browser_page: OpensPages, axe: Axe
+) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")
     silent = page.locator(".setting__silent")
     expect(silent).to_be_hidden()

@@ -1,4 +1,4 @@
-"""A unit swap as a person is led through it, to its very end; the hands at the keypad are the simulator's."""
+"""A unit swap as a person is guided through it, to the very end; the simulator operates the keypad."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SETPOINT = 1216
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
-    # Each question to an address where two answer is waited for to its end.
+    # Each request to an address with two units waits for its full timeout.
     with one_site(folder, 3, line_options=("--no-script", "--speedup", "3"), turnaround_ms=250) as made:
         new_section(made, GOOD | {20: SETPOINT})
         with made.api("engineer") as client:
@@ -39,7 +39,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
-    """Whatever was at address 3 is gone; one unit is there, and the site has heard it."""
+    """Replace the unit at address 3 by a new one, and wait until the site has its response."""
     hands = site.line.remote
     eventually(lambda: not removed(site), "nobody at address 3")
     eventually(lambda: site.unit(3)["link"] == "offline", "the address stops responding")
@@ -88,7 +88,7 @@ def events(site: Site, kind: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.provokes("WebSocket", "fetch")
-def test_from_the_dead_unit_to_the_proven_spare(site: Site, browser_page: OpensPages) -> None:
+def test_from_the_dead_unit_to_the_verified_spare(site: Site, browser_page: OpensPages) -> None:
     hands = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
@@ -190,7 +190,7 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
 
 
 @pytest.mark.provokes("WebSocket", "fetch", "Failed to fetch")
-def test_a_server_killed_in_the_midst_of_a_restore_says_what_was_done(
+def test_a_server_killed_in_the_midst_of_a_restore_lists_rows_done(
     site: Site, browser_page: OpensPages
 ) -> None:
     new_section(site, {})

@@ -1,4 +1,4 @@
-"""The memory of a real line: what is drawn, how it is moved, what a silence and a crash leave."""
+"""The history of a real line: what is drawn, how it is moved, what missing responses and a crash leave."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def view_of(page: Page) -> dict[str, str]:
     return dict(re.findall(r"[?&](\w+)=([^&]*)", page.evaluate("location.search")))
 
 
-def test_the_history_says_what_the_unit_said(site: Site) -> None:
+def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     raw = site.unit(2)["commanded_raw"]
     with site.api("operator") as client:
         client.post("/buses/line/units/2/speed", json={"raw": raw + 55, "execute": True}).raise_for_status()
@@ -112,7 +112,7 @@ def test_the_history_says_what_the_unit_said(site: Site) -> None:
     assert set(found["avg"][place:]) == {(raw + 55) / 10}
 
 
-def test_a_unit_that_was_silent_leaves_a_hole_and_its_neighbour_none(site: Site) -> None:
+def test_a_unit_that_did_not_respond_leaves_a_gap_and_its_neighbor_none(site: Site) -> None:
     site.line.remote.do("fault", kind="dead", rate=1, unit=4)
     eventually(lambda: site.unit(4)["link"] == "offline", "unit 4 is lost")
     site.line.remote.do("clear")
@@ -197,7 +197,7 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_p
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
-def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_page: OpensPages) -> None:
+def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(browser_page: OpensPages) -> None:
     page = opened(browser_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
     rows = page.locator("#trend-values tr")
     page.locator("#trend-values button[aria-label]").first.press("Enter")
@@ -211,7 +211,7 @@ def test_a_value_is_taken_away_by_keyboard_and_the_cursor_said_aloud(browser_pag
 
 
 def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_page: OpensPages) -> None:
-    """What uPlot is given is what the history answered; the colours are read from its canvas."""
+    """uPlot's data is what the history returned; the colors are read from its canvas."""
     page = browser_page("viewer", viewport=OFFICE)
     t = [1_700_000_000 + i for i in range(100)]
     flat = [None if 40 <= i < 60 else 50.0 for i in range(100)]
@@ -229,7 +229,7 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
     assert painted["90"] > painted["50"] * 3, painted
 
 
-def test_a_bit_is_a_lane_high_while_it_is_on_and_nothing_where_nothing_was_heard(
+def test_a_bit_is_a_lane_high_while_it_is_on_and_empty_in_gaps(
     browser_page: OpensPages,
 ) -> None:
     """Two lanes of 1 in a scale from -0.2 to 2, the first above; on is 0.7 above the floor of its lane."""
@@ -362,13 +362,11 @@ def heard_after(served: Site, moment: float) -> None:
 
 
 def times_of(served: Site) -> list[float]:
-    """When unit 1 was heard, over the last five minutes."""
+    """Return when unit 1 responded, over the last five minutes."""
     return [datetime.fromisoformat(t).timestamp() for t in history(served, "actual", 300)["t"]] or [0.0]
 
 
-def test_a_store_that_is_damaged_is_said_and_the_line_goes_on(
-    own_site: Site, browser_page: OpensPages
-) -> None:
+def test_a_damaged_store_is_reported_and_the_line_goes_on(own_site: Site, browser_page: OpensPages) -> None:
     own_site.stop()
     store = own_site.folder / "data" / "history.db"
     for path in store.parent.glob("history.db*"):

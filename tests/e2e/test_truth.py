@@ -1,5 +1,6 @@
-"""What the page says when something is gone: unit, cable, worker, server, browser. And that nothing clicked
-while the link was down is ever sent."""
+"""What the page shows when something is gone: unit, cable, worker, server, browser. A click while the link
+was down is never sent.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def opened(page: Page, path: str) -> Page:
 
 
 def heard(site: Site) -> int:
-    """How many requests that write the units have heard."""
+    """Return how many requests that write the units have received."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
 
@@ -89,7 +90,7 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
     expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0", timeout=START_MS)
 
 
-def test_a_silent_server_takes_the_controls_away_and_the_page_returns_by_itself(
+def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recovers(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
@@ -147,7 +148,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
 
 
 @pytest.mark.provokes("WebSocket")
-def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
+def test_a_killed_server_is_shown_and_everything_comes_back_with_it(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
@@ -162,7 +163,7 @@ def test_a_killed_server_is_said_and_the_whole_comes_back_with_it(
 
 
 @pytest.mark.provokes("WebSocket")
-def test_a_page_that_slept_asks_for_everything_again(own_site: Site, browser_page: OpensPages) -> None:
+def test_a_page_that_slept_requests_a_snapshot(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     page.context.set_offline(True)
     expect(page.locator(LOST)).to_be_attached()
@@ -214,7 +215,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     assert heard(own_site) == before + 1
 
 
-def test_a_hidden_tab_is_told_everything_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
+def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     other = page.context.new_page()
     other.bring_to_front()

@@ -1,4 +1,4 @@
-"""Two buses on one site, with units of the same addresses: who is meant is never in doubt. And a follower."""
+"""Two buses on one site, with units of the same addresses: every text names the bus. And a follower."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
-def test_each_unit_shows_what_its_own_bus_says(site: Site, browser_page: OpensPages) -> None:
+def test_each_unit_shows_the_values_of_its_bus(site: Site, browser_page: OpensPages) -> None:
     with site.api("operator") as client:
         assert client.post("/buses/line/units/1/speed", json={"value": "61.0"}).status_code == 200
         assert client.post("/buses/wet/units/1/speed", json={"value": "62.0"}).status_code == 200
@@ -143,7 +143,7 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browse
     eventually(lambda: site.unit(2)["remote"], "unit 2 in REMOTE")
 
 
-def test_a_blocked_unit_with_something_staged_holds_up_nobody(site: Site, browser_page: OpensPages) -> None:
+def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, browser_page: OpensPages) -> None:
     with site.api("operator") as client:
         client.post("/buses/line/units/1/speed", json={"value": "40.0"})
         client.post("/buses/line/units/2/speed", json={"value": "90.0", "execute": False})
@@ -220,7 +220,7 @@ def test_the_present_ratio_stands_beside_a_follower_that_is_set_with_others(
     expect(page.locator('[data-unit="line/1"] th')).not_to_contain_text("ratio")
 
 
-def test_what_is_staged_for_a_follower_is_a_ratio_too(
+def test_a_staged_value_of_a_follower_is_a_ratio_too(
     site: Site, browser_page: OpensPages, follower: int
 ) -> None:
     page = opened(browser_page(viewport=PANEL), f"/units/line/{follower}")

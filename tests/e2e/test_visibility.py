@@ -1,4 +1,4 @@
-"""What is scrolled away may be a second old; what is seen never is."""
+"""A unit outside the window may be a second old; a visible one never is."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ PRINTED = f"({LAST_TEXT_IN_THE_FRAME})(() => dispatchEvent(new Event('beforeprin
 
 
 def opened(page: Page) -> Page:
-    """Eight tiles on a phone, of which the last is far below the window and known to be. Nothing is heard of
-    the server that could come between what a test shows."""
+    """Return a page of eight tiles on a phone, of which the last is far below the window and known to be. No
+    message of the server can come between the steps of a test.
+    """
     page.route_web_socket("**/live?*", lambda _browser: None)
     page.goto("/?view=tiles")
     page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
@@ -42,19 +43,21 @@ def opened(page: Page) -> Page:
 
 
 def show_two(page: Page) -> None:
-    """Two changes of the first and the last unit; the second of the last, out of sight, is not drawn yet."""
+    """Apply two changes of the first and the last unit; the second of the last, outside the window, is not
+    drawn yet.
+    """
     first, last = page.evaluate(SHOW, ["11.1", "22.2"])
     assert first == "22.2"
     assert last != "22.2"
 
 
-def test_out_of_sight_waits_and_is_there_a_second_later(browser_page: OpensPages) -> None:
+def test_a_unit_outside_the_window_is_drawn_a_second_later(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
     show_two(page)
     expect(page.locator(f'[data-live="{LAST}.actual"]')).to_contain_text("22.2")
 
 
-def test_scrolled_into_sight_it_is_the_present_in_that_frame(browser_page: OpensPages) -> None:
+def test_a_unit_scrolled_into_view_is_current_in_that_frame(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
     show_two(page)
     assert page.evaluate(SCROLLED) == "22.2"

@@ -1,4 +1,4 @@
-"""The line as somebody uses it who knows only the command, the configuration and the API."""
+"""The line as used by a person who knows only the command, the configuration and the API."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def children(number: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
-def test_the_page_shows_what_the_units_say(site: Site, browser_page: OpensPages) -> None:
+def test_the_page_shows_the_units_values(site: Site, browser_page: OpensPages) -> None:
     page = browser_page("viewer", viewport=OFFICE)
     page.goto("/")
     for unit in range(1, 9):
@@ -66,7 +66,9 @@ def test_a_speed_set_by_the_api_reaches_the_unit_once_and_the_page_by_reading(
     expect(page.locator('[data-live="line/2.commanded"]').first).to_have_text("123.4")
 
 
-def test_a_silent_unit_is_shown_as_such_and_comes_back(site: Site, browser_page: OpensPages) -> None:
+def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
+    site: Site, browser_page: OpensPages
+) -> None:
     page = browser_page("viewer", viewport=OFFICE)
     page.goto("/")
     tile = page.locator('[data-unit="line/4"]').first
@@ -92,7 +94,7 @@ def test_a_page_beside_the_line_is_accessible(
 
 
 @pytest.mark.provokes("WebSocket connection")
-def test_a_page_that_has_lost_its_server_says_so_and_comes_back_by_itself(
+def test_a_page_that_has_lost_its_server_shows_it_and_recovers(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page: Page = browser_page("operator", own_site, viewport=OFFICE)
@@ -184,7 +186,7 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
     expect(row).to_have_count(0)
 
 
-def test_a_token_is_revoked_after_it_was_asked_in_words(
+def test_a_token_is_revoked_after_a_confirmation(
     site: Site, browser_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740})

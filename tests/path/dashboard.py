@@ -1,4 +1,4 @@
-"""``lineside serve`` on a cable of independent units, asked over HTTP as other programs ask it."""
+"""``lineside serve`` on a cable of independent units, called over HTTP as other programs do."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Units written from the printed manual alone, to judge the product by something it did not make.
+"""Units written from the printed manual alone, as an independent check of the product.
 
-Nothing is imported from ``bus`` or ``app``. A line of units sits behind a pseudo-terminal in a thread
-of its own; the test moves their switches and reads what reached them.
+Nothing is imported from ``bus`` or ``app``. A line of units is behind a pseudo-terminal in a separate thread;
+the test operates their switches and reads what reached them.
 """
 
 from __future__ import annotations
@@ -89,10 +89,10 @@ class Unit:
     deaf_to: set[int] = field(default_factory=set)
     """Commands that it acknowledges and does not carry out."""
     mute_on: set[int] = field(default_factory=set)
-    """Commands that it carries out and does not answer."""
+    """Commands that it carries out without a response."""
     highest_parameter: int = 40
     reply_bytes: int = 0
-    """Width of an 85h reply; 0: as the list says."""
+    """Width of an 85h reply; 0: as in the list."""
     writes: list[tuple[int, int, bytes]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -44,7 +44,7 @@ def units(plant: Dashboard) -> Iterator[dict[int, Unit]]:
 
 
 def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
-    """The answer is this problem."""
+    """Check that the response is this problem."""
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"].startswith("application/problem+json")
     said: dict[str, Any] = answer.json()
@@ -55,7 +55,7 @@ def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
 
 
 def result_of(answer: Any, outcome: str, status: int = 200) -> dict[str, Any]:
-    """The answer is this fate."""
+    """Check that the response has this outcome."""
     assert answer.status_code == status, answer.text
     said: dict[str, Any] = answer.json()
     assert said["outcome"] == outcome
@@ -97,7 +97,7 @@ def test_a_local_unit_is_shown_so(plant: Dashboard) -> None:
     assert plant.see(LOCAL, "read", lambda shown: shown["link"] == "online")["remote"] is False
 
 
-def test_a_unit_that_never_answered_is_unknown_and_all_null(plant: Dashboard) -> None:
+def test_a_unit_that_never_responded_is_unknown_and_all_null(plant: Dashboard) -> None:
     unit = plant.unit(DEAD)
     assert unit["link"] == "unknown"
     nulls = ("read_at", "age_ms", "commanded_raw", "actual_raw", "commanded", "actual", "decimals")
@@ -187,7 +187,7 @@ def test_out_of_range_is_never_sent(plant: Dashboard, units: dict[int, Unit]) ->
     assert [unit.writes for unit in units.values()] == [[]] * len(units)
 
 
-def test_a_silent_unit_is_unverified(plant: Dashboard) -> None:
+def test_a_unit_that_does_not_respond_is_unverified(plant: Dashboard) -> None:
     for method, path, body in (
         ("POST", "/units/5/speed", {"raw": 5, "execute": True}),
         ("POST", "/units/5/speed", {"value": "5.0", "execute": True}),

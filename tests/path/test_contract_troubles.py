@@ -1,4 +1,4 @@
-"""What goes wrong on the floor: cable pulled, unit lost, worker killed, limits, blocks, a wish too late."""
+"""Faults on the floor: cable pulled, unit lost, worker killed, limits, blocks, a command too late."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_pulled_cable_closes_the_bus_and_nothing_is_sent_when_it_is_back(plant
     assert speed(plant, 1, 4000).status_code == 200
 
 
-def test_a_silent_unit_goes_stale_then_offline_and_comes_back(plant: Plant) -> None:
+def test_a_unit_that_does_not_respond_goes_stale_then_offline_and_comes_back(plant: Plant) -> None:
     plant.cable.units[2].silent = True
     plant.see(2, "stale or worse", lambda shown: shown["link"] in ("stale", "offline"))
     plant.see(2, "offline", lambda shown: shown["link"] == "offline")

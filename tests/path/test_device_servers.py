@@ -1,4 +1,4 @@
-"""A device server that goes away while a write is on its way, and comes back: no fate says what is not so."""
+"""A device server that goes away while a write is under way, and comes back: every outcome is true."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SET = 0x84
 
 
 class PlainServer(DeviceServer):
-    """One that hands on the bytes as they are."""
+    """A server that passes the bytes on unchanged."""
 
     @property
     def url(self) -> str:
@@ -77,7 +77,7 @@ class ServedByRfc2217(Served):
 
 
 class Witness(Unit):
-    """As it hears its first 84h the server hangs up: before or after the unit has carried it out."""
+    """At its first 84h the server closes: before or after the unit has carried it out."""
 
     cable: Served
     deaf = False
@@ -126,7 +126,7 @@ def test_it_goes_away_while_a_write_is_on_its_way(plant: Dashboard, deaf: bool, 
 
 
 def _hears(plant: Dashboard) -> None:
-    """Until both units were read anew, so that what was to be sent before has been."""
+    """Wait until both units were read after the call, so that pending requests have been sent."""
     for number in (1, 2, 1, 2):
         before: Any = plant.unit(number)["read_at"]
         plant.see(

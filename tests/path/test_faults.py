@@ -1,4 +1,4 @@
-"""A bad line: whatever is answered 200 is so, held against units that know nothing of the product."""
+"""A bad line: every 200 response is true, checked against units that know nothing of the product."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WRITES = 12
 RATE = 0.05
 """Of each fault."""
 DEAF_RATE = 0.2
-"""Of the one fault that only a read-back can tell."""
+"""The rate of the one fault that only a read-back detects."""
 WRITTEN = (0x84, 0x86, 0x87)
 STRANGER = 99
 LATE_S = 0.4
@@ -70,7 +70,7 @@ class BadCable(Cable):
         return said
 
 
-def test_what_is_verified_on_a_bad_line_is_so(tmp_path: Path) -> None:
+def test_verified_on_a_bad_line_is_true(tmp_path: Path) -> None:
     with dashboard(tmp_path, [Unit(number) for number in UNITS], cable_of=BadCable) as plant:
         assert isinstance(plant.cable, BadCable)
         plant.cable.bad = True

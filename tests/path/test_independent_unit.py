@@ -11,12 +11,12 @@ def test_the_manuals_frame() -> None:
     assert cut_frame(bytearray(b"\x10noise\x10\x02\x01" + sent)) == bytes.fromhex("04 82 00 00 02 10")
 
 
-def test_a_bad_checksum_is_silence() -> None:
+def test_a_bad_checksum_gets_no_response() -> None:
     buffer = bytearray.fromhex("10 02 04 81 10 03 00")
     assert cut_frame(buffer) is None
 
 
-def test_local_refuses_writes_and_answers_reads() -> None:
+def test_local_refuses_writes_and_responds_to_reads() -> None:
     unit = Unit(4, remote=False)
     assert unit.answer(bytes.fromhex("04 83")) == frame(bytes.fromhex("04 15 80"))
     said = unit.answer(bytes.fromhex("04 81"))
@@ -24,7 +24,7 @@ def test_local_refuses_writes_and_answers_reads() -> None:
     assert said[3] == 0x06
 
 
-def test_a_broadcast_is_carried_out_in_silence() -> None:
+def test_a_broadcast_is_carried_out_without_a_response() -> None:
     unit = Unit(4, staged=500)
     assert unit.answer(bytes.fromhex("00 83")) is None
     assert unit.commanded == 500

@@ -1,4 +1,4 @@
-"""The app is killed (kill -9) in the middle of a change of the line: the old line or the whole new one."""
+"""The app is killed (kill -9) in the middle of a change of the line: the old line or the complete new one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STAGE, EXECUTE = 0x82, 0x83
 
 @dataclass
 class Killer(Unit):
-    """Kills ``victim`` as it hears a command for the first time, before it answers."""
+    """Kills ``victim`` when it receives a command for the first time, before it responds."""
 
     command: int = 0
     victim: list[int] = field(default_factory=list)
@@ -39,7 +39,7 @@ class Killer(Unit):
 @pytest.mark.parametrize(
     ("command", "whole"), [(STAGE, [OLD, NEW]), (EXECUTE, [NEW])], ids=["staged", "executed"]
 )
-def test_a_killed_app_leaves_a_whole_line(tmp_path: Path, command: int, whole: list[list[int]]) -> None:
+def test_a_killed_app_leaves_a_complete_line(tmp_path: Path, command: int, whole: list[list[int]]) -> None:
     """Before the execute it is the old line, or the new one where the worker had done before it knew."""
     killer = Killer(2, commanded=1000, actual=1000, command=command)
     units = [Unit(1, commanded=1000, actual=1000), killer, Unit(3, commanded=1000, actual=1000)]

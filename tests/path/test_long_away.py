@@ -25,11 +25,11 @@ from tests.e2e.site import LINESIDE, command, end, eventually, free_port, people
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
 EACH_S = 25 * 10 / 9600
-"""A poll and its answer at 9600 baud."""
+"""A poll and its response at 9600 baud."""
 
 
 class Polling:
-    """What a worker says of itself; its line is imagined, its buffer and its link are real."""
+    """A worker with a simulated line, and a real buffer and link."""
 
     def __init__(self) -> None:
         self.since = time.time() - AWAY_S
@@ -51,13 +51,13 @@ class Polling:
         return Snapshot(seq=seq, sent_at=time.time(), bus=BusLink(self.since, "open", baud=9600), units=[])
 
     def command(self, command: contract.Command) -> None:
-        """Nobody asks for one."""
+        """Unused."""
 
     def reserve(self) -> None:
-        """Nobody asks for it."""
+        """Unused."""
 
     def cancel(self, command_id: str) -> None:
-        """Nobody asks for it."""
+        """Unused."""
 
     def watch(self, watch: Watch) -> None:
         """Whatever people look at."""
@@ -96,7 +96,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
 
 @contextmanager
 def at_work(uplink: Uplink) -> Iterator[None]:
-    """On a loop of its own."""
+    """Run it on a separate event loop."""
     loop = asyncio.new_event_loop()
     running = loop.create_task(uplink.run())
     thread = threading.Thread(target=lambda: loop.run_until_complete(asyncio.wait([running])))

@@ -25,7 +25,7 @@ fcntl.flock(port, fcntl.LOCK_EX)
 print("held", flush=True)
 sys.stdin.read()
 """
-"""As programs do that ask first; waits until the lock is free."""
+"""As programs do that check first; waits until the lock is free."""
 CLAIM = """
 import fcntl, os, sys, termios
 port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
@@ -33,8 +33,9 @@ fcntl.ioctl(port, termios.TIOCEXCL)
 print("held", flush=True)
 sys.stdin.read()
 """
-"""As programs do that do not ask, while the worker has it open. The other end of the cable has the terminal
-open, so the claim outlives the program."""
+"""As programs do that do not check, while the worker has it open. The other end of the cable has the terminal
+open, so the claim outlives the program.
+"""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Two people set the whole line at once: one change after the other, never a mixture."""
+"""Two users set all units at once: one change after the other, never a mixture."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _OF_A_PART: dict[Outcome, Tone] = {"not_sent": "bad", "unverified": "unknown"}
 
 @dataclass(frozen=True, slots=True)
 class OutcomeText:
-    """``good``: as requested; ``bad``: not so, and nothing is half done; ``doubt``: unknown."""
+    """``good``: as requested; ``bad``: not so, and nothing is half done; ``unknown``: not known."""
 
     tone: Tone
     text: str

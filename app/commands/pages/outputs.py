@@ -30,7 +30,7 @@ ON, OFF = "on", "off"
 
 
 def output_name(live: UnitLive, number: int) -> str:
-    """What is wired there, or its number."""
+    """The label of the output, or its number."""
     return live.settings.labels.output.get(number, "")
 
 

@@ -123,7 +123,7 @@ async def set_setpoints(
     id: Annotated[str, Form(max_length=64)],
     reviewed_at: Annotated[UnixTime, Form()],
 ) -> Response:
-    """Stage all, require every acknowledgement, one broadcast, prove each: all of them or none."""
+    """Stage all, require every acknowledgement, one broadcast, read each back: all of them or none."""
     live = page.bus(bus)
     form = await request.form()
     title = page.translator.t("Setpoints")

@@ -111,7 +111,7 @@ def _done(
     return page.done(
         live.settings.name,
         page.outcome(result, live),
-        asked=shown_setpoint(raw, live),
+        requested=shown_setpoint(raw, live),
         reads=reads,
         undo=undo,
         unit=page.shown(bus, live.settings.id),
@@ -148,7 +148,7 @@ async def nudge(
     except Problem as problem:
         return _not_so(page, live, problem)
     response = page.render(
-        "unit/_nudged.html", asked=shown_setpoint(raw, live), outcome=page.outcome(result, live)
+        "unit/_nudged.html", requested=shown_setpoint(raw, live), outcome=page.outcome(result, live)
     )
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response

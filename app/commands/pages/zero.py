@@ -95,7 +95,7 @@ async def _zero_bus(person: Person, page: PageContext, plan: ZeroPlan, id: str) 
 
 
 async def _zero_units(person: Person, page: PageContext, plan: ZeroPlan, id: str) -> list[ResultRow]:
-    """All at once; then each alone that is not proven, unless the press itself came too late."""
+    """Set all at once; then each unit that is not verified, unless the click itself came too late."""
     action, bus_commands = (
         SetLine(setpoints=dict.fromkeys(plan.units, 0)),
         _BusCommands(person, page, plan.bus, id),

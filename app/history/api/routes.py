@@ -22,9 +22,9 @@ from app.history.api.spans import (
     PointsOf,
     Span,
     SpanOf,
-    named_question,
-    question,
-    questions,
+    named_series_query,
+    series_queries,
+    series_query,
 )
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
@@ -52,18 +52,18 @@ def iso(at: int) -> str:
     return datetime.fromtimestamp(at / SECOND, UTC).isoformat(timespec="milliseconds")
 
 
-def shown(asked: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
+def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
     """A result as the API returns it."""
-    unit = labels.unit_settings(asked.bus, asked.unit)
+    unit = labels.unit_settings(requested.bus, requested.unit)
     at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
     return {
-        "bus": asked.bus.name,
-        "unit": asked.unit,
-        "value": asked.value.name,
-        "measure": labels.measure(unit, asked.value),
+        "bus": requested.bus.name,
+        "unit": requested.unit,
+        "value": requested.value.name,
+        "measure": labels.measure(unit, requested.value),
         "decimals": found.decimals,
-        "from": iso(asked.start),
-        "to": iso(asked.end),
+        "from": iso(requested.start),
+        "to": iso(requested.end),
         "resolution": found.resolution,
         "bucket_s": found.bucket / SECOND,
         "t": at,
@@ -97,9 +97,9 @@ async def get_history(
     fits; equal readings one after the other are given as the first and the last. A null between is a
     hole. ``format=epoch`` gives times in seconds since the epoch.
     """
-    asked = question(history, bus, unit, value, span, points)
-    (found,) = await history.query([asked])
-    return await json_response(lambda: shown(asked, found, times))
+    requested = series_query(history, bus, unit, value, span, points)
+    (found,) = await history.query([requested])
+    return await json_response(lambda: shown(requested, found, times))
 
 
 @router.get("/series", response_model=None, responses=json_of(list[SeriesShown]), dependencies=[SEARCH])
@@ -112,9 +112,9 @@ async def get_series(
     times: TimeFormat = "iso",
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
-    asked = questions(history, series, span, points)
-    found = await history.query(asked)
-    return await json_response(lambda: [shown(q, a, times) for q, a in zip(asked, found, strict=True)])
+    requested = series_queries(history, series, span, points)
+    found = await history.query(requested)
+    return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
 
 
 @router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]), dependencies=[SEARCH])
@@ -125,8 +125,8 @@ async def get_sparks(
     since the epoch) and ``avg``, about 120 points."""
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
-    asked = [named_question(history, name, span, SPARK_POINTS) for name in series]
-    found = await history.query(asked)
+    requested = [named_series_query(history, name, span, SPARK_POINTS) for name in series]
+    found = await history.query(requested)
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
 
 
@@ -185,5 +185,5 @@ async def get_export(
 
     ``resolution`` auto: values if they are stored for the complete span, else minutes.
     """
-    asked = questions(history, series, Span(span.start, span.end), 1)
-    return await download.response(history, asked, file, resolution)
+    requested = series_queries(history, series, Span(span.start, span.end), 1)
+    return await download.response(history, requested, file, resolution)

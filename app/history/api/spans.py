@@ -90,7 +90,7 @@ async def wanted_points(points: int = 1000) -> int:
 PointsOf = Annotated[int, Depends(wanted_points)]
 
 
-def question(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
+def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
     """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
     settings = _bus(history, bus)
     if all(known.id != unit for known in settings.unit):
@@ -100,21 +100,21 @@ def question(history: History, bus: str, unit: int, value: str, span: Span, most
     return SeriesQuery(settings, unit, VALUES[value], span.start, span.end, most)
 
 
-def named_question(history: History, name: str, span: Span, most: int) -> SeriesQuery:
+def named_series_query(history: History, name: str, span: Span, most: int) -> SeriesQuery:
     """The same from ``bus/unit/value``, as the trends page writes it."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
     number = parse_integer(unit)
     if number is None:
         raise Problem(422, "invalid", Message.of("series_malformed", example="dry-end/1/actual", text=name))
-    return question(history, bus, number, value, span, most)
+    return series_query(history, bus, number, value, span, most)
 
 
-def questions(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
+def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
     """Several. Raises Problem."""
     if not 1 <= len(names) <= MOST_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))
-    return [named_question(history, name, span, most) for name in names]
+    return [named_series_query(history, name, span, most) for name in names]
 
 
 def _bus(history: History, bus: str) -> BusSettings:

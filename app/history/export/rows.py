@@ -49,7 +49,7 @@ class ExportRow(NamedTuple):
 class Table:
     """What an export holds: its columns, and how fine it is."""
 
-    questions: Sequence[SeriesQuery]
+    queries: Sequence[SeriesQuery]
     fineness: Fineness
     time_zone: str
 
@@ -57,27 +57,27 @@ class Table:
     def columns(self) -> list[str]:
         """A name for each column: what, then in what it is measured."""
         parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
-        return [f"{_name(q)}{part}{_measure(q)}" for q in self.questions for part in parts]
+        return [f"{_name(q)}{part}{_measure(q)}" for q in self.queries for part in parts]
 
 
-def _name(question: SeriesQuery) -> str:
-    return f"{question.bus.name}/{question.unit} {question.value.name}"
+def _name(query: SeriesQuery) -> str:
+    return f"{query.bus.name}/{query.unit} {query.value.name}"
 
 
-def _measure(question: SeriesQuery) -> str:
-    measure = labels.measure(labels.unit_settings(question.bus, question.unit), question.value)
+def _measure(query: SeriesQuery) -> str:
+    measure = labels.measure(labels.unit_settings(query.bus, query.unit), query.value)
     return f" [{measure}]" if measure else ""
 
 
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
     """All rows in order of time, piece by piece; each piece is its own short read of the store."""
-    start, end, step = table.questions[0].start, table.questions[0].end, PIECE[table.fineness]
+    start, end, step = table.queries[0].start, table.queries[0].end, PIECE[table.fineness]
     begun, ended = await history.read(_extent)
     since, end = max(start, begun), min(end, ended)
     last_until: dict[tuple[str, int], int] = {}
     while since < end:
         until = min(end, since - since % step + step)
-        part = [replace(q, start=since, end=until) for q in table.questions]
+        part = [replace(q, start=since, end=until) for q in table.queries]
         damaged: list[BlockKey] = []
         read = partial(_rows, table=table, part=part, last_until=last_until, damaged=damaged)
         yield await history.read(read)
@@ -147,13 +147,13 @@ def _reading_rows(
     if not runs:
         return
     holes = _holes(source, first, last_until.get(unit), runs)
-    scales = {place: scale_of(source, question) for place, question in wanted}
+    scales = {place: scale_of(source, query) for place, query in wanted}
     for position, run in enumerate(runs):
         if position in holes:
             yield ExportRow(holes[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
         cells: list[Cell | None] = [None] * width
-        for place, question in wanted:
-            cells[place] = _cell(question, run, scales[place].at(run.at))
+        for place, query in wanted:
+            cells[place] = _cell(query, run, scales[place].at(run.at))
         yield ExportRow(run.at, tuple(cells))
         if run.until > run.at:
             yield ExportRow(run.until, tuple(cells))
@@ -161,11 +161,11 @@ def _reading_rows(
 
 
 def _holes(
-    source: unit_history.StoredUnit, question: SeriesQuery, before: int | None, runs: Sequence[Run]
+    source: unit_history.StoredUnit, query: SeriesQuery, before: int | None, runs: Sequence[Run]
 ) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
-    bus = tables.find_unit(source.connection, question.bus.name, BUS)
+    bus = tables.find_unit(source.connection, query.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
     marks = tables.link_marks(source.connection, keys, ends[0], ends[-1])
     usual = usual_interval(runs)
@@ -173,10 +173,10 @@ def _holes(
     return {(i + 1) // 2 - offset: ends[i] + 1 for i in holes(ends, marks, usual) if i % 2}
 
 
-def _cell(question: SeriesQuery, run: Run, scale: LinearScale) -> Cell:
-    raw: int = getattr(run, question.value.column)
-    if question.value.bit >= 0:
-        raw = raw >> question.value.bit & 1
+def _cell(query: SeriesQuery, run: Run, scale: LinearScale) -> Cell:
+    raw: int = getattr(run, query.value.column)
+    if query.value.bit >= 0:
+        raw = raw >> query.value.bit & 1
     return Cell(scale.apply(raw), scale.decimals)
 
 
@@ -186,9 +186,9 @@ def _rollup_rows(
     width: int,
     fineness: Literal["minutes", "hours"],
 ) -> Iterator[ExportRow]:
-    for place, question in wanted:
-        points = unit_history.rollups(source, fineness, question.value, question.start, question.end)
-        scales = scale_of(source, question)
+    for place, query in wanted:
+        points = unit_history.rollups(source, fineness, query.value, query.start, query.end)
+        scales = scale_of(source, query)
         columns = (points.at, points.least, points.greatest, points.total, points.weight)
         for at, least, greatest, total, weight in zip(*columns, strict=True):
             scale = scales.at(at)

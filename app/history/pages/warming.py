@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from app.errors import Problem, StoreError
-from app.history.api.spans import Span, questions
+from app.history.api.spans import Span, series_queries
 from app.history.pages.preload import usual_series
 from app.history.series.runs import DAY, micros
 from app.history.service import History
@@ -35,6 +35,6 @@ async def _query_a_day(history: History) -> None:
     now = micros(unix_now())
     names = usual_series(history)
     try:
-        await history.query(questions(history, names, Span(now - DAY, now), POINTS))
+        await history.query(series_queries(history, names, Span(now - DAY, now), POINTS))
     except (Problem, StoreError):
         return

@@ -51,40 +51,38 @@ class QueryResult:
     """Blocks that could not be read: what they held is missing."""
 
 
-def run_query(connection: tables.StoreConnection, tail: Tail, question: SeriesQuery) -> QueryResult:
+def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
-    key = tables.find_unit(connection, question.bus.name, question.unit)
+    key = tables.find_unit(connection, query.bus.name, query.unit)
     if key is None:
         return QueryResult(Series())
-    recent = tail.runs(key, question.start, question.end)
+    recent = tail.runs(key, query.start, query.end)
     with tables.standing_still(connection):
-        return _run(unit_history.StoredUnit(connection, key, recent), question)
+        return _run(unit_history.StoredUnit(connection, key, recent), query)
 
 
-def _run(source: unit_history.StoredUnit, question: SeriesQuery) -> QueryResult:
-    bus = tables.find_unit(source.connection, question.bus.name, BUS)
+def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
+    bus = tables.find_unit(source.connection, query.bus.name, BUS)
     keys = [source.unit] if bus is None else [source.unit, bus]
-    marks = tables.link_marks(source.connection, keys, question.start - MARGIN, question.end)
-    resolution, points = _points(source, question, marks)
-    scales = scale_of(source, question)
-    decimals = scales.at(question.end).decimals
+    marks = tables.link_marks(source.connection, keys, query.start - MARGIN, query.end)
+    resolution, points = _points(source, query, marks)
+    scales = scale_of(source, query)
+    decimals = scales.at(query.end).decimals
     return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
 
 
-def scale_of(source: unit_history.StoredUnit, question: SeriesQuery) -> Scaling:
+def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:
     """The scales of a value over all time."""
     steps = tables.parameter_steps(source.connection, source.unit)
-    ratio = question.bus.follower_speed == "ratio"
-    return scaling(question.value, steps, ratio=ratio, estop_healthy=question.bus.estop_healthy)
+    ratio = query.bus.follower_speed == "ratio"
+    return scaling(query.value, steps, ratio=ratio, estop_healthy=query.bus.estop_healthy)
 
 
-def _points(
-    source: unit_history.StoredUnit, question: SeriesQuery, marks: Marks
-) -> tuple[Resolution, Points]:
-    value, start, end, most = question.value, question.start, question.end, question.most
+def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> tuple[Resolution, Points]:
+    value, start, end, most = query.value, query.start, query.end, query.most
     exact: Points | None = None
     if value.kind == "bit":
-        exact = _exact_bits(source, question, marks)
+        exact = _exact_bits(source, query, marks)
         if exact is not None and _fits(exact, marks, most):
             return "readings", exact
     if (
@@ -109,12 +107,12 @@ def _fits(points: Points, marks: Marks, most: int) -> bool:
     return len(points.at) + len(holes_in(points, marks)) <= most
 
 
-def _exact_bits(source: unit_history.StoredUnit, question: SeriesQuery, marks: Marks) -> Points | None:
-    if tables.count_bits(source.connection, source.unit, question.start, question.end) > MOST_INTERVALS:
+def _exact_bits(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> Points | None:
+    if tables.count_bits(source.connection, source.unit, query.start, query.end) > MOST_INTERVALS:
         return None
-    usual = unit_history.usual_of(source, question.end)
-    parts = unit_history.bit_intervals(source, question.value.bit, question.start, question.end)
-    return unit_history.interval_points(intervals(parts, marks, usual), question.start, question.end, usual)
+    usual = unit_history.usual_of(source, query.end)
+    parts = unit_history.bit_intervals(source, query.value.bit, query.start, query.end)
+    return unit_history.interval_points(intervals(parts, marks, usual), query.start, query.end, usual)
 
 
 def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:

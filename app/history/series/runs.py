@@ -40,7 +40,7 @@ COLUMNS = {name: position for position, name in enumerate(Run._fields)}
 
 
 def micros(at: UnixTime) -> int:
-    """Seconds since the epoch as whole µs."""
+    """Convert seconds since the epoch to integer µs."""
     return round(float(at) * SECOND)
 
 

@@ -13,9 +13,9 @@ from bus.messages import Message
 
 
 def suspicion(bus: BusLive, unit: UnitLive) -> Message | None:
-    """Why the values shown for ``unit`` may be another's; None where nothing says so.
+    """Why the values shown for ``unit`` may be another's; None where there is no sign of it.
 
-    It warns and forbids nothing: an address changed at the panel (#17) may hold from the next power-up only.
+    It warns and forbids nothing: an address changed at the panel (#17) may apply from the next power-up only.
     """
     own = unit.parameter_raw(OWN_ADDRESS)
     if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):

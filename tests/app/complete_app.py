@@ -1,4 +1,4 @@
-"""The whole app in this process, with its stores in a folder, and people of each role."""
+"""The complete app in this process, with its stores in a folder, and users of each role."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def settings_in(folder: Path, **site: Any) -> Settings:
 
 @dataclass
 class House:
-    """The app, and whoever asks it."""
+    """The app and its clients."""
 
     app: FastAPI
     services: Services
@@ -41,7 +41,7 @@ class House:
     address: str = "192.0.2.7"
 
     def client(self, **headers: str) -> httpx.AsyncClient:
-        """Somebody's browser; cookies are kept, redirects are not followed."""
+        """Return a browser-like client; cookies are kept, redirects are not followed."""
         transport = httpx.ASGITransport(self.app, client=(self.address, 4711))
         client = httpx.AsyncClient(transport=transport, base_url=f"http://{HOST}", headers=headers)
         self.clients.append(client)
@@ -56,8 +56,8 @@ class House:
         name = name or f"the-{role}"
         await self.add(name, role)
         client = self.client()
-        answer = await client.post("/login", data={"name": name, "password": PASSWORD})
-        assert answer.status_code == 303
+        response = await client.post("/login", data={"name": name, "password": PASSWORD})
+        assert response.status_code == 303
         return client
 
     async def token(self, role: Role) -> str:
@@ -70,14 +70,14 @@ class House:
         return self.client(Authorization=f"Bearer {await self.token(role)}")
 
     async def events(self, kind: str) -> list[dict[str, Any]]:
-        """What the log says of one kind, newest first."""
+        """Return the events of one kind, newest first."""
         from app.audit.store import Filter
 
         return (await self.services.events.page(Filter(kind=kind), 100))[0]
 
 
 @asynccontextmanager
-async def whole_app(
+async def complete_app(
     folder: Path, *, demo: bool = False, server: ServerSettings | None = None, **site: Any
 ) -> AsyncIterator[House]:
     """From start to end, as the server would."""
