@@ -335,24 +335,6 @@ def test_the_next_poll_leaves_before_the_reading_is_reported() -> None:
     run(scene, 4)
 
 
-def test_the_next_poll_leaves_before_the_reading_is_reported() -> None:
-    async def scene(line: VirtualLine) -> None:
-        await settled(line)
-        put, reports = line.worker.outbox.put, []
-
-        def noted(updates: list[Update]) -> None:
-            if any(isinstance(update, Reading) for update in updates):
-                reports.append((line.loop.time(), line.written[-1]))
-            put(updates)
-
-        line.worker.outbox.put = noted  # type: ignore[method-assign]
-        await asyncio.sleep(1)
-        at_once = [at for at, (sent_at, _) in reports if at == sent_at]
-        assert len(at_once) > 0.9 * len(reports) > 20
-
-    run(scene, 4)
-
-
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)

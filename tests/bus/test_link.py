@@ -481,60 +481,6 @@ async def test_neither_a_leftover_nor_a_timeout_is_ordinary() -> None:
     assert not ended.is_ordinary
 
 
-async def test_a_response_that_comes_alone_and_in_time_is_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.answer()
-    assert line.exchanges[-1].result.is_ordinary
-
-
-async def test_what_follows_is_after_the_response_in_the_trace() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    following = line.link.prepare(ReadStatusRequest(2))
-    line.pass_time(25 * BYTE_S)
-    line.link.data_received(encode_reply(STATUS, PLAIN))
-    line.link.send(following)
-    ways = [passed.direction for passed in line.trace.since(0.0)]
-    assert ways == ["out", "in", "out", "in", "out"]
-    line.answer(replace(STATUS, unit=2))
-    assert following.reply == replace(STATUS, unit=2)
-
-
-async def test_a_response_with_which_more_came_is_not_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.pass_time(25 * BYTE_S)
-    line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
-    ended = line.exchanges[-1].result
-    assert ended.exchange.reply == STATUS
-    assert not ended.is_ordinary
-    line.link.account()
-    assert line.roster[1].statistics.counts.foreign == 1
-
-
-async def test_a_response_after_noise_is_not_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.pass_time(20 * BYTE_S)
-    line.link.data_received(b"\x10\x02\x07\x06\x10\x03\x00")
-    line.pass_time(18 * BYTE_S)
-    line.link.data_received(encode_reply(STATUS, PLAIN))
-    ended = line.exchanges[-1].result
-    assert ended.exchange.reply == STATUS
-    assert not ended.is_ordinary
-
-
-async def test_neither_a_leftover_nor_a_timeout_is_ordinary() -> None:
-    line = _paced()
-    line.send(ReadStatusRequest(1))
-    line.gathered = encode_reply(STATUS, PLAIN)
-    line.pass_time(1.0)
-    ended = line.exchanges[-1].result
-    assert ended.exchange.reply is None
-    assert not ended.is_ordinary
-
-
 async def test_a_port_that_takes_nothing_is_lost() -> None:
     line = _paced()
 
