@@ -14,7 +14,7 @@ from tests.e2e.site import Site
 
 VISITS = 5
 PAGES = {"the line page": ("/", ".zero"), "a unit's page": ("/units/line/1", "button[value=now]")}
-"""What is opened, and what is clicked as soon as the page is live: each opens a review."""
+"""The page opened, and the control clicked as soon as the page is live: each opens a review."""
 PRESS_WHEN_LIVE = """selector => {
   const body = () => document.body?.dataset.link === 'live';
   new MutationObserver(() => {

@@ -18,7 +18,7 @@ class Bucket:
     _at: Monotonic = Monotonic(0.0)
 
     def level(self, now: Monotonic) -> float:
-        """What is in it."""
+        """The present content."""
         self._level = max(0.0, self._level - max(0.0, now - self._at) * self.per_s)
         self._at = now
         return self._level

@@ -25,7 +25,7 @@ COMPLETE_SITES = {"e2e", "path"}
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the order of files that xdist hands out with ``--no-loadscope-reorder``."""
+    """Keep the order of files in which xdist distributes them, with ``--no-loadscope-reorder``."""
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 

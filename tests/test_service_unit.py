@@ -169,7 +169,7 @@ def eventually(condition: Callable[[], Any], what: str) -> None:
         time.sleep(0.05)
 
 
-def test_the_service_serves_and_keeps_its_data_where_the_configuration_says(root: Path) -> None:
+def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     text = below(root, CONFIGURATIONS[0]).replace("port = 8000", f"port = {port}")

@@ -127,7 +127,7 @@ class Rights:
         self.rechecks.now()
 
     async def watch(self) -> None:
-        """Run forever: notice what the command line changes in the store."""
+        """Run until canceled: apply what the command line changes in the store."""
         fault = ""
         while True:
             try:

@@ -34,7 +34,7 @@ LONGEST_BODY_S = 300.0
 
 @dataclass(slots=True)
 class Pace:
-    """What is awaited, since when, and how many of its bytes have arrived."""
+    """The awaited part, since when it is awaited, and how many of its bytes have arrived."""
 
     since: float
     awaited: Awaited = Awaited.FIRST

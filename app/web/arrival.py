@@ -2,8 +2,8 @@
 
 Three clocks give it, and the earliest is believed: the server, which stamps each request with the moment at
 which its first byte arrived (app/server/stamping.py), a stall or a start of the server included; a program,
-in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Asked-At`` or, where the browser
-sends the form itself, in the query ``asked_at`` (static/js/review.js).
+in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At`` or, where the
+browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _moment(text: str) -> UnixTime | None:
 
 def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
     """Seconds since the epoch by the server's clock, as sent to the page; None without one."""
-    value = connection.headers.get("lineside-asked-at") or connection.query_params.get("asked_at", "")
+    value = connection.headers.get("lineside-clicked-at") or connection.query_params.get("clicked_at", "")
     with suppress(ValueError, OverflowError):
         at = UnixTime(float(value))
         return at if at == at else None

@@ -1,4 +1,4 @@
-"""What is known of one parameter, and which values it may be given.
+"""One parameter: its evidence, and which values it may be given.
 
 Marks of evidence: A stated in the manual, B stated for the sibling DFS-1 and consistent, C inferred, U
 unknown.

@@ -62,8 +62,8 @@ class UnitLink(TaggedStruct, frozen=True, tag="unit_link"):
 
 
 class BusLink(TaggedStruct, frozen=True, tag="bus_link"):
-    """The port was opened or closed ``at``; ``cause`` says why. Sent a second time, with the same ``at``,
-    when the baud rate changes.
+    """The port was opened or closed ``at``; ``cause`` is the reason. Sent a second time, with the same
+    ``at``, when the baud rate changes.
     """
 
     at: Stamp

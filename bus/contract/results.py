@@ -51,7 +51,7 @@ class UnitOutcome(TaggedStruct, frozen=True, tag="unit_outcome"):
 
 class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
     """What a scan found at one address. ``kind``: digimax, garbled (two units?), foreign, or late where
-    responses come too late to be told apart.
+    responses come too late to be attributed.
     """
 
     unit: UnitId

@@ -149,7 +149,7 @@ function submitted(event) {
   // A page that was just opened has no server time yet; its server has only just responded.
   if (!isLive()) return;
   const url = new URL(form.action);
-  url.searchParams.set("asked_at", clock.now().toFixed(3));
+  url.searchParams.set("clicked_at", clock.now().toFixed(3));
   form.action = url.href;
 }
 
@@ -188,7 +188,7 @@ export function start() {
   document.addEventListener("submit", submitted);
   document.addEventListener("htmx:config:request", (event) => {
     const { ctx } = event.detail;
-    ctx.request.headers["Lineside-Asked-At"] = clock.now().toFixed(3);
+    ctx.request.headers["Lineside-Clicked-At"] = clock.now().toFixed(3);
     if (ctx.sourceElement.matches("[data-once]")) ctx.request.body.set("id", newId());
   });
   document.addEventListener("htmx:before:request", (event) => {

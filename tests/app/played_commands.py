@@ -44,7 +44,7 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 
 @dataclass
 class PlayedCommands:
-    """``memory``: unit → number → raw. ``silent_after``: writes after which no unit responds;
+    """``memory``: unit → number → raw. ``timeout_after``: writes after which no unit responds;
     ``hangs_after``: writes after which the next one gets no result; ``objects``: by parameter the Problem
     with which a write of it is not sent; ``before_write``: called as each write arrives.
     """
@@ -150,7 +150,7 @@ def a_bus() -> LiveState:
     return LiveState([settings], started_at=0.0)
 
 
-def answering(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
+def responding(live: LiveState, commanded: int = 1000, *, run: bool = False, remote: bool = True) -> None:
     """Give both units a reading and all parameters that are needed to show them."""
     outputs, inputs = REMOTE if remote else 0, HEALTHY | (RUN if run else 0)
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])

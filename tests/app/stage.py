@@ -375,7 +375,7 @@ def result_of(command: Command, outcome: str, **more: Any) -> Result:
     return Result(id=command.id, at=time.time(), outcome=outcome, **more)  # type: ignore[arg-type]
 
 
-def answering(outcome: str, **more: Any) -> Play:
+def responding(outcome: str, **more: Any) -> Play:
     """To play every command to the same end."""
 
     async def play(command: Command) -> Sequence[Update]:

@@ -1,4 +1,4 @@
-"""What is abnormal about a unit besides the run conditions, and what is reported once for a bus."""
+"""Abnormal conditions of a unit besides the run conditions, and conditions reported once for a bus."""
 
 from __future__ import annotations
 

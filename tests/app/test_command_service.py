@@ -28,7 +28,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import Message, term
-from tests.app.stage import PlayedWorker, Stage, answering, bus_settings, result_of
+from tests.app.stage import PlayedWorker, Stage, bus_settings, responding, result_of
 
 ANNA = Person("anna", Role.OPERATOR, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
@@ -71,7 +71,7 @@ async def test_an_outcome_that_cannot_be_stored_is_returned(
     async def full(*_: object) -> None:
         raise StoreError(Message.of("system_error", error="the disk is full"))
 
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
     assert (await stage.commands.send(ANNA, COMMAND)).outcome == "verified"
 
@@ -156,7 +156,7 @@ async def test_what_changes_after_the_check_is_seen_before_the_command_is_sent(
     async def keep(*_: object, **__: object) -> None:
         reasons.append(await cause(stage))
 
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     stage.commands.on_write(keep)
     result = await stage.commands.send(ANNA, WriteParameter(unit=2, number=6, raw=50))
     assert (result.outcome, str(result.message)) == ("not_sent", reasons[0])

@@ -29,13 +29,13 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.messages import term
-from tests.app.stage import PlayedWorker, Stage, answering, reading, result_of, snapshot, unit_state
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, snapshot, unit_state
 
 
 @pytest.fixture
 async def worker(worker: PlayedWorker) -> PlayedWorker:
     """Every unit takes everything."""
-    worker.play = answering("verified", read_back=1)
+    worker.play = responding("verified", read_back=1)
     return worker
 
 
@@ -188,7 +188,7 @@ async def test_a_bus_there_is_not(stage: Stage) -> None:
 async def test_each_outcome_has_its_status(
     stage: Stage, worker: PlayedWorker, outcome: str, status: int
 ) -> None:
-    worker.play = answering(outcome, message=term("as it was"))
+    worker.play = responding(outcome, message=term("as it was"))
     response = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert response.status_code == status
     result = response.json()
@@ -200,7 +200,7 @@ async def test_each_outcome_has_its_status(
 
 
 async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("refused", unit_error=128)
+    worker.play = responding("refused", unit_error=128)
     response = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert response.status_code == 409
     result = response.json()
@@ -220,7 +220,7 @@ async def test_a_line_action_returns_each_unit_with_frames(stage: Stage, worker:
         data=b"\x10\x02\x00\x83\x10\x03\x7d",
         meanings=[term("execute, all")],
     )
-    worker.play = answering("unverified", units=units, skew_s=0.02, frames=[frame])
+    worker.play = responding("unverified", units=units, skew_s=0.02, frames=[frame])
     response = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
     result = response.json()
     assert response.status_code == 504
@@ -292,7 +292,7 @@ async def test_a_value_reads_the_decimals_first_where_they_are_not_known(stage: 
 
 async def test_a_value_for_a_unit_that_does_not_respond_is_unverified_and_not_sent(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(units=[unit_state(1, {}), unit_state(2), unit_state(16)]))
-    worker.play = answering("unverified", message=term("no response"))
+    worker.play = responding("unverified", message=term("no response"))
     response = await stage.request("POST", "/units/1/speed", {"value": "12.3"})
     assert response.status_code == 504
     assert "nothing was sent" in response.json()["detail"]
@@ -327,7 +327,7 @@ async def test_parameters_as_last_read_and_refreshed(stage: Stage, worker: Playe
 
 
 async def test_a_refresh_that_breaks_off_is_no_list(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("unverified", message=term("no response"))
+    worker.play = responding("unverified", message=term("no response"))
     response = await stage.request("GET", "/units/1/parameters?refresh=true")
     assert response.status_code == 504
     assert response.json()["code"] == "unverified"
@@ -340,7 +340,7 @@ async def test_the_password_is_in_no_response_and_no_event(stage: Stage, worker:
         data=b"\x00\x00\x10\x92",
         meanings=[term("write #21 = 4242")],
     )
-    worker.play = answering("verified", read_back=4242, frames=[frame])
+    worker.play = responding("verified", read_back=4242, frames=[frame])
     response = await stage.request("PUT", "/units/1/parameters/21", {"raw": 4242})
     assert response.status_code == 200
     assert "4242" not in response.text
@@ -363,7 +363,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
     stage: Stage, worker: PlayedWorker
 ) -> None:
     units = [UnitOutcome(unit=1, outcome="verified"), UnitOutcome(unit=2, outcome="unverified")]
-    worker.play = answering("unverified", units=units, message=term("unit 2 did not respond"))
+    worker.play = responding("unverified", units=units, message=term("unit 2 did not respond"))
     await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 1100}, "2": {"raw": 1200}}})
     events = (await stage.http().get("/api/v1/events?kind=command")).json()["events"]
     result = [(event["unit"], event["old"], event["new"], event["outcome"]) for event in reversed(events)]

@@ -16,13 +16,13 @@ from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS
 from tests.app.complete_app import House, complete_app
-from tests.app.played_commands import ANNA, a_bus, answering
+from tests.app.played_commands import ANNA, a_bus, responding
 
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        answering(house.services.live)
+        responding(house.services.live)
         yield house
 
 

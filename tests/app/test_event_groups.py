@@ -19,7 +19,7 @@ from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
-from tests.app.stage import PlayedWorker, Stage, answering
+from tests.app.stage import PlayedWorker, Stage, responding
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ async def test_a_page_has_room_for_so_many_units_and_no_more(house: House) -> No
 async def test_a_command_to_several_units_is_written_as_one_change(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     await stage.request("POST", "/units/1/speed", {"raw": 90, "execute": True})
     await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
     found, _ = await groups.page(stage.events, Filter(kind="command"), 10)

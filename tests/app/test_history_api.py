@@ -39,13 +39,13 @@ from tests.app.history_line import BUS, NOON, parameter, polls, until
 
 
 class AsViewer:
-    """Makes every request that of a viewer, or without an account by the header X-Nobody."""
+    """Makes every request that of a viewer, or without an account by the header X-Anonymous."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if b"x-nobody" not in dict(scope.get("headers", [])):
+        if b"x-anonymous" not in dict(scope.get("headers", [])):
             scope["person"] = Person("viewer", Role.VIEWER, "token")
         await self.app(scope, receive, send)
 
@@ -178,7 +178,7 @@ async def test_an_unescaped_plus_is_understood(client: httpx.AsyncClient, histor
 
 
 async def test_an_anonymous_client_is_refused(client: httpx.AsyncClient) -> None:
-    assert (await client.get("/history", params=query(), headers={"X-Nobody": "1"})).status_code == 401
+    assert (await client.get("/history", params=query(), headers={"X-Anonymous": "1"})).status_code == 401
 
 
 async def test_several_values_come_together(client: httpx.AsyncClient, history: History) -> None:

@@ -1,4 +1,4 @@
-"""What is ready before the first page request."""
+"""Data prepared before the first page request."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from app.live.command_ids import key_of
 from app.web.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
-from tests.app.stage import PlayedWorker, Stage, answering, result_of
+from tests.app.stage import PlayedWorker, Stage, responding, result_of
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
@@ -30,7 +30,7 @@ def restarted(stage: Stage) -> CommandService:
 
 
 async def test_a_known_result_is_repeated_and_nothing_is_sent(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("refused", unit_error=129, message=term("value above max"))
+    worker.play = responding("refused", unit_error=129, message=term("value above max"))
     first = await stage.commands.send(ANNA, COMMAND, id="mine")
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.unit_error, again.message) == ("refused", 129, term("value above max"))
@@ -54,7 +54,7 @@ async def test_what_was_open_at_the_restart_is_unverified_and_not_sent_again(
 async def test_an_id_of_another_command_is_refused_after_a_restart_too(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     await stage.commands.send(ANNA, COMMAND, id="mine")
     with pytest.raises(Problem) as refused:
         await restarted(stage).send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
@@ -65,7 +65,7 @@ async def test_an_id_of_another_command_is_refused_after_a_restart_too(
 async def test_a_command_refused_before_sending_may_be_repeated(stage: Stage, worker: PlayedWorker) -> None:
     dangerous = WriteParameter(unit=1, number=19, raw=0)
 
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     with pytest.raises(Problem):
         await stage.commands.send(ANNA, dangerous, id="mine")
     confirmed = await restarted(stage).send(ANNA, dangerous, confirm=True, id="mine")
@@ -85,9 +85,9 @@ SENDERS = [
 @pytest.mark.parametrize("other", SENDERS)
 async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, other: Person) -> None:
     """Two who count their commands from 1 neither hinder each other nor see what became of the other's."""
-    worker.play = answering("verified", read_back=5)
+    worker.play = responding("verified", read_back=5)
     await stage.commands.send(ANNA, COMMAND, id="1")
-    worker.play = answering("refused", unit_error=129)
+    worker.play = responding("refused", unit_error=129)
     for commands in (stage.commands, restarted(stage)):
         first = await commands.send(other, SetSpeed(unit=2, raw=7), id="1")
         assert (first.id, first.outcome, first.read_back) == ("1", "refused", None)
@@ -98,7 +98,7 @@ async def test_a_key_is_its_senders_own(stage: Stage, worker: PlayedWorker, othe
 
 async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, worker: PlayedWorker) -> None:
     """It repeats the result of an id that it knows: another sender's, or last week's."""
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     for person in (ANNA, *SENDERS):
         await stage.commands.send(person, COMMAND, id="1")
     await stage.database.write(lambda connection: connection.execute("DELETE FROM idempotency"))
@@ -108,7 +108,7 @@ async def test_no_two_commands_have_the_same_id_at_the_worker(stage: Stage, work
 
 
 async def test_two_requests_with_one_key_at_once_are_one_command(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("verified", read_back=5)
+    worker.play = responding("verified", read_back=5)
     sending = [stage.commands.send(ANNA, COMMAND, id="mine") for _ in range(5)]
     other = stage.commands.send(ANNA, SetSpeed(unit=1, raw=6), id="mine")
     *same, refused = await asyncio.gather(*sending, other, return_exceptions=True)
@@ -125,7 +125,7 @@ async def test_a_command_that_could_not_be_recorded_may_be_repeated(
     async def full(*_: object, **__: object) -> list[int]:
         raise StoreError(Message.of("system_error", error="the disk is full"))
 
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     monkeypatch.setattr(stage.events, "intend_together", full)
     with pytest.raises(StoreError):
         await stage.commands.send(ANNA, COMMAND, id="mine")
@@ -137,7 +137,7 @@ async def test_a_command_that_could_not_be_recorded_may_be_repeated(
 async def test_the_order_of_the_setpoints_is_not_part_of_the_command(
     stage: Stage, worker: PlayedWorker
 ) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     await stage.commands.send(ANNA, SetLine(setpoints={1: 5, 2: 6}), id="mine")
     await restarted(stage).send(ANNA, SetLine(setpoints={2: 6, 1: 5}), id="mine")
     assert len(worker.commands) == 1
@@ -198,7 +198,7 @@ async def test_a_sender_with_many_keys_forgets_its_own_oldest(
 
 
 async def test_a_command_without_a_key_is_not_kept(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     for key in (None, ""):
         for _ in range(2):
             await stage.commands.send(ANNA, COMMAND, id=key)
@@ -218,7 +218,7 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
 
 
 async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     await stage.commands.send(ANNA, COMMAND, id="mine")
     await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = x'7b'"))
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
@@ -227,7 +227,7 @@ async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: 
 
 
 async def test_a_newer_key_of_the_log_forgets_no_command(stage: Stage, worker: PlayedWorker) -> None:
-    worker.play = answering("verified")
+    worker.play = responding("verified")
     await stage.commands.send(ANNA, COMMAND, id="mine")
     stage.events.keys.rotate()
     assert (await restarted(stage).send(ANNA, COMMAND, id="mine")).outcome == "verified"

@@ -20,7 +20,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 @pytest.mark.parametrize(
-    ("wished", "accepted", "otherwise", "chosen"),
+    ("requested", "accepted", "otherwise", "chosen"),
     [
         ("", "", "en", "en"),
         ("", "", "de", "de"),
@@ -33,8 +33,8 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
         ("xx", "de", "en", "de"),
     ],
 )
-def test_which_language(wished: str, accepted: str, otherwise: str, chosen: str) -> None:
-    assert Languages().choose(wished, accepted, otherwise).tag == chosen
+def test_which_language(requested: str, accepted: str, otherwise: str, chosen: str) -> None:
+    assert Languages().choose(requested, accepted, otherwise).tag == chosen
 
 
 async def test_the_browsers_language_and_then_ones_own(house: House) -> None:

@@ -18,7 +18,7 @@ from app.main import create_app
 from app.web.schema import openapi_document
 from bus.contract import UnitOutcome
 from tests.app.complete_app import settings_in
-from tests.app.stage import PlayedWorker, Stage, answering
+from tests.app.stage import PlayedWorker, Stage, responding
 
 PACKAGE = "lineside_client"
 NAMES = Path(__file__).parent / "openapi_names.txt"
@@ -91,7 +91,7 @@ async def test_it_reads_the_line(client: Generated) -> None:
 
 
 async def test_it_reads_parameters_and_events(client: Generated, worker: PlayedWorker) -> None:
-    worker.play = answering("verified", read_back=250)
+    worker.play = responding("verified", read_back=250)
     parameters = await client.call("commands.get_parameters", BUS, 1)
     assert len(parameters) == 40
     assert parameters[1].raw == 20000
@@ -103,7 +103,7 @@ async def test_it_reads_parameters_and_events(client: Generated, worker: PlayedW
 @pytest.mark.parametrize("outcome", ["verified", "acknowledged"])
 async def test_a_command_that_was_carried_out(client: Generated, worker: PlayedWorker, outcome: str) -> None:
     parts = [UnitOutcome(unit=1, outcome=outcome, sent_at=1.0, attempts=1)]  # type: ignore[arg-type]
-    worker.play = answering(outcome, read_back=250, units=parts)
+    worker.play = responding(outcome, read_back=250, units=parts)
     result = await client.set_speed(250, execute=outcome == "verified")
     assert isinstance(result, client.models.CommandResult)
     assert result.outcome == client.models.Outcome(outcome)
@@ -126,7 +126,7 @@ REFUSED = {"unit_error": 128, "units": [UnitOutcome(unit=1, outcome="refused", u
 async def test_a_command_that_was_not(
     client: Generated, worker: PlayedWorker, outcome: str, status: int, more: dict[str, Any]
 ) -> None:
-    worker.play = answering(outcome, **more)
+    worker.play = responding(outcome, **more)
     problem = await client.set_speed(250)
     assert isinstance(problem, client.models.Problem)
     assert (problem.status, problem.code) == (status, client.models.ProblemCode(outcome))
@@ -162,7 +162,7 @@ async def test_members_that_are_never_sent(client: Generated, worker: PlayedWork
 
 
 async def test_a_body_that_may_be_left_out(client: Generated, worker: PlayedWorker) -> None:
-    worker.play = answering("acknowledged")
+    worker.play = responding("acknowledged")
     for operation, path in (("execute_speed", (BUS, 1)), ("execute_all_speeds", (BUS,))):
         result = await client.call(f"commands.{operation}", *path)
         assert isinstance(result, client.models.CommandResult)
@@ -183,7 +183,7 @@ async def test_who_may_not(package: ModuleType, stage: Stage, role: str, status:
 
 async def test_a_change_of_many_units(client: Generated, worker: PlayedWorker) -> None:
     parts = [UnitOutcome(unit=unit, outcome="verified", read_back=unit) for unit in (1, 2)]
-    worker.play = answering("verified", units=parts, skew_s=0.001)
+    worker.play = responding("verified", units=parts, skew_s=0.001)
     setpoints = client.models.SpeedsRequestSetpoints.from_dict({"1": {"raw": 1}, "2": {"value": "0.2"}})
     result = await client.call(
         "commands.set_speeds", BUS, body=client.models.SpeedsRequest(setpoints=setpoints)

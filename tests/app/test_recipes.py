@@ -15,7 +15,7 @@ from app.recipes.store import RecipeStore
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
-from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, answering, fresh
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, fresh, responding
 
 
 class Scene:
@@ -34,7 +34,7 @@ def scene(tmp_path: Path) -> Scene:
 
 
 async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     one = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     two = await scene.book.save(ANNA, "dry-end", "Kraft 80", "faster", {1: 1300})
     assert (one.version, two.version) == (1, 2)
@@ -50,7 +50,7 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
 
 async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.recipes.book.MOST_RECIPES", 2)
-    answering(scene.live)
+    responding(scene.live)
     for name in ("one", "two", "two"):
         await scene.book.save(ANNA, "dry-end", name, "", {1: 1200})
     with pytest.raises(Problem, match="2 recipes in use"):
@@ -65,7 +65,7 @@ async def test_a_unit_whose_mode_was_never_read_cannot_be_in_a_recipe(scene: Sce
 
 
 async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) -> None:
-    answering(scene.live, commanded=1000)
+    responding(scene.live, commanded=1000)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 0})
     run = scene.book.try_out(ANNA, recipe)
     assert run.loadable
@@ -89,9 +89,9 @@ async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) 
 async def test_obstacles_are_reported_and_nothing_is_sent(
     scene: Scene, raw: int, remote: bool, mode: int, error: str
 ) -> None:
-    answering(scene.live)
+    responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: raw})
-    answering(scene.live, remote=remote)
+    responding(scene.live, remote=remote)
     scene.live.buses["dry-end"].apply([ParameterValue(unit=2, number=8, at=2.0, raw=mode)])
     with pytest.raises(Problem, match=error):
         await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
@@ -99,7 +99,7 @@ async def test_obstacles_are_reported_and_nothing_is_sent(
 
 
 async def test_a_refusal_states_once_that_nothing_was_sent(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100, 2: 95000})
     with pytest.raises(Problem) as refused:
         await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id=None)
@@ -107,7 +107,7 @@ async def test_a_refusal_states_once_that_nothing_was_sent(scene: Scene) -> None
 
 
 async def test_a_recipe_is_not_loaded_to_a_line_that_does_not_respond(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 100})
     scene.live.buses["dry-end"].lose_worker(5.0)
     run = scene.book.try_out(ANNA, recipe)
@@ -116,14 +116,14 @@ async def test_a_recipe_is_not_loaded_to_a_line_that_does_not_respond(scene: Sce
 
 
 async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     assert scene.commands.sent == [SetLine(setpoints={1: 1200, 2: 1210})]
     loaded = scene.book.loaded("dry-end")
     assert loaded is not None
     assert loaded.recipe.id == recipe.id
-    answering(scene.live, commanded=1200)
+    responding(scene.live, commanded=1200)
     assert [(one.unit, one.recipe, str(one.now)) for one in scene.book.departed("dry-end")] == [
         (2, "121.0", "120.0")
     ]
@@ -131,14 +131,14 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
 
 
 async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})
     await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     live = a_bus()
     again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
     await again.load_marks()
     assert again.loaded_words("dry-end") == ("Kraft 80", [])
-    answering(live, commanded=1200)
+    responding(live, commanded=1200)
     assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
     del live.buses["dry-end"].units[2]
     assert [(one.name, one.now) for one in again.departed("dry-end")] == [
@@ -148,7 +148,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
 
 
 async def test_the_dry_run_explains_what_will_happen(scene: Scene) -> None:
-    answering(scene.live, commanded=1000)
+    responding(scene.live, commanded=1000)
     scene.live.buses["dry-end"].apply(
         [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()],
     )
@@ -161,7 +161,7 @@ async def test_the_dry_run_explains_what_will_happen(scene: Scene) -> None:
 
 
 async def test_a_ratio_read_before_the_recipe_was_loaded_is_no_departure(scene: Scene) -> None:
-    answering(scene.live)
+    responding(scene.live)
     follower = [ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in FOLLOWER.items()]
     scene.live.buses["dry-end"].apply(follower)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {2: 10100})
@@ -205,7 +205,7 @@ def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:
 def test_a_recipe_begins_from_the_setpoints_that_are_known() -> None:
     live = a_bus()
     assert setpoints_now(live.buses["dry-end"].units.values()) == ()
-    answering(live, commanded=1000)
+    responding(live, commanded=1000)
     follower = [
         ParameterValue(unit=2, number=number, at=2.0, raw=raw) for number, raw in ((8, 1), (37, 9900))
     ]

@@ -16,7 +16,7 @@ from app.commands.safeguards.limits import Limits
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import House, complete_app
-from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, answering, fresh
+from tests.app.played_commands import ANNA, HEALTHY, REMOTE, RUN, fresh, responding
 
 NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S)
 
@@ -25,7 +25,7 @@ NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     """Two units that run in REMOTE at 100.0 of 2000.0; only the first has a label for its unit, m/min."""
     async with complete_app(tmp_path) as house:
-        answering(house.services.live, run=True)
+        responding(house.services.live, run=True)
         await house.signed_in(Role.OPERATOR)
         yield house
 

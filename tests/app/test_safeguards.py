@@ -13,7 +13,7 @@ from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.limits import NO_LIMITS, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
-from tests.app.stage import PlayedWorker, Stage, answering, reading, result_of, staged
+from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:
 
 async def test_what_did_not_move_does_not_count(stage: Stage) -> None:
     worker = await stage.worker()
-    worker.play = answering("refused", unit_error=128)
+    worker.play = responding("refused", unit_error=128)
     await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
     assert await speed(stage, 1100) == (409, "refused")
     assert await speed(stage, 1100) == (409, "refused")

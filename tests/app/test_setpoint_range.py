@@ -20,7 +20,7 @@ from app.live.state.bus_live import UnitLive
 from app.web.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
-from tests.app.played_commands import ANNA, a_bus, answering
+from tests.app.played_commands import ANNA, a_bus, responding
 from tests.app.stage import PlayedWorker, Stage, result_of, snapshot, unit_state
 
 TO = "\N{EN DASH}"
@@ -103,7 +103,7 @@ def test_what_has_to_be_read_first(
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     """Two units, 0 to 2000.0 (#2, one decimal), at 100.0."""
     async with complete_app(tmp_path) as house:
-        answering(house.services.live)
+        responding(house.services.live)
         yield house
 
 

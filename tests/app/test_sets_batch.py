@@ -10,12 +10,12 @@ from app.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import NO_RAMP
 from bus.contract import ParameterValue
 from bus.messages import Message
-from tests.app.played_commands import ANNA, PlayedCommands, a_bus, answering, factory
+from tests.app.played_commands import ANNA, PlayedCommands, a_bus, factory, responding
 
 
 def line(*, run: bool) -> LiveState:
     live = a_bus()
-    answering(live, run=run)
+    responding(live, run=run)
     return live
 
 

@@ -19,7 +19,7 @@ from app.sets.restore_store import RestoreStore
 from app.sets.selection import Selection
 from bus.contract import WriteParameter
 from bus.messages import Message
-from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, answering, factory
+from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
@@ -31,7 +31,7 @@ def rows(values: dict[int, int]) -> UnitRows:
 class Scene:
     def __init__(self, database: Database, **commands: object) -> None:
         self.live = live = a_bus()
-        answering(live)
+        responding(live)
         self.commands = PlayedCommands(live, {1: factory(), 2: factory()}, **commands)  # type: ignore[arg-type]
         self.events = Noted()
         reader = ParameterReader(live.buses["dry-end"], self.commands)  # type: ignore[arg-type]
@@ -185,7 +185,7 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
 async def test_a_unit_in_local_is_reported_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.commands.memory[2][19] = 0
-    answering(scene.live, remote=False)
+    responding(scene.live, remote=False)
     restore = await scene.run()
     assert scene.commands.written == []
     assert {left.number for left in restore.left_out if left.later} == set(WANTED)
@@ -254,7 +254,7 @@ async def test_a_unit_that_is_started_meanwhile_is_not_changed_unreviewed(a_scen
 
     def press_run(action: WriteParameter) -> None:
         if action.number == 6:
-            answering(scene.live, run=True)
+            responding(scene.live, run=True)
 
     scene.commands.before_write = press_run
     restore = await scene.run({2: 1, 6: 50, 7: 60, 12: 7})
@@ -269,7 +269,7 @@ async def test_a_unit_that_is_started_meanwhile_is_not_changed_unreviewed(a_scen
 
 async def test_a_unit_that_ran_at_the_review_may_go_on_running(a_scene: SetsScene) -> None:
     scene = a_scene()
-    answering(scene.live, run=True)
+    responding(scene.live, run=True)
     restore = await scene.run()
     assert (restore.running, restore.state) == (True, "equal")
 

@@ -143,7 +143,7 @@ async def test_the_parts_of_a_form_are_decoded_by_no_codec_of_the_senders_choice
         ("hx-current-url", "http://" + "@:" * 15_000, 401),
         ("origin", "http://" + "[" * 30_000, 403),
         ("host", "[" * 30_000, 401),
-        ("lineside-asked-at", "9" * 30_000, 401),
+        ("lineside-clicked-at", "9" * 30_000, 401),
     ],
 )
 async def test_no_header_costs_more_than_its_length(house: House, name: str, value: str, status: int) -> None:

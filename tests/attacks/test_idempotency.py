@@ -10,7 +10,7 @@ from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Result, WriteParameter
-from tests.app.stage import Stage, answering, staged
+from tests.app.stage import Stage, responding, staged
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 
@@ -24,7 +24,7 @@ async def test_another_password_with_the_same_key_is_not_verified(tmp_path: Path
     """The value of #21 was left out of what was compared after a restart: it was *verified*, unwritten."""
     async with staged(tmp_path) as stage:
         worker = await stage.worker()
-        worker.play = answering("verified", read_back=1234)
+        worker.play = responding("verified", read_back=1234)
         assert (await _send(stage.commands, 1234)).outcome == "verified"
         commands = _restarted(stage) if restarts else stage.commands
         with pytest.raises(Problem) as refused:

@@ -14,8 +14,8 @@ from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
-from tests.app.played_commands import answering as answering_units
-from tests.app.stage import PlayedWorker, Stage, answering, staged
+from tests.app.played_commands import responding as answering_units
+from tests.app.stage import PlayedWorker, Stage, responding, staged
 
 WRITES = [
     ("POST", "/units/1/speed", {"raw": 5}),
@@ -46,7 +46,7 @@ async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
 async def worker(stage: Stage) -> PlayedWorker:
     """Every unit takes everything."""
     played = await stage.worker()
-    played.play = answering("verified", read_back=1)
+    played.play = responding("verified", read_back=1)
     return played
 
 
@@ -206,7 +206,7 @@ async def test_of_every_route_that_writes(house: House) -> None:
     assert len(writes) > 50
     in_time = []
     for method, path in sorted(writes):
-        for headers in (sent(60), {"Lineside-Asked-At": "1.0"}):
+        for headers in (sent(60), {"Lineside-Clicked-At": "1.0"}):
             url = _filled_in(path, recipe.id)
             response = await browser.request(method, url, json=BODIES.get(url, {}), headers=headers)
             if response.status_code != 503 or "too late" not in response.text:

@@ -102,7 +102,9 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
             stack.callback(opened.close)
             page = opened.new_page()
             page.on("pageerror", lambda error: complaints.append(str(error)))
-            page.on("console", lambda said: complaints.append(said.text) if is_complaint(said) else None)
+            page.on(
+                "console", lambda message: complaints.append(message.text) if is_complaint(message) else None
+            )
             return page
 
         yield open_page
@@ -111,19 +113,21 @@ def browser_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[O
     assert [text for text in complaints if not any(part in text for part in allowed)] == []
 
 
-def is_complaint(said: Any) -> bool:
+def is_complaint(message: Any) -> bool:
     """An error or a broken content policy; a failed request is the page's business, not the console's."""
-    return said.type == "error" and not any(words in said.text for words in REQUEST_FAILED)
+    return message.type == "error" and not any(words in message.text for words in REQUEST_FAILED)
 
 
 def signed_in(browser: Browser, site: Site, role: str) -> Any:
     """Return the cookies of a role, requested once for each site: signing in is slow on purpose."""
     if role not in site.sessions:
         context: BrowserContext = browser.new_context(base_url=site.url)
-        answer = context.request.post(
+        response = context.request.post(
             "/login", form={"name": role, "password": PASSWORD}, headers={"Origin": site.url}, max_redirects=0
         )
-        assert answer.status in (200, 204, 303), f"{role} could not sign in: {answer.status} {answer.text()}"
+        assert response.status in (200, 204, 303), (
+            f"{role} could not sign in: {response.status} {response.text()}"
+        )
         site.sessions[role] = context.storage_state()
         context.close()
     return site.sessions[role]

@@ -169,7 +169,7 @@ class Site:
             stderr=self.log,
             env={**os.environ, **self.environment},
         )
-        eventually(self._answers, f"an answer from {self.url}", within=START_S)
+        eventually(self._responds, f"a response from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:
         """Until every unit has been read, and its decimals are known: of many, one after the other."""
@@ -214,19 +214,19 @@ class Site:
             shown: dict[str, Any] = client.get(f"/buses/{bus}/units/{number}").json()
             return shown
 
-    def _answers(self) -> bool:
+    def _responds(self) -> bool:
         assert self.server is not None
         if self.server.poll() is not None:
             raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
         # A light client: it polls fifty times a second while the server starts, and that is measured.
-        asked = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
+        connection = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
-            asked.request("GET", "/healthz")
-            return asked.getresponse().status == 200
+            connection.request("GET", "/healthz")
+            return connection.getresponse().status == 200
         except (OSError, HTTPException):
             return False
         finally:
-            asked.close()
+            connection.close()
 
     def _all_read(self) -> bool:
         with self.api() as client:

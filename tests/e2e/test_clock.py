@@ -73,9 +73,9 @@ def test_charts_end_at_the_servers_now(far_site: Site, browser_page: OpensPages)
     page = browser_page("viewer", far_site)
     page.add_init_script(HOUR_AHEAD)
     for path in ("/", "/units/line/1"):
-        with page.expect_request("**/sparks?**") as asked:
+        with page.expect_request("**/sparks?**") as expected:
             page.goto(path)
-        ends = parse_qs(urlsplit(asked.value.url).query)["to"][0]
+        ends = parse_qs(urlsplit(expected.value.url).query)["to"][0]
         assert abs(datetime.fromisoformat(ends) - datetime.now(SERVER)) < NEAR
 
 

@@ -101,7 +101,7 @@ def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Call
         context.close()
 
 
-def heard(site: Site) -> int:
+def received_writes(site: Site) -> int:
     """Return how many requests that write the units have received."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
@@ -118,8 +118,8 @@ def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) 
     wall = panel("wall", HOME)
     expect(wall.locator(".main [data-command]")).to_have_count(0)
     assert wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32}).status == 403
-    desk = panel("desk", HOME)
-    expect(desk.locator("#setpoint")).to_be_visible()
+    desk_page = panel("desk", HOME)
+    expect(desk_page.locator("#setpoint")).to_be_visible()
 
 
 def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
@@ -144,29 +144,29 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     page = panel("desk", HOME, clock=True)
     tap(page, ".nudges button >> nth=2")
     expect(page.locator("#setpoint-error")).to_contain_text("verified")
-    before = heard(site)
+    before = received_writes(site)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     expect(page.locator(".cover--dark")).to_contain_text("units")
     expect(page.locator(".cover--dark [data-clock]")).to_have_text(re.compile(r"\d\d:\d\d:\d\d"))
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
-    assert heard(site) == before
+    assert received_writes(site) == before
     tap(page, ".nudges button >> nth=2")
-    eventually(lambda: heard(site) == before + 1, "the second touch")
+    eventually(lambda: received_writes(site) == before + 1, "the second touch")
 
 
 def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("desk", HOME, clock=True)
     page.locator(".nudges button").nth(2).focus()
-    before = heard(site)
+    before = received_writes(site)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     page.keyboard.press("Enter")
     expect(page.locator(".cover")).to_have_count(0)
-    assert heard(site) == before
+    assert received_writes(site) == before
     page.keyboard.press("Enter")
-    eventually(lambda: heard(site) == before + 1, "the second key")
+    eventually(lambda: received_writes(site) == before + 1, "the second key")
 
 
 def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
@@ -181,10 +181,10 @@ def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     # Untouched since: the first touch here only wakes it.
     page.clock.fast_forward("00:10")
     expect(page.locator(".cover--guard")).to_be_attached()
-    before = heard(site)
+    before = received_writes(site)
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
-    assert heard(site) == before
+    assert received_writes(site) == before
 
 
 def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Callable[..., Page]) -> None:
@@ -200,7 +200,7 @@ def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Ca
 
 def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("desk", HOME, clock=True)
-    before = heard(site)
+    before = received_writes(site)
     page.locator("[data-clean]").tap()
     expect(page.locator(".cover--clean")).to_contain_text("30 s")
     for _ in range(3):
@@ -209,7 +209,7 @@ def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) 
     expect(page).to_have_url(HOME)
     page.clock.run_for(31_000)
     expect(page.locator(".cover")).to_have_count(0)
-    assert heard(site) == before
+    assert received_writes(site) == before
 
 
 def test_it_can_be_installed(browser_page: OpensPages) -> None:

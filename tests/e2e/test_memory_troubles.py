@@ -42,12 +42,12 @@ def clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Sets the clock of every site that is started afterwards, by so many seconds."""
     folder = tmp_path_factory.mktemp("clock")
     (folder / "sitecustomize.py").write_text(CLOCK)
-    said = folder / "seconds"
-    said.write_text("0")
+    result = folder / "seconds"
+    result.write_text("0")
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("PYTHONPATH", str(folder))
-        environment.setenv("TEST_CLOCK_SET_BY", str(said))
-        yield said
+        environment.setenv("TEST_CLOCK_SET_BY", str(result))
+        yield result
 
 
 @pytest.fixture(scope="module")
@@ -57,17 +57,17 @@ def site(clock: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site
         yield made
 
 
-def asked(site: Site, path: str, **query: Any) -> Any:
+def response_of(site: Site, path: str, **query: Any) -> Any:
     with site.api("viewer") as client:
-        answer = client.get(path, params=query)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+        response = client.get(path, params=query)
+    assert response.status_code == 200, response.text
+    return response.json()
 
 
-def heard(site: Site, since: float, until: float) -> list[float]:
+def readings(site: Site, since: float, until: float) -> list[float]:
     """Return when unit 1 responded within a span."""
     span = {name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", since), ("to", until))}
-    found = asked(site, "/history", bus="line", unit=1, value="actual", points=20_000, **span)
+    found = response_of(site, "/history", bus="line", unit=1, value="actual", points=20_000, **span)
     return [datetime.fromisoformat(t).timestamp() for t in found["t"]]
 
 
@@ -86,27 +86,27 @@ def goes_on(site: Site) -> None:
 
 
 def state(site: Site) -> str:
-    return str(asked(site, "/history/status")["state"])
+    return str(response_of(site, "/history/status")["state"])
 
 
 def notice(site: Site) -> str:
     """Return the notice about the history on the pages."""
-    return str(asked(site, "/line")["history"])
+    return str(response_of(site, "/line")["history"])
 
 
 def test_a_clock_that_is_set_back_and_forward_is_noticed_and_everything_goes_on(
     site: Site, clock: Path
 ) -> None:
-    for step, said in ((-HOUR, "-"), (0.0, "+")):
+    for step, result in ((-HOUR, "-"), (0.0, "+")):
         set_clock(site, clock, step)
         newest = next(event["what"] for event in clock_events(site) if "app" in event["what"])
-        assert said in newest
+        assert result in newest
 
 
 def set_clock(site: Site, clock: Path, step: float) -> None:
     """Step it and see everything go on by the new time."""
     before = time.time() + float(clock.read_text())
-    eventually(lambda: heard(site, before - 10, before + 60), "readings before", within=PROCEDURE_S)
+    eventually(lambda: readings(site, before - 10, before + 60), "readings before", within=PROCEDURE_S)
     steps = len(clock_events(site))
     clock.write_text(str(step))
     now = time.time() + step
@@ -115,13 +115,13 @@ def set_clock(site: Site, clock: Path, step: float) -> None:
     # What the worker takes for late while it learns the new clock is refused, not sent.
     eventually(lambda: set_speed(site, 10) == 200, "a command", within=PROCEDURE_S)
     assert site.unit(1)["age_ms"] < 10_000
-    eventually(lambda: heard(site, now, now + 60), "readings by the new clock", within=PROCEDURE_S)
-    assert heard(site, before - 10, before + 1), "what was heard before the step is still there"
+    eventually(lambda: readings(site, now, now + 60), "readings by the new clock", within=PROCEDURE_S)
+    assert readings(site, before - 10, before + 1), "what was heard before the step is still there"
     assert state(site) == "ok"
 
 
 def clock_events(site: Site) -> list[dict[str, Any]]:
-    return list(asked(site, "/events", kind="clock")["events"])
+    return list(response_of(site, "/events", kind="clock")["events"])
 
 
 def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(site: Site) -> None:
@@ -135,7 +135,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
         goes_on(site)
         assert set_speed(site, 20) >= 500
         assert site.unit(1)["commanded_raw"] == before
-        assert heard(site, time.time() - 600, time.time()), "what was kept can still be read"
+        assert readings(site, time.time() - 600, time.time()), "what was kept can still be read"
     finally:
         resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     eventually(lambda: set_speed(site, 20) == 200, "commands again", within=PROCEDURE_S)
@@ -151,15 +151,15 @@ def test_pages_overwritten_while_it_runs_are_detected_and_reported(site: Site) -
     eventually(lambda: blocks(store), "a minute that is folded", within=150)
     with closing(sqlite3.connect(store, timeout=30)) as connection, connection:
         connection.execute("UPDATE raw SET data = zeroblob(length(data))")
-    asked_at = time.time()
-    heard(site, begun - 7200, asked_at + 60)
+    requested_at = time.time()
+    readings(site, begun - 7200, requested_at + 60)
     eventually(lambda: "was damaged" in notice(site), "the notice", within=PROCEDURE_S)
-    said = [event["what"] for event in asked(site, "/events", kind="server")["events"]]
+    result = [event["what"] for event in response_of(site, "/events", kind="server")["events"]]
     assert any(
-        "a block of the history is damaged, it is missing: every value of line/" in text for text in said
+        "a block of the history is damaged, it is missing: every value of line/" in text for text in result
     )
     goes_on(site)
-    eventually(lambda: heard(site, asked_at, time.time() + 60), "history goes on", within=PROCEDURE_S)
+    eventually(lambda: readings(site, requested_at, time.time() + 60), "history goes on", within=PROCEDURE_S)
 
 
 def blocks(store: Path) -> int:

@@ -67,7 +67,7 @@ def pages(site: Site) -> list[str]:
     ]
 
 
-def heard(site: Site) -> list[str]:
+def received_writes(site: Site) -> list[str]:
     """Return every request that writes, as the units received it."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return [entry["hex"] for entry in entries if bytes.fromhex(entry["hex"])[1] in WRITES]
@@ -120,7 +120,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
 @pytest.mark.usefixtures("holder")
 def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensPages) -> None:
-    before = heard(site)
+    before = received_writes(site)
     page = opened(browser_page("operator", viewport=PANEL), "/units/line/1")
     expect(page.locator(".plate__set")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
@@ -136,9 +136,9 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
     )
     assert "0 of 3 units accepted speed 0" in zero.text()
     with site.api("operator") as client:
-        answer = client.post("/buses/line/units/1/speed", json={"raw": 550})
-    assert (answer.status_code, answer.json()["code"]) == (409, "controlled")
-    assert heard(site) == before
+        response = client.post("/buses/line/units/1/speed", json={"raw": 550})
+    assert (response.status_code, response.json()["code"]) == (409, "controlled")
+    assert received_writes(site) == before
 
 
 @pytest.mark.usefixtures("holder")
@@ -177,16 +177,18 @@ ALSO_BLOCKED: list[tuple[str, str, dict[str, Any]]] = [
 ]
 
 
-def press(client: httpx.Client, site: Site, method: str, path: str, asked: dict[str, Any]) -> httpx.Response:
+def press(
+    client: httpx.Client, site: Site, method: str, path: str, arguments: dict[str, Any]
+) -> httpx.Response:
     """As a page or a program sends it, with what a review would have put into the form. That of a batch holds
     the value of its parameter, and may come without."""
-    form = dict(asked.get("data", {}))
+    form = dict(arguments.get("data", {}))
     if form:
         present = str(setpoint(site, 1))
         reviewed = {} if path.startswith("/batch/") else {"was": present, "was-1": present}
         form = {**reviewed, "reviewed_at": "9999999999", **form}
-        asked = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}
-    return client.request(method, path, **asked)
+        arguments = {"data": form, "headers": {"HX-Request": "true", "Accept": "text/html"}}
+    return client.request(method, path, **arguments)
 
 
 @pytest.fixture
@@ -208,16 +210,16 @@ def test_a_limit_holds_on_every_path(
     site: Site, holder: httpx.Client, staged_and_saved: int, limits: dict[str, int]
 ) -> None:
     assert holder.put("/api/v1/buses/line/units/1/limits", json=limits).status_code == 200
-    before = heard(site)
+    before = received_writes(site)
     load: tuple[str, str, dict[str, Any]] = (
         "POST",
         f"/api/v1/recipes/{staged_and_saved}/load",
         {"json": {"confirm": True}},
     )
-    for method, path, asked in [*SENDS, load]:
-        answer = press(holder, site, method, path, asked)
-        assert answer.status_code == STATUS.get(path.rpartition("/")[2], 422), (path, answer.text)
-        assert heard(site) == before, path
+    for method, path, arguments in [*SENDS, load]:
+        response = press(holder, site, method, path, arguments)
+        assert response.status_code == STATUS.get(path.rpartition("/")[2], 422), (path, response.text)
+        assert received_writes(site) == before, path
     assert setpoint(site, 1) == 600
 
 
@@ -225,17 +227,17 @@ def test_a_large_step_wants_a_review_on_every_path(
     site: Site, holder: httpx.Client, staged_and_saved: int
 ) -> None:
     assert holder.put("/api/v1/buses/line/units/1/limits", json={"largest_step": 50}).status_code == 200
-    before = heard(site)
+    before = received_writes(site)
     for path, body in (
         ("/api/v1/buses/line/units/1/speed", {"raw": 900}),
         ("/api/v1/buses/line/speeds", {"setpoints": {"1": {"raw": 900}}}),
         (f"/api/v1/recipes/{staged_and_saved}/load", {}),
     ):
-        answer = holder.post(path, json=body)
-        assert (answer.status_code, answer.json()["code"]) == (409, "confirm_needed"), path
+        response = holder.post(path, json=body)
+        assert (response.status_code, response.json()["code"]) == (409, "confirm_needed"), path
     nudged = press(holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "51", "id": "e" * 32}})
     assert "data-review-act" in nudged.text
-    assert heard(site) == before
+    assert received_writes(site) == before
     assert press(
         holder, site, "POST", "/units/line/1/nudge", {"data": {"step": "50", "id": "f" * 32}}
     ).is_success
@@ -248,22 +250,22 @@ def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_an
     other = {"set": _a_set(holder), "from_unit": 2}
     planned = holder.post(f"{api}/units/1/restores", json=other).json()
     assert holder.post(f"{api}/units/1/block", json={"reason": "belt off since 14:20"}).status_code == 200
-    before = heard(site)
+    before = received_writes(site)
     more: list[tuple[str, str, dict[str, Any]]] = [
         ("POST", f"/api/v1/recipes/{staged_and_saved}/load", {"json": {"confirm": True}}),
         ("POST", f"{api}/execute", {}),
         ("POST", "/line/zero", {"data": {"id": "g" * 32}}),
     ]
-    for method, path, asked in [*SENDS, *ALSO_BLOCKED, *more[:2]]:
-        answer = press(holder, site, method, path, asked)
+    for method, path, arguments in [*SENDS, *ALSO_BLOCKED, *more[:2]]:
+        response = press(holder, site, method, path, arguments)
         expected = 422 if path == "/setpoints/review" else STATUS.get(path.rpartition("/")[2], 423)
-        assert answer.status_code == expected, (path, answer.text)
-        assert "belt off since 14:20" in answer.text, (path, answer.text)
-        assert heard(site) == before, path
+        assert response.status_code == expected, (path, response.text)
+        assert "belt off since 14:20" in response.text, (path, response.text)
+        assert received_writes(site) == before, path
     holder.post(f"/api/v1/restores/{planned['id']}/start")
     ended = eventually(lambda: _ended(holder, planned["id"]), "the end of the restore", within=PROCEDURE_S)
     assert "belt off" in str(ended)
-    assert heard(site) == before
+    assert received_writes(site) == before
     assert "left out: commands blocked" in press(holder, site, *more[2]).text
     assert setpoint(site, 1) == 600
 
@@ -274,8 +276,8 @@ def _a_set(client: httpx.Client) -> int:
 
 
 def _ended(client: httpx.Client, restore: str) -> Any:
-    said = client.get(f"/api/v1/restores/{restore}").json()
-    return said if said["state"] not in ("planned", "running", "proving") else None
+    spoken = client.get(f"/api/v1/restores/{restore}").json()
+    return spoken if spoken["state"] not in ("planned", "running", "proving") else None
 
 
 def test_a_block_is_shown_on_every_page_and_lifted_by_name(
@@ -317,7 +319,7 @@ def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
     site: Site, browser_page: OpensPages, pages: list[str]
 ) -> None:
     page = browser_page("admin", viewport=PANEL)
-    before = heard(site)
+    before = received_writes(site)
     with site.api("admin") as client:
         client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
     for path in pages:
@@ -331,7 +333,7 @@ def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
         page.keyboard.press("Escape")
         expect(page.locator("dialog[open]")).to_have_count(0)
         expect(button).to_be_focused()
-    assert heard(site) == before
+    assert received_writes(site) == before
 
 
 AT_ONCE = 4
@@ -343,7 +345,7 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
     site: Site, browser_page: OpensPages, pages: list[str]
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
-    before = heard(site), newest_event(site)
+    before = received_writes(site), newest_event(site)
     for first in range(0, len(pages), AT_ONCE):
         tabs = {path: opened(context.new_page(), path) for path in pages[first : first + AT_ONCE]}
         covered_while_the_server_stands(site, tabs)
@@ -351,7 +353,7 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
             expect(tab.locator(LIVE), path).to_be_attached()
             expect(tab, path).to_have_url(re.compile(re.escape(path)))
             tab.close()
-    assert (heard(site), newest_event(site)) == before
+    assert (received_writes(site), newest_event(site)) == before
 
 
 def covered_while_the_server_stands(site: Site, tabs: dict[str, Page]) -> None:
@@ -374,8 +376,8 @@ def newest_event(site: Site) -> int:
     """Return the newest event of a person; a suspended server adds others."""
     with site.api() as client:
         events = client.get("/events", params={"limit": 20}).json()["events"]
-    by_itself = ("server", "worker", "clock", "bus", "unit")
-    return max((event["id"] for event in events if event["kind"] not in by_itself), default=0)
+    automatic = ("server", "worker", "clock", "bus", "unit")
+    return max((event["id"] for event in events if event["kind"] not in automatic), default=0)
 
 
 @pytest.mark.provokes("WebSocket", "fetch")
@@ -385,7 +387,7 @@ def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, brows
     page.locator("#reason").fill("held up")
     page.route(
         "**/block*",
-        lambda route: route.continue_(url=re.sub(r"asked_at=[\d.]+", "asked_at=1", route.request.url)),
+        lambda route: route.continue_(url=re.sub(r"clicked_at=[\d.]+", "clicked_at=1", route.request.url)),
     )
     page.get_by_role("button", name=re.compile("^Block ")).click()
     expect(page.locator("[role=alert]")).to_contain_text("too late")
@@ -419,10 +421,10 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
         eventually(
             lambda: any("LOCAL" in text for text in page.evaluate("window.said")), "the verdict was said"
         )
-        said = page.evaluate("window.said")
+        spoken = page.evaluate("window.said")
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
-    assert not any(re.search(r"\d\.\d|ramping", text) for text in said), said
+    assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
 def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: OpensPages) -> None:

@@ -71,10 +71,10 @@ def review(page: Page) -> None:
 def outcomes(page: Page) -> dict[int, str]:
     """Return number → result in the table of rows."""
     rows = page.get_by_role("table", name="Rows to write").locator("tbody tr")
-    said = rows.evaluate_all(
+    row_texts = rows.evaluate_all(
         "rows => rows.map(row => [row.cells[0].innerText, row.cells[row.cells.length - 1].innerText])"
     )
-    return {int(number): outcome.strip() for number, outcome in said}
+    return {int(number): outcome.strip() for number, outcome in row_texts}
 
 
 def cancel(site: Site, page: Page) -> None:
@@ -94,7 +94,7 @@ def cut_the_drop(site: Site, page: Page) -> None:
 
 @pytest.mark.soak
 @pytest.mark.parametrize(
-    ("trouble", "cause"),
+    ("fault", "cause"),
     [
         (cancel, "canceled by engineer after"),
         (pull_the_cable, "The restore ended early"),
@@ -103,32 +103,32 @@ def cut_the_drop(site: Site, page: Page) -> None:
     ids=lambda given: getattr(given, "__name__", ""),
 )
 def test_a_restore_stopped_half_way_lists_rows_done_and_a_second_run_finishes(
-    site: Site, browser_page: OpensPages, trouble: Callable[[Site, Page], None], cause: str
+    site: Site, browser_page: OpensPages, fault: Callable[[Site, Page], None], cause: str
 ) -> None:
-    hands, wanted = site.line.remote, changed_at_the_panel(site)
+    line_remote, wanted = site.line.remote, changed_at_the_panel(site)
     page = browser_page("engineer", viewport=OFFICE)
     review(page)
-    hands.do("fault", kind="late", rate=1, unit=2)
+    line_remote.do("fault", kind="late", rate=1, unit=2)
     page.get_by_role("button", name=f"Write {len(wanted)} rows to unit 2").click()
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
-    trouble(site, page)
+    fault(site, page)
     early = page.get_by_role("status").filter(has_text="The restore ended early")
     expect(early).to_contain_text(re.compile(cause), timeout=PROCEDURE_MS)
-    told = outcomes(page)
-    hands.do("clear")
-    assert set(told) == set(wanted)
-    done = {number for number, outcome in told.items() if outcome == "verified"}
-    untouched = {number for number, outcome in told.items() if outcome.startswith("not sent")}
+    result = outcomes(page)
+    line_remote.do("clear")
+    assert set(result) == set(wanted)
+    done = {number for number, outcome in result.items() if outcome == "verified"}
+    untouched = {number for number, outcome in result.items() if outcome.startswith("not sent")}
     assert 1 <= len(done) < len(wanted)
-    assert len(done | untouched) >= len(wanted) - 1, told
+    assert len(done | untouched) >= len(wanted) - 1, result
     assert {number for number in wanted if parameter(site, number) == wanted[number]} - done <= set(
-        told
+        result
     ) - done - untouched
     assert all(parameter(site, number) == wanted[number] for number in done)
-    if trouble is pull_the_cable:
-        hands.do("plug")
+    if fault is pull_the_cable:
+        line_remote.do("plug")
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 2"))
-    eventually(lambda: asked_again(page, left), "the unit answers again", within=PROCEDURE_S)
+    eventually(lambda: requested_again(page, left), "the unit answers again", within=PROCEDURE_S)
     assert set(outcomes(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
     left.click()
     expect_proof(page)
@@ -141,7 +141,7 @@ def expect_proof(page: Page) -> None:
     expect(proven).to_be_visible(timeout=PROCEDURE_MS)
 
 
-def asked_again(page: Page, left: Locator) -> bool:
+def requested_again(page: Page, left: Locator) -> bool:
     """Request the remaining rows; where the unit does not respond yet, check the message and go back."""
     page.get_by_role("button", name="Review the remaining rows").click()
     refused = page.get_by_role("heading", name="Request refused")
@@ -234,7 +234,7 @@ def bad_files(good: str) -> dict[str, tuple[bytes, str]]:
         "newer": (good.replace("version = 1", "version = 2"), "newer version of Lineside"),
         "twice": (good + row + "\n", "not readable as TOML"),
     }
-    files = {name: (text.encode(), says) for name, (text, says) in texts.items()}
+    files = {name: (text.encode(), error) for name, (text, error) in texts.items()}
     files["latin"] = (good.replace("Infeed", "Einführ").encode("latin-1"), "not UTF-8 text")
     files["utf16"] = (good.encode("utf-16"), "not UTF-8 text")
     return files
@@ -244,7 +244,7 @@ def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_p
     files = bad_files(good_file(site))
     mark = len(writes(site))
     runner = CliRunner()
-    for name, (content, says) in files.items():
+    for name, (content, error) in files.items():
         file = tmp_path / f"{name}.toml"
         file.write_bytes(content)
         page = httpx.post(
@@ -253,13 +253,16 @@ def test_a_bad_file_is_refused_in_words_and_nothing_is_written(site: Site, tmp_p
             headers={"Authorization": f"Bearer {site.tokens['engineer']}", "Accept": "text/html"},
             timeout=CALL_S,
         )
-        assert (page.status_code, says in html.unescape(page.text)) == (422, True), (name, page.text[:2000])
-        told = runner.invoke(cli, ["restore", *to(site, 2), "--yes", "--json", str(file)])
-        assert (told.exit_code, told.stdout, says in told.stderr) == (2, "", True), (name, told.stderr)
+        assert (page.status_code, error in html.unescape(page.text)) == (422, True), (name, page.text[:2000])
+        result = runner.invoke(cli, ["restore", *to(site, 2), "--yes", "--json", str(file)])
+        assert (result.exit_code, result.stdout, error in result.stderr) == (2, "", True), (
+            name,
+            result.stderr,
+        )
         if not name.startswith(("latin", "utf16")):
             with site.api("engineer") as client:
-                answer = client.post("/buses/line/units/2/restores", json={"document": content.decode()})
-            assert (answer.status_code, says in answer.json()["detail"]) == (422, True), name
+                response = client.post("/buses/line/units/2/restores", json={"document": content.decode()})
+            assert (response.status_code, error in response.json()["detail"]) == (422, True), name
     assert len(writes(site)) == mark
 
 
@@ -267,19 +270,19 @@ def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_pa
     good, runner = good_file(site), CliRunner()
     huge = tmp_path / "huge.toml"
     huge.write_bytes(good.encode() + b"#" * 3_000_000)
-    told = runner.invoke(cli, ["restore", *to(site, 2), str(huge)])
-    assert (told.exit_code, "too long for a parameter set" in told.stderr) == (2, True)
+    result = runner.invoke(cli, ["restore", *to(site, 2), str(huge)])
+    assert (result.exit_code, "too long for a parameter set" in result.stderr) == (2, True)
     with site.api("engineer") as client:
-        answer = client.post("/buses/line/units/2/restores", content=huge.read_bytes())
-        assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
-        answer = client.post("/buses/line/units/9/restores", json={"document": good})
-        assert (answer.status_code, "9" in answer.json()["detail"]) == (404, True)
+        response = client.post("/buses/line/units/2/restores", content=huge.read_bytes())
+        assert (response.status_code, response.json()["code"]) == (413, "too_large")
+        response = client.post("/buses/line/units/9/restores", json={"document": good})
+        assert (response.status_code, "9" in response.json()["detail"]) == (404, True)
         planned = client.post("/buses/line/units/1/restores", json={"document": good}).json()
         assert "the set is from unit 2, this is unit 1: check every row" in planned["remarks"]
     file = tmp_path / "good.toml"
     file.write_text("\ufeff" + good, encoding="utf-8")
-    told = runner.invoke(cli, ["restore", *to(site, 9), str(file)])
-    assert (told.exit_code, "bus 'line' has no unit 9; it has 1, 2" in told.stderr) == (2, True)
+    result = runner.invoke(cli, ["restore", *to(site, 9), str(file)])
+    assert (result.exit_code, "bus 'line' has no unit 9; it has 1, 2" in result.stderr) == (2, True)
     assert runner.invoke(cli, ["diff", *to(site, 2), str(tmp_path / "none.toml")]).exit_code == 2
 
 
@@ -315,8 +318,8 @@ def test_the_commands_in_a_cron_job_report_by_their_exit_codes(site: Site, tmp_p
     parameter(site, 20, raw=parameter(site, 20) - 10)
     for chosen, outcome in (((), "left_out"), (("--include", "20"), "verified")):
         done = lineside("restore", *to(site, 2), str(file), "--json", "--yes", *chosen)
-        told = [(row["number"], row["outcome"]) for row in json.loads(done.stdout)]
-        assert (done.exit_code, told) == (0, [(20, outcome)]), done.stderr
+        result = [(row["number"], row["outcome"]) for row in json.loads(done.stdout)]
+        assert (done.exit_code, result) == (0, [(20, outcome)]), done.stderr
     assert len(writes(site)) == mark + 2
     assert lineside("restore", *to(site, 2)).exit_code == 2
 

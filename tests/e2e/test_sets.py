@@ -51,8 +51,8 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     page.get_by_role("button", name="Mark as golden set").first.click()
     expect(page.get_by_text("Golden set: the unit should equal this set.")).to_have_count(1)
     with site.api("engineer") as client:
-        answer = client.put("/buses/line/units/1/parameters/6", json={"raw": 77})
-        assert answer.json()["outcome"] == "verified"
+        response = client.put("/buses/line/units/1/parameters/6", json={"raw": 77})
+        assert response.json()["outcome"] == "verified"
     page.goto(address)
     page.get_by_role("link", name="Compare with the current values").first.click()
     expect(page.get_by_role("heading", level=1)).to_have_text("1 row differs")
@@ -93,8 +93,8 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
     expect(page.locator("#drift")).to_contain_text("changed at the panel")
     with site.api("engineer") as client:
-        told = client.get("/buses/line/units/3/drift").json()
-        assert {row["number"]: row["changed_by"] for row in told["rows"]} == {
+        drift = client.get("/buses/line/units/3/drift").json()
+        assert {row["number"]: row["changed_by"] for row in drift["rows"]} == {
             7: None,
             12: "engineer-program",
         }
@@ -170,13 +170,13 @@ def switch_off_and_on(served: Site) -> None:
         served.line.remote.do("power_cycle", unit=unit)
     off = datetime.now(UTC)
     eventually(
-        lambda: all(heard_since(served, unit, off) for unit in (1, 2, 3)),
+        lambda: all(responded_since(served, unit, off) for unit in (1, 2, 3)),
         "every unit at the new rate",
         within=PROCEDURE_S,
     )
 
 
-def heard_since(served: Site, number: int, moment: datetime) -> bool:
+def responded_since(served: Site, number: int, moment: datetime) -> bool:
     unit = served.unit(number)
     return bool(
         unit["link"] == "online" and datetime.fromisoformat(unit["read_at"]) > moment + timedelta(seconds=1)
@@ -197,9 +197,9 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, browser
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
-    said = "The unit equals the set, verified by a full read."
-    expect(page.locator("#restore .outcome")).to_have_text(said, timeout=PROCEDURE_MS)
-    expect(page.locator("#verdict")).to_have_text(said)
+    text = "The unit equals the set, verified by a full read."
+    expect(page.locator("#restore .outcome")).to_have_text(text, timeout=PROCEDURE_MS)
+    expect(page.locator("#verdict")).to_have_text(text)
     expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible()
     assert len(writes(site, 0x86)) == before + 2
 
@@ -253,15 +253,15 @@ def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     site = line_server(3, line_options=("--no-script", "--speedup", "3"))
     with site.api("engineer") as client:
         client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
-        mark = len(asked(site, 0x85, 1))
+        mark = len(requests(site, 0x85, 1))
         assert client.post("/buses/line/units/1/speed", json={"raw": 10, "execute": True}).status_code == 200
         before = "before the first write of the day"
         [kept] = eventually(lambda: kept_of(site, 1, before), "the set before the first setpoint")
         assert all(row["frame"] or row["number"] == 21 for row in kept["units"][0]["parameters"])
-        assert len(asked(site, 0x85, 1)) - mark < 40
+        assert len(requests(site, 0x85, 1)) - mark < 40
         site.line.remote.do("fault", kind="dead", rate=1, unit=2)
-        answer = client.put("/buses/line/units/2/parameters/6", json={"raw": 50})
-        assert answer.status_code == 504
+        response = client.put("/buses/line/units/2/parameters/6", json={"raw": 50})
+        assert response.status_code == 504
         assert len(kept_of(site, 2, before)) == 1
         client.put("/buses/line/set-schedule", json={"minute_of_day": 0})
     site.stop()
@@ -274,11 +274,11 @@ def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     eventually(lambda: kept_of(site, 3, "on schedule"), "the set of unit 3", within=PROCEDURE_S)
     assert kept_of(site, 2, "on schedule") == []
     page = browser_page("engineer", site=site, viewport=OFFICE)
-    owed = page.get_by_text("Infeed nip was not read: the unit does not respond")
-    eventually(lambda: page.goto("/sets") and owed.count(), "the silent unit is named", within=PROCEDURE_S)
+    overdue = page.get_by_text("Infeed nip was not read: the unit does not respond")
+    eventually(lambda: page.goto("/sets") and overdue.count(), "the silent unit is named", within=PROCEDURE_S)
 
 
-def asked(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
+def requests(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
     entries = served.line.remote.do("record", kinds=["received"])
     return [entry for entry in entries if entry["unit"] == unit and bytes.fromhex(entry["hex"])[1] == command]
 

@@ -198,15 +198,15 @@ def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
     site: Site, browser_page: OpensPages, axe: Axe
 ) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")
-    silent = page.locator(".setting__silent")
-    expect(silent).to_be_hidden()
+    notice = page.locator(".setting__silent")
+    expect(notice).to_be_hidden()
     site.line.remote.do("fault", kind="dead", rate=1, unit=1)
     try:
-        expect(silent).to_contain_text("The unit does not respond")
+        expect(notice).to_contain_text("The unit does not respond")
         assert judged(page, axe) == []
     finally:
         site.line.remote.do("clear")
-    expect(silent).to_be_hidden()
+    expect(notice).to_be_hidden()
 
 
 @pytest.mark.provokes("ERR_CONNECTION_REFUSED")

@@ -40,10 +40,10 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
     """Replace the unit at address 3 by a new one, and wait until the site has its response."""
-    hands = site.line.remote
+    line_remote = site.line.remote
     eventually(lambda: not removed(site), "nobody at address 3")
     eventually(lambda: site.unit(3)["link"] == "offline", "the address stops responding")
-    hands.do("spare", parameters={17: 3} | parameters, **traits)
+    line_remote.do("spare", parameters={17: 3} | parameters, **traits)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")
 
 
@@ -71,7 +71,7 @@ def leave(page: Page, unit: int) -> None:
     expect(page).to_have_url(f"/units/line/{unit}")
 
 
-def says(page: Page, text: str) -> None:
+def shows(page: Page, text: str) -> None:
     expect(page.locator("#steps [role=status]")).to_contain_text(text, timeout=PROCEDURE_MS)
 
 
@@ -89,26 +89,26 @@ def events(site: Site, kind: str) -> list[dict[str, Any]]:
 
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_from_the_dead_unit_to_the_verified_spare(site: Site, browser_page: OpensPages) -> None:
-    hands = site.line.remote
+    line_remote = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "If it is the old unit, switch it off and disconnect it")
-    hands.do("remove", unit=3)
-    says(page, "No spare responds yet")
+    shows(page, "If it is the old unit, switch it off and disconnect it")
+    line_remote.do("remove", unit=3)
+    shows(page, "No spare responds yet")
 
-    spare = hands.do("spare", parameters={18: 48, 19: 0})
+    spare = line_remote.do("spare", parameters={18: 48, 19: 0})
     keypad(site, spare, 18, 96)
-    says(page, "set parameter 18 to 96 (9600 baud)")
-    hands.do("power_cycle", place=spare)
-    says(page, "Two units respond at address 1: the spare still has its factory address")
+    shows(page, "set parameter 18 to 96 (9600 baud)")
+    line_remote.do("power_cycle", place=spare)
+    shows(page, "Two units respond at address 1: the spare still has its factory address")
     site.stop(signal.SIGKILL)
     site.start()
     expect(page.get_by_text(re.compile("begun .* by engineer, from set 1"))).to_be_visible()
-    says(page, "Two units respond at address 1: the spare still has its factory address")
+    shows(page, "Two units respond at address 1: the spare still has its factory address")
     keypad(site, spare, 17, 3)
-    says(page, "At the keypad of the new unit, set parameter 19 to 1 (REMOTE)")
-    hands.do("mode", place=spare, to="remote")
-    says(page, "The unit responds and is in REMOTE")
+    shows(page, "At the keypad of the new unit, set parameter 19 to 1 (REMOTE)")
+    line_remote.do("mode", place=spare, to="remote")
+    shows(page, "The unit responds and is in REMOTE")
 
     page.get_by_role("button", name="Review the restore").click()
     expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
@@ -116,11 +116,16 @@ def test_from_the_dead_unit_to_the_verified_spare(site: Site, browser_page: Open
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible(timeout=PROCEDURE_MS)
     page.get_by_role("link", name="Back to the swap").click()
-    says(page, "The new unit has the parameters of the old unit, verified by a full read.")
+    shows(page, "The new unit has the parameters of the old unit, verified by a full read.")
     expect(page.get_by_role("link", name="Open the report")).to_be_visible()
 
     expect(page.get_by_text("The setpoint is not restored: #20 is 0")).to_be_visible()
-    assert [hands.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [33, 444, 7, 0]
+    assert [line_remote.do("parameter", unit=3, number=number) for number in (6, 9, 22, 20)] == [
+        33,
+        444,
+        7,
+        0,
+    ]
     [end, start] = events(site, "swap")
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 3)
     assert "started" in start["what"]
@@ -138,9 +143,9 @@ def test_a_spare_with_the_older_list_at_the_address_already(site: Site, browser_
     new_section(site, {}, last_parameter=20)
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "If it is already the spare, confirm it")
+    shows(page, "If it is already the spare, confirm it")
     page.get_by_role("button", name="Confirm the spare").click()
-    says(page, "The unit responds and is in REMOTE")
+    shows(page, "The unit responds and is in REMOTE")
     page.get_by_role("button", name="Review the restore").click()
     expect(
         page.get_by_role("row", name=re.compile("Minimum Ratio.*this unit does not have it"))
@@ -155,9 +160,9 @@ def test_two_units_at_the_address_of_the_section(site: Site, browser_page: Opens
     new_section(site, GOOD)
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)
-    says(page, "A unit responds at address 3")
+    shows(page, "A unit responds at address 3")
     site.line.remote.do("spare", parameters={17: 3})
-    says(page, "Two units respond at address 3. Disconnect the old unit")
+    shows(page, "Two units respond at address 3. Disconnect the old unit")
     eventually(lambda: site.unit(2)["link"] == "online", "the others go on")
     leave(page, 3)
     removed(site)
@@ -180,9 +185,9 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     page.goto("/swap/line/2")
     page.get_by_label("Source of the parameters").select_option("sheet")
     begin_it.click()
-    says(page, "If it is already the spare, confirm it")
+    shows(page, "If it is already the spare, confirm it")
     page.get_by_role("button", name="Confirm the spare").click()
-    says(page, "Enter the values of the parameter sheet")
+    shows(page, "Enter the values of the parameter sheet")
     page.get_by_role("button", name="Read the unit and save it as a set").click()
     heading = page.get_by_role("heading", level=1)
     expect(heading).to_have_text("entered from the parameter sheet", timeout=PROCEDURE_MS)

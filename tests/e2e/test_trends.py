@@ -82,10 +82,10 @@ def history(served: Site, value: str = "actual", seconds: float = 60, unit: int 
         name: datetime.fromtimestamp(t, UTC).isoformat() for name, t in (("from", now - seconds), ("to", now))
     }
     with served.api("viewer") as client:
-        asked: dict[str, str | int] = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
-        answer = client.get("/history", params=asked)
-    assert answer.status_code == 200, answer.text
-    found: dict[str, Any] = answer.json()
+        params: dict[str, str | int] = {"bus": "line", "unit": unit, "value": value, "points": 20_000, **span}
+        response = client.get("/history", params=params)
+    assert response.status_code == 200, response.text
+    found: dict[str, Any] = response.json()
     return found
 
 
@@ -219,8 +219,8 @@ def test_gaps_are_gaps_and_a_band_is_drawn_between_least_and_greatest(browser_pa
         "min": [None if v is None else 10.0 for v in flat],
         "max": [None if v is None else 90.0 for v in flat],
     }
-    answer = {"bus": "line", "unit": 1, "value": "actual", "measure": "", "decimals": 1, "bucket_s": 1}
-    body = [{**answer, "t": t, "avg": flat, **spread}]
+    response = {"bus": "line", "unit": 1, "value": "actual", "measure": "", "decimals": 1, "bucket_s": 1}
+    body = [{**response, "t": t, "avg": flat, **spread}]
     page.route("**/api/v1/history/series*", lambda route: route.fulfill(json=body))
     moments = [datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z") for at in (t[0], t[-1])]
     opened(page, f"?s=line/1/actual&from={moments[0]}&to={moments[1]}&marks=0")
@@ -337,15 +337,15 @@ def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> 
         began = time.time()
         raw = own_site.unit(1)["commanded_raw"]
         with own_site.api("operator") as client:
-            answer = client.post("/buses/line/units/1/speed", json={"raw": raw + 7, "execute": True})
+            response = client.post("/buses/line/units/1/speed", json={"raw": raw + 7, "execute": True})
             events = client.get("/events", params={"kind": "command"}).json()["events"]
-        assert answer.status_code == 200
-        heard_after(own_site, began + 1)
+        assert response.status_code == 200
+        wait_for_reading_after(own_site, began + 1)
         killed = time.time()
         own_site.stop(signal.SIGKILL)
         own_site.start()
         own_site.wait_for_units()
-        heard_after(own_site, killed + 1)
+        wait_for_reading_after(own_site, killed + 1)
         assert max(t for t in times_of(own_site) if t <= killed) > killed - 1.2
         for value in ("actual", "run"):
             assert history(own_site, value, 300)["avg"].count(None) >= kill
@@ -357,7 +357,7 @@ def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> 
         assert connection.execute("PRAGMA quick_check").fetchone() == ("ok",)
 
 
-def heard_after(served: Site, moment: float) -> None:
+def wait_for_reading_after(served: Site, moment: float) -> None:
     eventually(lambda: max(times_of(served)) > moment, "new history")
 
 

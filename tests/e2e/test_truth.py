@@ -37,7 +37,7 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
-def heard(site: Site) -> int:
+def received_writes(site: Site) -> int:
     """Return how many requests that write the units have received."""
     entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
     return sum(bytes.fromhex(entry["hex"])[1] in (0x82, 0x83, 0x84, 0x86, 0x87, 0x88) for entry in entries)
@@ -94,7 +94,7 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = heard(own_site)
+    before = received_writes(own_site)
     page.locator("#setpoint").fill("55.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -111,7 +111,7 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator("#setpoint")).to_be_visible()
     assert page.locator("dialog[open]").count() == 0
-    assert heard(own_site) == before
+    assert received_writes(own_site) == before
 
 
 def test_a_typed_setpoint_stays_while_the_connection_is_lost(
@@ -133,18 +133,18 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
     own_site: Site, browser_page: OpensPages
 ) -> None:
     page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
-    before = heard(own_site)
+    before = received_writes(own_site)
     page.locator("#setpoint").fill("44.5")
     page.get_by_role("button", name="Set now").click()
     act = page.locator("[data-review-act]")
     expect(act).to_be_visible()
     page.route(
         "**/speed",
-        lambda route: route.continue_(headers={**route.request.headers, "lineside-asked-at": "1.0"}),
+        lambda route: route.continue_(headers={**route.request.headers, "lineside-clicked-at": "1.0"}),
     )
     act.click()
     expect(page.locator("#review-body [role=alert]")).to_contain_text("too late")
-    assert heard(own_site) == before
+    assert received_writes(own_site) == before
 
 
 @pytest.mark.provokes("WebSocket")
@@ -200,7 +200,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     page.locator("#setpoint").fill("38.5")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
-    before = heard(own_site)
+    before = received_writes(own_site)
     devtools = page.context.new_cdp_session(page)
     other = page.context.new_page()
     other.bring_to_front()
@@ -212,7 +212,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator('[data-live="line/3.commanded"]').first).to_have_text("36.6")
     expect(page.locator("[data-review-act]")).to_have_count(0)
-    assert heard(own_site) == before + 1
+    assert received_writes(own_site) == before + 1
 
 
 def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_page: OpensPages) -> None:
@@ -232,8 +232,8 @@ def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: O
     page.get_by_role("button", name="Set now").click()
     form = page.locator("form[data-review]")
     expect(form).to_be_visible()
-    before = heard(own_site)
-    answers = page.evaluate(
+    before = received_writes(own_site)
+    outcomes = page.evaluate(
         """async () => {
             const form = document.querySelector("form[data-review]");
             const body = new URLSearchParams(new FormData(form));
@@ -243,8 +243,8 @@ def test_two_posts_of_one_review_are_one_command(own_site: Site, browser_page: O
             return [await one.text(), await two.text()];
         }"""
     )
-    assert all("verified" in text for text in answers)
-    assert heard(own_site) == before + 1
+    assert all("verified" in text for text in outcomes)
+    assert received_writes(own_site) == before + 1
 
 
 def test_the_offline_page_is_honest(own_site: Site, browser_page: OpensPages) -> None:

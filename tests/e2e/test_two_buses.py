@@ -37,8 +37,8 @@ def follower(site: Site) -> Iterator[int]:
 
 def read_again(site: Site, unit: int) -> None:
     with site.api("engineer") as client:
-        answer = client.get(f"/buses/line/units/{unit}/parameters", params={"refresh": "true"})
-    assert answer.status_code == 200, answer.text
+        response = client.get(f"/buses/line/units/{unit}/parameters", params={"refresh": "true"})
+    assert response.status_code == 200, response.text
 
 
 def wet(site: Site) -> Line:

@@ -20,7 +20,7 @@ SHOW = """async (texts) => {
   const read = (unit) => document.querySelector(`[data-live="${unit}.actual"]`).textContent.trim();
   return [read("line/1"), read("line/8")];
 }"""
-KNOWN_TO_BE_OUT_OF_SIGHT = """async () =>
+KNOWN_TO_BE_HIDDEN = """async () =>
   (await import(document.querySelector('link[href$="/visibility.js"]').href)).mayWait("line/8")"""
 LAST_TEXT_IN_THE_FRAME = """(act) => new Promise((resolve) => {
   act();
@@ -38,7 +38,7 @@ def opened(page: Page) -> Page:
     """
     page.route_web_socket("**/live?*", lambda _browser: None)
     page.goto("/?view=tiles")
-    page.wait_for_function(KNOWN_TO_BE_OUT_OF_SIGHT)
+    page.wait_for_function(KNOWN_TO_BE_HIDDEN)
     return page
 
 

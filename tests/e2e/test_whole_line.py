@@ -59,8 +59,8 @@ def test_a_speed_set_by_the_api_reaches_the_unit_once_and_the_page_by_reading(
     page.goto("/")
     before = len(acted(site, 0x84))
     with site.api("operator") as client:
-        answer = client.post("/buses/line/units/2/speed", json={"value": "123.4", "execute": True})
-    assert (answer.status_code, answer.json()["outcome"]) == (200, "verified")
+        response = client.post("/buses/line/units/2/speed", json={"value": "123.4", "execute": True})
+    assert (response.status_code, response.json()["outcome"]) == (200, "verified")
     assert site.line.remote.do("state", unit=2)["setpoint"] == 1234
     assert len(acted(site, 0x84)) == before + 1
     expect(page.locator('[data-live="line/2.commanded"]').first).to_have_text("123.4")

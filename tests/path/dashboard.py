@@ -43,9 +43,9 @@ class Dashboard:
 
     def unit(self, number: int) -> dict[str, Any]:
         """A unit as it is shown now."""
-        answer = self.bus("GET", f"/units/{number}")
-        assert answer.status_code == 200, answer.text
-        shown: dict[str, Any] = answer.json()
+        response = self.bus("GET", f"/units/{number}")
+        assert response.status_code == 200, response.text
+        shown: dict[str, Any] = response.json()
         return shown
 
     def line(self) -> dict[str, Any]:
@@ -58,8 +58,8 @@ class Dashboard:
         found = subprocess.run(
             ["pgrep", "-f", str(self.folder / "lineside.toml")], capture_output=True, text=True
         )
-        said = [int(line) for line in found.stdout.split()]
-        return [pid for pid in said if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+        pids = [int(line) for line in found.stdout.split()]
+        return [pid for pid in pids if b"--bus" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
     def see(self, number: int, what: str, holds: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Wait until a unit is shown so; the unit."""
@@ -96,9 +96,9 @@ def dashboard(
         with (folder / "serve.log").open("ab") as log:
             server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
             try:
-                eventually(lambda: _serves(made), f"an answer; {folder}/serve.log says why", within=START_S)
+                eventually(lambda: _serves(made), f"a response; see {folder}/serve.log", within=START_S)
                 for unit in units:
-                    if not unit.silent:
+                    if not unit.off:
                         made.see(unit.address, "read", lambda shown: shown["analog"] is not None)
                 yield made
             finally:

@@ -64,9 +64,9 @@ def cut_frame(buffer: bytearray) -> bytes | None:
                 position += 2
             else:
                 break
-        whole = buffer[position + 1] == ETX and buffer[position + 2] == -sum(body) & 0xFF
-        del buffer[: position + 3 if whole else 1]
-        if whole:
+        complete = buffer[position + 1] == ETX and buffer[position + 2] == -sum(body) & 0xFF
+        del buffer[: position + 3 if complete else 1]
+        if complete:
             return bytes(body)
 
 
@@ -85,7 +85,7 @@ class Unit:
     inputs: int = 0b0000_0010
     remote: bool = True
     at_speed: bool = True
-    silent: bool = False
+    off: bool = False
     deaf_to: set[int] = field(default_factory=set)
     """Commands that it acknowledges and does not carry out."""
     mute_on: set[int] = field(default_factory=set)
@@ -98,17 +98,17 @@ class Unit:
     def __post_init__(self) -> None:
         self.values[17] = self.address
 
-    def answer(self, body: bytes) -> bytes | None:
+    def respond(self, body: bytes) -> bytes | None:
         """What it sends for a good frame; None: nothing."""
         target, command, data = body[0], body[1], body[2:]
-        if self.silent or target not in (0, self.address):
+        if self.off or target not in (0, self.address):
             return None
         if command not in (0x81, 0x85):
             self.writes.append((command, target, data))
-        said = self._carry_out(command, data)
+        reply = self._carry_out(command, data)
         if target == 0 or command in self.mute_on:
             return None
-        return frame(bytes([self.address]) + said)
+        return frame(bytes([self.address]) + reply)
 
     def _carry_out(self, command: int, data: bytes) -> bytes:
         if command == 0x81 and not data:
@@ -221,15 +221,15 @@ class Cable:
                 time.sleep(0.01)
                 continue
             while (body := cut_frame(buffer)) is not None:
-                self._answer(master, body)
+                self._respond(master, body)
 
-    def _answer(self, master: int, body: bytes) -> None:
+    def _respond(self, master: int, body: bytes) -> None:
         with self.lock:
-            answers = [unit.answer(body) for unit in self.units.values()]
-        for said in answers:
-            if said is not None:
+            replies = [unit.respond(body) for unit in self.units.values()]
+        for reply in replies:
+            if reply is not None:
                 time.sleep(0.002)
-                os.write(master, said)
+                os.write(master, reply)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dashboard]:
         Unit(SIXTEEN, reply_bytes=4),
         Unit(LOCAL, remote=False),
         Unit(OLD, highest_parameter=30),
-        Unit(DEAD, silent=True),
+        Unit(DEAD, off=True),
         Unit(ODD),
     ]
     with dashboard(tmp_path_factory.mktemp("plant"), units) as made:
@@ -43,24 +43,24 @@ def units(plant: Dashboard) -> Iterator[dict[int, Unit]]:
         unit.mute_on.clear()
 
 
-def problem(answer: Any, status: int, code: str) -> dict[str, Any]:
+def problem(response: Any, status: int, code: str) -> dict[str, Any]:
     """Check that the response is this problem."""
-    assert answer.status_code == status, answer.text
-    assert answer.headers["content-type"].startswith("application/problem+json")
-    said: dict[str, Any] = answer.json()
-    assert said["code"] == code
-    assert said["status"] == status
-    assert said["detail"]
-    return said
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"].startswith("application/problem+json")
+    result: dict[str, Any] = response.json()
+    assert result["code"] == code
+    assert result["status"] == status
+    assert result["detail"]
+    return result
 
 
-def result_of(answer: Any, outcome: str, status: int = 200) -> dict[str, Any]:
+def result_of(response: Any, outcome: str, status: int = 200) -> dict[str, Any]:
     """Check that the response has this outcome."""
-    assert answer.status_code == status, answer.text
-    said: dict[str, Any] = answer.json()
-    assert said["outcome"] == outcome
-    assert said["code"] == outcome
-    return said
+    assert response.status_code == status, response.text
+    result: dict[str, Any] = response.json()
+    assert result["outcome"] == outcome
+    assert result["code"] == outcome
+    return result
 
 
 def test_the_line(plant: Dashboard) -> None:
@@ -106,11 +106,11 @@ def test_a_unit_that_never_responded_is_unknown_and_all_null(plant: Dashboard) -
 
 
 def test_set_speed_is_verified_and_shown(plant: Dashboard, units: dict[int, Unit]) -> None:
-    said = result_of(
+    result = result_of(
         plant.bus("POST", "/units/1/speed", {"raw": 4099, "execute": True}, "operator"), "verified"
     )
-    assert said["read_back"] == 4099
-    assert said["frames"]
+    assert result["read_back"] == 4099
+    assert result["frames"]
     assert units[MASTER].commanded == 4099
     assert [(command, data.hex()) for command, _, data in units[MASTER].writes] == [(0x84, "00001003")]
     assert plant.unit(MASTER)["commanded_raw"] == 4099
@@ -139,9 +139,9 @@ def test_a_unit_in_local_refuses(plant: Dashboard) -> None:
         ("PUT", "/units/3/analog-output", {"raw": 350}),
         ("PUT", "/units/3/parameters/6", {"raw": 60}),
     ):
-        said = problem(plant.bus(method, path, body), 409, "refused")
-        assert (said["outcome"], said["unit_error"]) == ("refused", 128)
-        assert "REMOTE" in said["unit_error_name"]
+        result = problem(plant.bus(method, path, body), 409, "refused")
+        assert (result["outcome"], result["unit_error"]) == ("refused", 128)
+        assert "REMOTE" in result["unit_error_name"]
 
 
 def test_a_speed_above_the_maximum_is_refused_with_the_nearest(
@@ -162,8 +162,8 @@ def test_a_speed_above_the_maximum_is_refused_with_the_nearest(
 def test_an_engineers_limit_above_the_maximum_leaves_the_refusal_to_the_unit(plant: Dashboard) -> None:
     assert plant.bus("PUT", "/units/1/limits", {"highest": 25000}).status_code == 200
     try:
-        said = problem(plant.bus("POST", "/units/1/speed", {"raw": 20001, "execute": True}), 409, "refused")
-        assert said["unit_error"] == 129
+        result = problem(plant.bus("POST", "/units/1/speed", {"raw": 20001, "execute": True}), 409, "refused")
+        assert result["unit_error"] == 129
     finally:
         assert plant.bus("PUT", "/units/1/limits", {}).status_code == 200
 
@@ -203,8 +203,8 @@ def test_a_speed_that_is_not_taken_is_unverified_with_what_was_read(
     plant: Dashboard, units: dict[int, Unit]
 ) -> None:
     units[ODD].deaf_to = {0x84}
-    said = problem(plant.bus("POST", "/units/6/speed", {"raw": 2222, "execute": True}), 504, "unverified")
-    assert said["read_back"] == units[ODD].commanded != 2222
+    result = problem(plant.bus("POST", "/units/6/speed", {"raw": 2222, "execute": True}), 504, "unverified")
+    assert result["read_back"] == units[ODD].commanded != 2222
 
 
 def test_a_lost_acknowledgement_is_settled_by_the_read_back(plant: Dashboard, units: dict[int, Unit]) -> None:
@@ -230,8 +230,8 @@ def test_analog_output_is_acknowledged_never_verified(plant: Dashboard, units: d
 
 def test_analog_output_that_is_not_set_for_the_link(plant: Dashboard) -> None:
     result_of(plant.bus("PUT", "/units/6/parameters/28", {"raw": 1}), "verified")
-    said = problem(plant.bus("PUT", "/units/6/analog-output", {"raw": 350}), 409, "refused")
-    assert said["unit_error"] == 135
+    result = problem(plant.bus("PUT", "/units/6/analog-output", {"raw": 350}), 409, "refused")
+    assert result["unit_error"] == 135
     result_of(plant.bus("PUT", "/units/6/parameters/28", {"raw": 2}), "verified")
 
 
@@ -254,20 +254,20 @@ def test_a_unit_with_fewer_parameters(plant: Dashboard) -> None:
     rows = plant.bus("GET", "/units/4/parameters?refresh=true").json()
     assert [row["number"] for row in rows if row["available"] is False] == list(range(31, 41))
     assert rows[30]["raw"] is None
-    said = problem(plant.bus("PUT", "/units/4/parameters/31", {"raw": 5}), 409, "refused")
-    assert said["unit_error"] == 130
+    result = problem(plant.bus("PUT", "/units/4/parameters/31", {"raw": 5}), 409, "refused")
+    assert result["unit_error"] == 130
 
 
 def test_a_written_parameter_is_shown_as_read_back(plant: Dashboard, units: dict[int, Unit]) -> None:
-    said = result_of(plant.bus("PUT", "/units/1/parameters/16", {"raw": 0}, "engineer"), "verified")
-    assert said["read_back"] == 0
+    result = result_of(plant.bus("PUT", "/units/1/parameters/16", {"raw": 0}, "engineer"), "verified")
+    assert result["read_back"] == 0
     assert units[MASTER].writes[-1][2] == bytes([16, 0, 0, 0, 0])
     rows = plant.bus("GET", "/units/1/parameters").json()
     assert rows[15]["raw"] == 0
     result_of(plant.bus("PUT", "/units/1/parameters/16", {"raw": 1}), "verified")
     units[ODD].deaf_to = {0x86}
-    said = problem(plant.bus("PUT", "/units/6/parameters/6", {"raw": 77}), 504, "unverified")
-    assert said["read_back"] == FACTORY[6]
+    result = problem(plant.bus("PUT", "/units/6/parameters/6", {"raw": 77}), 504, "unverified")
+    assert result["read_back"] == FACTORY[6]
 
 
 def test_decimals_that_change_change_what_is_shown(plant: Dashboard) -> None:
@@ -279,8 +279,8 @@ def test_decimals_that_change_change_what_is_shown(plant: Dashboard) -> None:
 
 def test_dangerous_parameters_need_a_confirmation(plant: Dashboard, units: dict[int, Unit]) -> None:
     for number, raw in ((18, 48), (19, 0), (27, 1)):
-        said = problem(plant.bus("PUT", f"/units/6/parameters/{number}", {"raw": raw}), 409, "dangerous")
-        assert said["outcome"] == "dangerous"
+        result = problem(plant.bus("PUT", f"/units/6/parameters/{number}", {"raw": raw}), 409, "dangerous")
+        assert result["outcome"] == "dangerous"
     assert units[ODD].writes == []
     result_of(plant.bus("PUT", "/units/6/parameters/27", {"raw": 1, "confirm": True}), "verified")
     result_of(plant.bus("PUT", "/units/6/parameters/27", {"raw": 0, "confirm": True}), "verified")
@@ -288,8 +288,8 @@ def test_dangerous_parameters_need_a_confirmation(plant: Dashboard, units: dict[
 
 def test_setpoints_of_several_as_one(plant: Dashboard, units: dict[int, Unit]) -> None:
     setpoints = {"1": {"raw": 1500}, "16": {"raw": 1600}, "6": {"value": "170.0"}}
-    said = result_of(plant.bus("POST", "/speeds", {"setpoints": setpoints}, "operator"), "verified")
-    assert {key: unit["outcome"] for key, unit in said["units"].items()} == dict.fromkeys(
+    result = result_of(plant.bus("POST", "/speeds", {"setpoints": setpoints}, "operator"), "verified")
+    assert {key: unit["outcome"] for key, unit in result["units"].items()} == dict.fromkeys(
         ("1", "16", "6"), "verified"
     )
     assert [units[number].commanded for number in (MASTER, SIXTEEN, ODD)] == [1500, 1600, 1700]
@@ -305,23 +305,23 @@ def test_nothing_is_broadcast_unless_all_acknowledge(
 ) -> None:
     before = units[MASTER].commanded
     setpoints = {"1": {"raw": 9999}, str(stopper): {"raw": 9999}}
-    said = problem(plant.bus("POST", "/speeds", {"setpoints": setpoints}), status, outcome)
-    assert said["units"][str(stopper)]["outcome"] in (outcome, "not_sent")
-    assert said["units"]["1"]["outcome"] != "verified"
+    result = problem(plant.bus("POST", "/speeds", {"setpoints": setpoints}), status, outcome)
+    assert result["units"][str(stopper)]["outcome"] in (outcome, "not_sent")
+    assert result["units"]["1"]["outcome"] != "verified"
     assert units[MASTER].commanded == before
     assert not any(command == 0x83 for unit in units.values() for command, _, _ in unit.writes)
     assert units[MASTER].staged in (None, before)
 
 
 def test_execute_all(plant: Dashboard, units: dict[int, Unit]) -> None:
-    units[LOCAL].remote, units[DEAD].silent = True, False
+    units[LOCAL].remote, units[DEAD].off = True, False
     plant.see(DEAD, "heard", lambda shown: shown["link"] == "online")
     for number, raw in ((MASTER, 2100), (ODD, 2200)):
         result_of(plant.bus("POST", f"/units/{number}/speed", {"raw": raw, "execute": False}), "acknowledged")
-    said = result_of(plant.bus("POST", "/execute", role="operator"), "verified")
+    result = result_of(plant.bus("POST", "/execute", role="operator"), "verified")
     assert (units[MASTER].commanded, units[ODD].commanded) == (2100, 2200)
-    assert said["units"]["1"]["read_back"] == 2100
-    units[LOCAL].remote, units[DEAD].silent = False, True
+    assert result["units"]["1"]["read_back"] == 2100
+    units[LOCAL].remote, units[DEAD].off = False, True
 
 
 def test_roles_and_strangers(plant: Dashboard, units: dict[int, Unit]) -> None:

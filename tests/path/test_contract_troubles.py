@@ -79,12 +79,12 @@ def test_a_pulled_cable_closes_the_bus_and_nothing_is_sent_when_it_is_back(plant
 
 
 def test_a_unit_that_does_not_respond_goes_stale_then_offline_and_comes_back(plant: Plant) -> None:
-    plant.cable.units[2].silent = True
+    plant.cable.units[2].off = True
     plant.see(2, "stale or worse", lambda shown: shown["link"] in ("stale", "offline"))
     plant.see(2, "offline", lambda shown: shown["link"] == "offline")
     assert plant.unit(1)["link"] == "online"
     assert plant.unit(2)["commanded_raw"] == 0
-    plant.cable.units[2].silent = False
+    plant.cable.units[2].off = False
     plant.see(2, "online", lambda shown: shown["link"] == "online")
     kinds = [(event["kind"], event["new"]) for event in _events(plant, "unit=2")]
     assert ("unit", "online") in kinds
@@ -119,11 +119,11 @@ def test_a_killed_worker_is_seen_and_replaced(plant: Plant) -> None:
 def test_a_stopped_worker_makes_everything_stale_and_sends_nothing_late(plant: Plant) -> None:
     """The word comes before the worker counts as gone; what it finds on waking is late."""
     with stopped(plant):
-        said = speed(plant, 1, 4321).json()
+        problem = speed(plant, 1, 4321).json()
         plant.see(1, "stale", lambda shown: shown["link"] in ("stale", "offline"))
-    assert said["outcome"] == "unverified"
-    assert "does not respond" in said["detail"]
-    _hears_from(plant, 1)
+    assert problem["outcome"] == "unverified"
+    assert "does not respond" in problem["detail"]
+    _responds(plant, 1)
     assert plant.cable.units[1].commanded == 1000
     assert plant.cable.units[1].writes == []
     (event,) = _events(plant, "kind=command")
@@ -134,13 +134,13 @@ def test_a_worker_stopped_between_two_tries_tries_no_more(plant: Plant) -> None:
     unit = plant.cable.units[1]
     unit.mute_on = {0x84}
     with ThreadPoolExecutor(1) as other:
-        wish = other.submit(speed, plant, 1, 1100)
+        command = other.submit(speed, plant, 1, 1100)
         eventually(lambda: unit.writes, "the first try")
         with stopped(plant):
             tries = len(unit.writes)
-            said = wish.result(60).json()
-    assert said["outcome"] == "unverified"
-    _hears_from(plant, 1)
+            problem = command.result(60).json()
+    assert problem["outcome"] == "unverified"
+    _responds(plant, 1)
     assert len(unit.writes) == tries
 
 
@@ -184,7 +184,7 @@ def _events(plant: Plant, query: str) -> list[dict[str, Any]]:
     return [event for event in found if event["id"] >= plant.first_event]
 
 
-def _hears_from(plant: Dashboard, unit: int) -> None:
+def _responds(plant: Dashboard, unit: int) -> None:
     """Until the unit was read three times more, so that what was to be sent before has been."""
     for _ in range(3):
         _reads_again(plant, unit)

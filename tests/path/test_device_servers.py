@@ -83,13 +83,13 @@ class Witness(Unit):
     deaf = False
     armed = False
 
-    def answer(self, body: bytes) -> bytes | None:
+    def respond(self, body: bytes) -> bytes | None:
         """As any unit does, but for the one time."""
         if not (self.armed and body[0] == self.address and body[1] == SET):
-            return super().answer(body)
+            return super().respond(body)
         self.armed = False
         self.cable.server.hang_up()
-        return None if self.deaf else super().answer(body)
+        return None if self.deaf else super().respond(body)
 
 
 @pytest.fixture(params=[ServedPlain, ServedByRfc2217], ids=["socket", "rfc2217"], scope="module")
@@ -109,23 +109,23 @@ def plant(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_it_goes_away_while_a_write_is_on_its_way(plant: Dashboard, deaf: bool, timeout_s: float) -> None:
     unit = plant.cable.units[1]
     assert isinstance(unit, Witness)
-    _hears(plant)
+    _wait_for_responses(plant)
     unit.writes.clear()
     wanted = unit.commanded + 1
     unit.deaf, unit.armed = deaf, True
-    said = plant.bus("POST", "/units/1/speed", {"raw": wanted, "timeout_s": timeout_s}).json()
-    assert not unit.armed, f"the write did not come so far: {said}"
-    assert said["outcome"] in ("verified", "unverified"), "it left, so nothing else is known to be so"
-    if said["outcome"] == "verified":
-        assert (said["read_back"], unit.commanded) == (wanted, wanted)
+    result = plant.bus("POST", "/units/1/speed", {"raw": wanted, "timeout_s": timeout_s}).json()
+    assert not unit.armed, f"the write did not come so far: {result}"
+    assert result["outcome"] in ("verified", "unverified"), "it left, so nothing else is known to be so"
+    if result["outcome"] == "verified":
+        assert (result["read_back"], unit.commanded) == (wanted, wanted)
     done = len(unit.writes)
-    _hears(plant)
+    _wait_for_responses(plant)
     assert len(unit.writes) == done, "nothing is sent once the fate was told"
     event = plant.call("GET", "/events?kind=command&limit=1").json()["events"][0]
-    assert event["outcome"] == said["outcome"]
+    assert event["outcome"] == result["outcome"]
 
 
-def _hears(plant: Dashboard) -> None:
+def _wait_for_responses(plant: Dashboard) -> None:
     """Wait until both units were read after the call, so that pending requests have been sent."""
     for number in (1, 2, 1, 2):
         before: Any = plant.unit(number)["read_at"]

@@ -38,7 +38,7 @@ class BadCable(Cable):
     def _strikes(self, rate: float = RATE) -> bool:
         return self.bad and self._dice.random() < rate
 
-    def _answer(self, master: int, body: bytes) -> None:
+    def _respond(self, master: int, body: bytes) -> None:
         if self._strikes():
             return  # the request is lost
         if body[0] in self.units and self._strikes():
@@ -48,26 +48,26 @@ class BadCable(Cable):
             os.write(master, frame(bytes([body[0], ACK])))  # acknowledged, and nothing done
             return
         with self.lock:
-            answers = [unit.answer(body) for unit in self.units.values()]
-        for said in answers:
-            if said is not None:
+            replies = [unit.respond(body) for unit in self.units.values()]
+        for reply in replies:
+            if reply is not None:
                 time.sleep(0.002)
-                os.write(master, self._spoilt(said))
+                os.write(master, self._spoilt(reply))
 
-    def _spoilt(self, said: bytes) -> bytes:
+    def _spoilt(self, reply: bytes) -> bytes:
         if self._strikes():
-            said = b""  # lost
+            reply = b""  # lost
         if self._strikes():
-            said = said[: len(said) // 2]
+            reply = reply[: len(reply) // 2]
         if self._strikes():
-            said = said[:4] + bytes(byte ^ 0x04 for byte in said[4:5]) + said[5:]
+            reply = reply[:4] + bytes(byte ^ 0x04 for byte in reply[4:5]) + reply[5:]
         if self._strikes():
-            said += said
+            reply += reply
         if self._strikes():
-            said = frame(bytes([STRANGER, ACK])) + said
+            reply = frame(bytes([STRANGER, ACK])) + reply
         if self._strikes():
             time.sleep(LATE_S)
-        return said
+        return reply
 
 
 def test_verified_on_a_bad_line_is_true(tmp_path: Path) -> None:
@@ -75,11 +75,11 @@ def test_verified_on_a_bad_line_is_true(tmp_path: Path) -> None:
         assert isinstance(plant.cable, BadCable)
         plant.cable.bad = True
         with ThreadPoolExecutor(len(UNITS)) as people:
-            said = [each for some in people.map(lambda unit: _play(plant, unit), UNITS) for each in some]
+            result = [each for some in people.map(lambda unit: _play(plant, unit), UNITS) for each in some]
         plant.cable.bad = False
-    outcomes = Counter(outcome for outcome, _ in said)
-    assert [complaint for _, complaint in said if complaint] == []
-    assert outcomes["verified"] > len(said) / 4, outcomes
+    outcomes = Counter(outcome for outcome, _ in result)
+    assert [complaint for _, complaint in result if complaint] == []
+    assert outcomes["verified"] > len(result) / 4, outcomes
     assert outcomes.keys() <= {"verified", "unverified", "refused", "not_sent"}
 
 
@@ -91,11 +91,11 @@ def _play(plant: Dashboard, number: int) -> list[tuple[str, str]]:
 
 def _write(plant: Dashboard, unit: Unit, raw: int, dice: random.Random) -> tuple[str, str]:
     unit.writes.clear()
-    path, body, command, holds = _wish(unit, raw, dice)
+    path, body, command, holds = _command(unit, raw, dice)
     method = "POST" if path == "speed" else "PUT"
-    said: Any = plant.bus(method, f"/units/{unit.address}/{path}", body).json()
+    result: Any = plant.bus(method, f"/units/{unit.address}/{path}", body).json()
     acted = any(entry[0] == command for entry in unit.writes)
-    outcome = said["outcome"]
+    outcome = result["outcome"]
     if outcome == "verified" and not holds():
         return outcome, f"{path} {body}: verified, and the unit does not hold it"
     if outcome in ("refused", "not_sent") and acted:
@@ -103,7 +103,7 @@ def _write(plant: Dashboard, unit: Unit, raw: int, dice: random.Random) -> tuple
     return outcome, ""
 
 
-def _wish(unit: Unit, raw: int, dice: random.Random) -> Any:
+def _command(unit: Unit, raw: int, dice: random.Random) -> Any:
     """Path, body, command, and whether the unit holds it."""
     which = dice.randrange(3)
     if which == 0:

@@ -28,18 +28,18 @@ class Killer(Unit):
     command: int = 0
     victim: list[int] = field(default_factory=list)
 
-    def answer(self, body: bytes) -> bytes | None:
+    def respond(self, body: bytes) -> bytes | None:
         """As any unit does."""
-        said = super().answer(body)
+        reply = super().respond(body)
         if body[0] in (0, self.address) and body[1] == self.command and self.victim:
             os.kill(self.victim.pop(), signal.SIGKILL)
-        return said
+        return reply
 
 
 @pytest.mark.parametrize(
-    ("command", "whole"), [(STAGE, [OLD, NEW]), (EXECUTE, [NEW])], ids=["staged", "executed"]
+    ("command", "complete"), [(STAGE, [OLD, NEW]), (EXECUTE, [NEW])], ids=["staged", "executed"]
 )
-def test_a_killed_app_leaves_a_complete_line(tmp_path: Path, command: int, whole: list[list[int]]) -> None:
+def test_a_killed_app_leaves_a_complete_line(tmp_path: Path, command: int, complete: list[list[int]]) -> None:
     """Before the execute it is the old line, or the new one where the worker had done before it knew."""
     killer = Killer(2, commanded=1000, actual=1000, command=command)
     units = [Unit(1, commanded=1000, actual=1000), killer, Unit(3, commanded=1000, actual=1000)]
@@ -48,7 +48,7 @@ def test_a_killed_app_leaves_a_complete_line(tmp_path: Path, command: int, whole
         killer.victim.append(server)
         other.submit(_send, plant)
         eventually(lambda: _ended(worker), "the worker gone with its app", within=START_S)
-        assert [unit.commanded for unit in units] in whole
+        assert [unit.commanded for unit in units] in complete
         assert all(unit.staged in (None, unit.commanded) for unit in units), "and nothing waits to surprise"
 
 

@@ -87,11 +87,11 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:
-            said = _history(url, tokens["viewer"], unit, line.since)
+            series = _history(url, tokens["viewer"], unit, line.since)
             own = [reading for reading in kept if reading.unit == unit]
-            assert [round(at, 3) for at in said["t"]] == [round(each.at, 3) for each in own]
-            assert said["max"] == [each.actual for each in own]
-            assert said["bucket_s"] == 0, "every reading itself"
+            assert [round(at, 3) for at in series["t"]] == [round(each.at, 3) for each in own]
+            assert series["max"] == [each.actual for each in own]
+            assert series["bucket_s"] == 0, "every reading itself"
 
 
 @contextmanager
@@ -133,12 +133,12 @@ def served(config: Path) -> Iterator[None]:
 
 def _history(url: str, token: str, unit: int, since: float) -> dict[str, Any]:
     span = {"from": _iso(since - 1), "to": _iso(since + AWAY_S + 1)}
-    asked = {"bus": "far", "unit": unit, "value": "actual", "points": 20_000, "format": "epoch", **span}
+    query = {"bus": "far", "unit": unit, "value": "actual", "points": 20_000, "format": "epoch", **span}
     headers = {"Authorization": f"Bearer {token}"}
-    answer = httpx.get(f"{url}/api/v1/history", params=asked, headers=headers, timeout=60, trust_env=False)
-    assert answer.status_code == 200, answer.text
-    said: dict[str, Any] = answer.json()
-    return said
+    response = httpx.get(f"{url}/api/v1/history", params=query, headers=headers, timeout=60, trust_env=False)
+    assert response.status_code == 200, response.text
+    series: dict[str, Any] = response.json()
+    return series
 
 
 def _iso(at: float) -> str:

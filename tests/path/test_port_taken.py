@@ -84,8 +84,8 @@ def nothing_is_sent_and_it_comes_back(plant: Dashboard) -> None:
 
 def refused_meanwhile(plant: Dashboard) -> None:
     """A write finds the bus closed."""
-    answer = plant.bus("POST", "/units/1/speed", {"raw": 4000})
-    assert (answer.status_code, answer.json()["code"]) == (503, "bus_closed")
+    response = plant.bus("POST", "/units/1/speed", {"raw": 4000})
+    assert (response.status_code, response.json()["code"]) == (503, "bus_closed")
 
 
 def test_a_port_that_is_locked_when_the_worker_starts(plant: Dashboard) -> None:

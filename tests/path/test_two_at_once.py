@@ -21,14 +21,14 @@ class Listening(Cable):
 
     def __init__(self, path: Path, units: list[Unit]) -> None:
         super().__init__(path, units)
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self.begun = threading.Event()
 
-    def _answer(self, master: int, body: bytes) -> None:
+    def _respond(self, master: int, body: bytes) -> None:
         if body[1] in (STAGE, EXECUTE):
-            self.heard.append(body)
+            self.received.append(body)
             self.begun.set()
-        super()._answer(master, body)
+        super()._respond(master, body)
 
 
 def test_of_two_changes_of_the_line_one_waits_for_the_other(tmp_path: Path) -> None:
@@ -38,20 +38,22 @@ def test_of_two_changes_of_the_line_one_waits_for_the_other(tmp_path: Path) -> N
         assert isinstance(cable, Listening)
         for base in range(1000, 1000 + 100 * ROUNDS, 100):
             cable.begun.clear()
-            cable.heard.clear()
+            cable.received.clear()
             first = people.submit(_set, plant, base, "operator")
             cable.begun.wait(60)
             second = people.submit(_set, plant, base + 50, "engineer")
-            answers = [first.result(), second.result()]
-            taken = [base + 50 * place for place, answer in enumerate(answers) if answer.status_code == 200]
-            assert taken, [answer.text for answer in answers]
-            changes = _changes(cable.heard)
+            responses = [first.result(), second.result()]
+            taken = [
+                base + 50 * place for place, response in enumerate(responses) if response.status_code == 200
+            ]
+            assert taken, [response.text for response in responses]
+            changes = _changes(cable.received)
             assert sorted(change for change, _ in changes) == taken
             assert all(staged == set(UNITS) for _, staged in changes)
             assert {unit.commanded - number for number, unit in cable.units.items()} == {changes[-1][0]}
-            for answer in answers:
-                if answer.status_code != 200:
-                    assert answer.json()["code"] == "not_sent", answer.text
+            for response in responses:
+                if response.status_code != 200:
+                    assert response.json()["code"] == "not_sent", response.text
 
 
 def _set(plant: Dashboard, base: int, role: str) -> Any:
@@ -59,10 +61,10 @@ def _set(plant: Dashboard, base: int, role: str) -> Any:
     return plant.bus("POST", "/speeds", {"setpoints": setpoints, "timeout_s": 30}, role)
 
 
-def _changes(heard: list[bytes]) -> list[tuple[int, set[int]]]:
+def _changes(received: list[bytes]) -> list[tuple[int, set[int]]]:
     """Of each change up to its broadcast: what it set beyond a unit's number, and which units it staged."""
     changes = []
-    for is_staging, frames in groupby(heard, lambda body: body[1] == STAGE):
+    for is_staging, frames in groupby(received, lambda body: body[1] == STAGE):
         if is_staging:
             staged = {body[0]: int.from_bytes(body[2:], "big") - body[0] for body in frames}
             (base,) = set(staged.values())

@@ -1,7 +1,7 @@
 """The open pages of one language: they get the same bytes in the same turn of the loop.
 
-Changes held back, in a flood or among very many pages, is held back once for all of them and goes together.
-The number is that of the last message sent. A page that opens in between gets a snapshot of that number: it
+Changes are held back, in a flood or among very many pages, once for all pages, and go together. The number is
+that of the last message sent. A page that opens in between gets a snapshot of that number: it
 is newer than the number, and the next message repeats some fields.
 """
 
