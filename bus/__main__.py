@@ -14,6 +14,7 @@ from pathlib import Path
 import structlog
 
 from bus.configuration import ConfigurationError, load_bus
+from bus.messages import Message
 from bus.worker.process import run
 
 TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
@@ -26,11 +27,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     token = sys.stdin.readline().strip() if options.child else os.environ.pop(TOKEN_VARIABLE, "")
     if not token:
-        return _wrong(f"no token: set {TOKEN_VARIABLE} (see 'lineside token create')")
+        return _wrong(Message.of("worker_token_missing", variable=TOKEN_VARIABLE))
     try:
         bus = load_bus(options.config, options.bus)
     except ConfigurationError as error:
-        return _wrong(str(error))
+        return _wrong(error.message)
     structlog.contextvars.bind_contextvars(bus=bus.name)
     return run(bus, options.app, token, child=options.child)
 
@@ -46,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _wrong(message: str) -> int:
+def _wrong(message: Message) -> int:
     print(message, file=sys.stderr)
     return WRONG_USE
 

@@ -48,7 +48,8 @@ WHERE event_parts.event = e.id
 
 @dataclass(frozen=True)
 class Filter:
-    """The events of a query; None or empty does not filter. Times in seconds since the epoch.
+    """The events of a query; None or empty does not filter. Times in seconds since the epoch. ``code`` and
+    ``number`` are those of the message in ``what``, which older events do not have.
     ``folded`` leaves out the parts of a change that is in the result, ``parts_of`` all but the parts of
     these."""
 
@@ -60,6 +61,10 @@ class Filter:
     since: UnixTime | None = None
     until: UnixTime | None = None
     search: str = ""
+    code: str | None = None
+    number: int | None = None
+    old_raw: int | None = None
+    new_raw: int | None = None
     folded: bool = False
     parts_of: tuple[int, ...] | None = None
 
@@ -73,9 +78,16 @@ class Filter:
             "who = ?": self.who,
             "time >= ?": self.since,
             "time < ?": self.until,
+            "old_raw = ?": self.old_raw,
+            "new_raw = ?": self.new_raw,
         }
         parts = [f"AND {event}.{condition}" for condition, value in given.items() if value is not None]
         values: list[Any] = [value for value in given.values() if value is not None]
+        of_what = f"CASE WHEN json_valid({event}.messages) THEN json_extract({event}.messages, ?) = ? END"
+        for path, value in (("$.what.code", self.code), ("$.what.params.number", self.number)):
+            if value is not None:
+                parts.append(f"AND {of_what}")
+                values += [path, value]
         if self.search:
             columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{conclusion}.message")
             either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in columns)

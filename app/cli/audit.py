@@ -19,7 +19,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
 from app.cli.accounts import ORIGIN, who_calls
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
 from app.database.connection import open_for_reading
@@ -55,9 +55,9 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
         if verdict.broken is not None:
             fault = in_english(verdict.fault)
             raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
-    typer.echo(str(Message.of("audit_whole", n=verdict.entries)))
+    report(Message.of("audit_whole", n=verdict.entries))
     for remark in _remarks(verdict, anchors):
-        typer.echo(str(remark))
+        report(remark)
 
 
 @audits.command(name="rotate-key")
@@ -72,7 +72,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
             path = asyncio.run(_rotate(database, settings))
         finally:
             database.close()
-    typer.echo(f"{path}: the log is sealed with a newer key; back this file up")
+    report(Message.of("key_rotated", file=str(path)))
 
 
 async def _rotate(database: Database, settings: Settings) -> Path | None:

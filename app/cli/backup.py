@@ -11,13 +11,13 @@ from typing import Annotated
 
 import typer
 
-from app.cli.counted import counted
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
+from app.web.message_shown import message_shown
 from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message
@@ -65,31 +65,34 @@ def _check_place(out: Path) -> None:
         raise CallerError(Message.of("file_not_regular", file=str(out)))
 
 
-def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, str]]:
+def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows], dict[int, Message]]:
     """The units that responded, and why the others did not; one offline unit does not prevent the backup."""
 
-    def read(unit: int) -> UnitRows | str:
+    def read(unit: int) -> UnitRows | Message:
         try:
             return there.read_unit(bus, unit, gaps=True)
         except DashboardError as error:
-            return str(error)
+            return error.message
 
     with ThreadPoolExecutor(AT_ONCE) as together:
         found = dict(zip(wanted, together.map(read, wanted), strict=True))
     rows = [given for given in found.values() if isinstance(given, UnitRows)]
-    return rows, {unit: why for unit, why in found.items() if isinstance(why, str)}
+    return rows, {unit: why for unit, why in found.items() if isinstance(why, Message)}
 
 
-def _set(bus: str, units: list[UnitRows], missing: dict[int, str]) -> ParameterSet:
-    comment = f"not read: unit {', '.join(str(unit) for unit in missing)}" if missing else ""
+def _set(bus: str, units: list[UnitRows], missing: dict[int, Message]) -> ParameterSet:
+    comment = str(Message.of("units_not_read", units=list(missing))) if missing else ""
     return ParameterSet(bus, unix_now(), "lineside backup", "by hand", tuple(units), comment=comment)
 
 
-def _report(out: Path, read: list[UnitRows], missing: dict[int, str], as_json: bool) -> None:
+def _report(out: Path, read: list[UnitRows], missing: dict[int, Message], as_json: bool) -> None:
     for unit, reason in missing.items():
-        typer.echo(f"unit {unit} was not read: {reason}", err=True)
+        report(Message.of("unit_not_read", unit=unit, reason=reason), err=True)
     if as_json:
         units = [unit.unit for unit in read]
-        typer.echo(json.dumps({"file": str(out) if read else None, "units": units, "missing": missing}))
+        why = {unit: str(reason) for unit, reason in missing.items()}
+        whys = {unit: message_shown(reason) for unit, reason in missing.items()}
+        done = {"file": str(out) if read else None, "units": units}
+        typer.echo(json.dumps({**done, "missing": why, "missing_messages": whys}))
     elif read:
-        typer.echo(f"{counted(len(read), 'unit')} written to {out}")
+        report(Message.of("units_backed_up", n=len(read), file=str(out)))

@@ -20,7 +20,7 @@ from typing import Annotated
 import typer
 
 from app.auth.withheld import Withheld
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.cli.restored_store import Backup, consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
@@ -49,7 +49,7 @@ def backup_store(
     """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
     with ending():
         names = write_backup(load(config).server.data, file)
-    typer.echo(f"{file}: {', '.join(names)}")
+    report(Message.of("stores_backed_up", file=str(file), names=[*names]))
 
 
 def restore_store(
@@ -63,11 +63,13 @@ def restore_store(
         settings = load(config)
         server = settings.server
         if not yes:
-            typer.confirm(f"Replace the stores in {server.data} by those of {file}?", abort=True)
+            typer.confirm(
+                str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True
+            )
         names, withheld = read_backup(file, server.data, settings.key_files, server.store.name)
-    typer.echo(f"{server.data}: {', '.join(names)} restored; what was there ends in {ASIDE}")
+    report(Message.of("stores_restored", folder=str(server.data), names=[*names], suffix=ASIDE))
     for consequence in consequences(withheld) if withheld is not None else ():
-        typer.echo(str(consequence))
+        report(consequence)
 
 
 def write_backup(data: Path, file: Path) -> list[str]:

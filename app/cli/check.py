@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import typer
 
-from app.cli.ending import ending
+from app.cli.ending import complain, ending, report
 from app.cli.findings import findings
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
+from bus.messages import Message
 
 
 def register(cli: typer.Typer) -> None:
@@ -19,10 +20,13 @@ def check(config: Config = LINESIDE_TOML) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     with ending():
         settings = load(config)
-        typer.echo(f"{config}: {settings.site.name}")
+        report(Message.of("check_configuration", file=str(config), site=settings.site.name))
         faults = 0
         for finding in findings(settings):
             faults += finding.is_fault
-            typer.echo(f"{'lineside:' if finding.is_fault else ' '} {finding.text}", err=finding.is_fault)
+            if finding.is_fault:
+                complain(finding.message)
+            else:
+                typer.echo(f"  {finding.message}")
         if faults:
             raise typer.Exit(1)

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.ending import complain
 from app.errors import system_error
 from bus.errors import CallerError
 from bus.messages import Message
@@ -75,6 +76,4 @@ def _warn_if_shared(file: Path, mode: int) -> None:
     """A secret mounted by a container or a credential store is a regular file of any mode, and no mistake of
     the caller: this warns and goes on."""
     if stat.S_ISREG(mode) and mode & (stat.S_IRGRP | stat.S_IROTH):
-        typer.echo(
-            f"lineside: other users of this machine can read {file}; protect it: chmod 600 {file}", err=True
-        )
+        complain(Message.of("token_file_shared", file=str(file)))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.ending import ending
+from app.cli.ending import complain, ending
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
@@ -46,7 +46,7 @@ def decode(
         for item in found:
             typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
     if not any(frame.checksum_ok for frame in frames):
-        typer.echo("lineside: no valid frame in these bytes; a frame is 10 02 … 10 03 checksum.", err=True)
+        complain(Message("no_valid_frame"))
         raise typer.Exit(1)
 
 

@@ -23,7 +23,7 @@ from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
 
 END_WITHIN_S = 2.0
-CHOOSE = "choose another port: lineside demo --port 8100, or make demo PORT=8100"
+CHOOSE = Message("choose_port_demo")
 
 
 def register(cli: typer.Typer) -> None:

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.backup import AsJson
-from app.cli.counted import counted
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
@@ -17,6 +16,7 @@ from app.errors import system_error
 from app.sets.compare import Compared, differences
 from app.sets.document import LONGEST_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
+from app.web.message_shown import maybe_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, in_english
@@ -110,17 +110,19 @@ def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
         "left": str(row.old),
         "right": str(row.new),
         "meaning": in_english(row.meaning),
+        "meaning_message": maybe_shown(row.meaning),
     }
 
 
 def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
     if not found:
-        return "equal"
-    head = f"{counted(len(found), 'row')} {'differs' if len(found) == 1 else 'differ'} (file, then now):"
+        return str(Message("sides_equal"))
+    head = str(Message.of("rows_differ", n=len(found)))
     return "\n".join([head, *(_line(right.unit, row) for _, right, row in found)])
 
 
 def _line(unit: int, row: Compared) -> str:
     name = PARAMETERS[row.number].name
     values = f"{row.old!s:>14}  {row.new!s:>14}"
-    return f"unit {unit}  #{row.number:<3}{name:<32}{values}  {in_english(row.meaning)}"
+    address = Message.of("unit_address", unit=unit)
+    return f"{address}  #{row.number:<3}{name:<32}{values}  {in_english(row.meaning)}"

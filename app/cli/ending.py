@@ -1,4 +1,4 @@
-"""Exit codes of a command: 0 done, 1 failed, 2 wrong use; errors in one line on standard error."""
+"""Exit codes of a command: 0 done, 1 failed, 2 wrong use; what it reports, in English."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import typer
 
 from bus.errors import CallerError, LinesideError
+from bus.messages import Message
 
 
 @contextmanager
@@ -16,8 +17,21 @@ def ending() -> Iterator[None]:
     try:
         yield
     except CallerError as error:
-        typer.echo(f"lineside: {error}", err=True)
+        complain(error.message)
         raise typer.Exit(2) from error
-    except (LinesideError, OSError) as error:
-        typer.echo(f"lineside: {error}", err=True)
+    except LinesideError as error:
+        complain(error.message)
         raise typer.Exit(1) from error
+    except OSError as error:
+        complain(Message.of("system_error", error=str(error)))
+        raise typer.Exit(1) from error
+
+
+def report(message: Message, *, err: bool = False) -> None:
+    """A line of standard output, or of standard error."""
+    typer.echo(str(message), err=err)
+
+
+def complain(reason: Message) -> None:
+    """A line of standard error that names the program, as Unix tools do."""
+    report(Message.of("command_failed", reason=reason), err=True)

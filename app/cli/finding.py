@@ -10,22 +10,28 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.database.private import FOLDER_MODE
+from bus.messages import Message, ParamValue
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One line of the report. A fault keeps Lineside from working as configured; the rest informs."""
 
-    text: str
+    message: Message
     is_fault: bool = False
 
 
-def user() -> str:
+def fault(code: str, /, **params: ParamValue) -> Finding:
+    """A fault, by the code of its message."""
+    return Finding(Message(code, params), is_fault=True)
+
+
+def user() -> Message:
     """Who runs the check."""
     try:
-        return f"user {getpass.getuser()}"
+        return Message.of("machine_user", user=getpass.getuser())
     except (KeyError, OSError):
-        return f"user {os.getuid()}"
+        return Message.of("machine_user", user=os.getuid())
 
 
 def is_visible(path: Path) -> bool:

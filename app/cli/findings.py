@@ -12,17 +12,12 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.cli.audit_findings import audit_findings
-from app.cli.counted import counted
-from app.cli.finding import Finding, can_make_folder, is_visible, user
+from app.cli.finding import Finding, can_make_folder, fault, is_visible, user
 from app.cli.listening import ListenError, listen
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
+from bus.messages import Message
 from bus.settings import BusSettings
-
-NO_BUS = (
-    "there is no [[bus]], so there is nothing to show. Write one for each cable, with its name, its port and "
-    "its [[bus.unit]] tables; 'lineside init --config FILE' writes a file to start from."
-)
 
 
 def findings(settings: Settings) -> Iterator[Finding]:
@@ -31,63 +26,58 @@ def findings(settings: Settings) -> Iterator[Finding]:
     yield _data(settings.server.data)
     yield from audit_findings(settings)
     if not settings.bus:
-        yield Finding(NO_BUS, is_fault=True)
+        yield fault("check_no_bus")
     for bus in settings.bus:
         yield from _bus(bus)
 
 
 def _address(server: ServerSettings) -> Finding:
-    where = f"dashboard at {server.host} port {server.port}"
     try:
-        listen(server.host, server.port, "choose another").close()
+        listen(server.host, server.port, Message("choose_port")).close()
     except ListenError as error:
         if getattr(error.__cause__, "errno", None) == errno.EADDRINUSE:
-            return Finding(f"{where}, which is in use now: by a running Lineside, or by another program")
-        return Finding(f"[server]: {error}", is_fault=True)
-    return Finding(where)
+            return Finding(Message.of("check_address_in_use", host=server.host, port=server.port))
+        return fault("check_server_refused", reason=error.message)
+    return Finding(Message.of("check_address", host=server.host, port=server.port))
 
 
 def _data(folder: Path) -> Finding:
     existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     if not existing.is_dir():
-        return Finding(f"data: {existing} is no folder. Name another one as data in [server].", is_fault=True)
+        return fault("check_data_is_file", folder=str(existing))
     if not can_make_folder(folder):
-        what = "write to" if existing == folder else "create"
-        return Finding(
-            f"data: {user()} may not {what} {folder}. Give the folder to the user that runs Lineside, name "
-            "another one as data in [server], or run this check as that user.",
-            is_fault=True,
-        )
-    later = "" if existing == folder else ", created at the first start"
-    return Finding(f"data in {folder}{later}")
+        code = "check_data_not_writable" if existing == folder else "check_data_not_creatable"
+        return fault(code, user=user(), folder=str(folder))
+    return Finding(Message.of("check_data" if existing == folder else "check_data_later", folder=str(folder)))
 
 
 def _bus(bus: BusSettings) -> Iterator[Finding]:
-    fault = _url_fault(bus.port) if "://" in bus.port else _device_fault(bus.port)
-    if fault:
-        yield Finding(f"bus {bus.name}: {fault}", is_fault=True)
+    refusal = _url_fault(bus) if "://" in bus.port else _device_fault(bus)
+    if refusal is not None:
+        yield Finding(refusal, is_fault=True)
         return
-    absent = ""
-    if "://" not in bus.port and not Path(bus.port).exists():
-        absent = ", which is not there now; Lineside waits for it"
-    yield Finding(f"bus {bus.name}: {counted(len(bus.unit), 'unit')} at {bus.port}{absent}, {bus.baud} baud")
+    absent = "://" not in bus.port and not Path(bus.port).exists()
+    code = "check_bus_absent" if absent else "check_bus"
+    yield Finding(Message.of(code, bus=bus.name, n=len(bus.unit), port=bus.port, baud=bus.baud))
     if not bus.unit:
-        scan = f"'lineside scan --port {bus.port}' lists the addresses that respond"
-        yield Finding(f"bus {bus.name} has no [[bus.unit]]; {scan}")
+        yield Finding(Message.of("check_bus_without_units", bus=bus.name, port=bus.port))
 
 
-def _device_fault(path: str) -> str:
+def _device_fault(bus: BusSettings) -> Message | None:
+    path = bus.port
     try:
         status = Path(path).stat()
     except FileNotFoundError:
-        return ""
+        return None
     except OSError as error:
-        return f"{why_not(path, error)}."
+        return Message.of("check_port_refused", bus=bus.name, reason=why_not(path, error))
     if not stat.S_ISCHR(status.st_mode) or _is_other_device(status.st_rdev):
-        return (
-            f"{why_not(path, OSError(errno.ENOTTY, ''))}. Name a device, such as one in /dev/serial/by-id/."
+        return Message.of(
+            "check_port_no_device", bus=bus.name, reason=why_not(path, OSError(errno.ENOTTY, ""))
         )
-    return "" if os.access(path, os.R_OK | os.W_OK) else f"{why_not(path, OSError(errno.EACCES, ''))}."
+    if os.access(path, os.R_OK | os.W_OK):
+        return None
+    return Message.of("check_port_refused", bus=bus.name, reason=why_not(path, OSError(errno.EACCES, "")))
 
 
 def _is_other_device(device: int) -> bool:
@@ -96,14 +86,12 @@ def _is_other_device(device: int) -> bool:
     return subsystem.exists() and subsystem.resolve().name != "tty"
 
 
-def _url_fault(url: str) -> str:
-    parts = urlsplit(url)
+def _url_fault(bus: BusSettings) -> Message | None:
+    parts = urlsplit(bus.port)
     if parts.scheme == "rfc2217" and importlib.util.find_spec("serialx") is None:
-        return f"{url} needs one more package: pip install 'lineside[rfc2217]'."
+        return Message.of("check_port_needs_package", bus=bus.name, port=bus.port)
     try:
         socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_STREAM)
     except (socket.gaierror, UnicodeError):
-        return (
-            f"{url} names a host that this machine does not know. Check its spelling, or give its IP address."
-        )
-    return ""
+        return Message.of("check_port_host_unknown", bus=bus.name, port=bus.port)
+    return None

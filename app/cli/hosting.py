@@ -14,10 +14,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import typer
 import uvloop
 
 from app.auth.rules import new_secret
+from app.cli.ending import report
 from app.cli.listening import url_of
 from app.cli.loading import loading
 from app.cli.workers import WorkerProcesses
@@ -79,7 +79,9 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
         with loading():
             if (module := await _server_module(stopping)) is None:
                 return
-            server = module.Server(settings, demo, tokens, lambda: typer.echo(f"Lineside: {url}"))
+            server = module.Server(
+                settings, demo, tokens, lambda: report(Message.of("dashboard_at", url=url))
+            )
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
     finally:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.errors import system_error
 from bus.errors import LinesideError
@@ -38,7 +38,7 @@ def init(config: Config = LINESIDE_TOML) -> None:
             raise InitError(
                 Message.of("configuration_not_writable", file=str(config), error=system_error(error))
             ) from error
-        typer.echo(f"{config} is written. Set the port and the units, then: lineside check --config {config}")
+        report(Message.of("configuration_written", file=str(config)))
 
 
 def likely_port(folder: Path = BY_ID) -> str:

@@ -17,7 +17,7 @@ class ListenError(LinesideError):
     """The dashboard's port cannot be taken; the text gives the reason and what to do."""
 
 
-def listen(host: str, port: int, choose: str) -> socket.socket:
+def listen(host: str, port: int, choose: Message) -> socket.socket:
     """Take ``port`` of ``host``. ``choose``: how the caller chooses another port. Raises ListenError."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     both = host == "::" and socket.has_dualstack_ipv6()
@@ -27,7 +27,7 @@ def listen(host: str, port: int, choose: str) -> socket.socket:
         raise ListenError(_reason(host, port, choose, error)) from error
 
 
-def _reason(host: str, port: int, choose: str, error: Exception) -> Message:
+def _reason(host: str, port: int, choose: Message, error: Exception) -> Message:
     number = getattr(error, "errno", None)
     if number is not None and number < 0:  # EAI_…: create_server passes on what getaddrinfo(3) returned
         return Message.of("listen_no_host", host=host)

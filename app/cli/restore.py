@@ -10,13 +10,13 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.backup import AsJson, Bus, Url
-from app.cli.counted import counted
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
-from app.cli.ending import ending
+from app.cli.ending import complain, ending, report
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
+from bus.messages import Message
 
 _ENDED = ("equal", "different", "stopped")
 _LOOK_AGAIN_S = 0.2
@@ -54,12 +54,12 @@ def restore(
         planned = _plan(there, bus, unit, file, chosen)
         typer.echo(_plan_text(planned), err=as_json)
         if _selected(planned) and not yes and not _agreed(unit):
-            typer.echo("nothing was written", err=True)
+            report(Message("nothing_written"), err=True)
             raise typer.Exit(1)
         ended = _run(there, planned, quiet=as_json)
         typer.echo(json.dumps(_results(ended)) if as_json else _ending_text(ended))
         if ended["state"] != "equal":
-            typer.echo(f"lineside: unit {unit} does not equal {file}: {_why(ended)}", err=True)
+            complain(Message.of("unit_not_equal", unit=unit, file=str(file), reason=_why(ended)))
             raise typer.Exit(1)
 
 
@@ -79,7 +79,7 @@ def _selected(planned: Any) -> list[Any]:
 
 def _agreed(unit: int) -> bool:
     try:
-        return typer.confirm(f"Write these rows to unit {unit}?", err=True)
+        return typer.confirm(str(Message.of("write_rows", unit=unit)), err=True)
     except typer.Abort:
         return False
 
@@ -111,8 +111,8 @@ def _results(ended: Any) -> list[Any]:
 
 def _plan_text(planned: Any) -> str:
     rows = _selected(planned)
-    head = f"{counted(len(rows), 'row')} to write, {planned['equal']} equal"
-    notes = [f"note: {remark}" for remark in planned["remarks"]]
+    head = str(Message.of("rows_to_write", n=len(rows), equal=planned["equal"]))
+    notes = [str(Message.of("restore_note", remark=remark)) for remark in planned["remarks"]]
     return "\n".join([*notes, head, *map(_planned_text, rows), *map(_left_out_text, planned["left_out"])])
 
 
@@ -123,8 +123,9 @@ def _planned_text(row: Any) -> str:
 
 
 def _left_out_text(left: Any) -> str:
-    values = f"{left['present']} → {left['wanted']}  " if left["differs"] else ""
-    return f"#{left['number']:<3}{left['name']:<32}left out: {values}{left['reason']}"
+    values = {name: left[name] for name in ("present", "wanted", "reason")}
+    text = Message("row_left_out_differs" if left["differs"] else "row_left_out", values)
+    return f"#{left['number']:<3}{left['name']:<32}{text}"
 
 
 def _row_text(row: Any) -> str:
@@ -134,14 +135,12 @@ def _row_text(row: Any) -> str:
 
 def _ending_text(ended: Any) -> str:
     verified = sum(row["outcome"] == "verified" for row in ended["rows"])
-    rows = counted(len(ended["rows"]), "row")
-    end = f"{verified} of {rows} verified; complete read-back: {ended['state']}"
+    end = str(Message.of("rows_verified", verified=verified, n=len(ended["rows"]), state=ended["state"]))
     return "\n".join([end, *(_left_out_text(left) for left in ended["left_out"] if left["differs"])])
 
 
-def _why(ended: Any) -> str:
+def _why(ended: Any) -> str | Message:
     if ended["cause"]:
         return str(ended["cause"])
-    rows = [f"#{row['number']}" for row in ended["remaining"] or []]
-    differ = "differs" if len(rows) == 1 else "differ"
-    return f"{', '.join(rows)} {differ}; run it again to finish the rest" if rows else "see the rows"
+    rows: list[int | str | Message] = [f"#{row['number']}" for row in ended["remaining"] or []]
+    return Message.of("rows_still_differ", n=len(rows), rows=rows) if rows else Message("see_rows")

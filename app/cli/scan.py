@@ -10,11 +10,12 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.ending import ending
+from app.cli.ending import complain, ending, report
+from app.web.message_shown import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
-from bus.messages import Message
+from bus.messages import Message, listed, number
 from bus.settings import BAUDS, check_port
 
 FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
@@ -22,7 +23,7 @@ FASTEST_FIRST: tuple[int, ...] = tuple(sorted(BAUDS, reverse=True))
 INTERRUPTED = 130
 """As a shell reports a program that SIGINT ended."""
 _SOCKET = "socket://"
-_KINDS = {"digimax": "DIGIMAX IV", "garbled": "garbled", "foreign": "no DIGIMAX IV"}
+_KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
 
 
 def register(cli: typer.Typer) -> None:
@@ -53,37 +54,39 @@ def scan(
     try:
         check_port(port)
     except ValueError as error:
-        raise typer.BadParameter(f"{port!r}: {error}", param_hint="--port") from error
+        raise typer.BadParameter(
+            str(Message.of("option_port_refused", port=repr(port), reason=str(error))), param_hint="--port"
+        ) from error
     if baud is not None and baud not in BAUDS:
-        raise typer.BadParameter(f"{baud} is none of {', '.join(map(str, BAUDS))}", param_hint="--baud")
+        raise typer.BadParameter(
+            str(Message.of("option_none_of", value=baud, known=list(BAUDS))), param_hint="--baud"
+        )
     if first > last:
-        raise typer.BadParameter(f"{first} is above --last {last}", param_hint="--first")
+        raise typer.BadParameter(
+            str(Message.of("option_first_above_last", first=first, last=last)), param_hint="--first"
+        )
     bauds = bauds_to_try(port, baud)
     addresses = range(first, last + 1)
-    typer.echo(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
+    report(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)
     scans: list[BaudScan] = []
-    failure, code = "", 0
+    failure: Message | None = None
+    code = 0
     try:
         with ending():
             asyncio.run(_scan(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
     except typer.Exit:
         if not any(done.found for done in scans):
             raise
-        failure, code = "the port was lost", 1
+        failure, code = Message("scan_port_lost"), 1
     except KeyboardInterrupt:
-        failure, code = "interrupted", INTERRUPTED
+        failure, code = Message("scan_interrupted"), INTERRUPTED
     found = [one for done in scans for one in done.found]
-    _report(port, scans, found, as_json, turnaround_ms, complete=not failure)
-    if failure:
-        typer.echo(f"lineside: {failure}: the scan is not complete, this is what was found so far.", err=True)
+    _report(port, scans, found, as_json, turnaround_ms, complete=failure is None)
+    if failure is not None:
+        complain(failure)
         raise typer.Exit(code)
     if not found:
-        tried = ", ".join(str(done.baud) for done in scans)
-        typer.echo(
-            f"lineside: no unit responded at {tried} baud; look at the wiring, at #17 and #18 of the units, "
-            "or allow them longer with --turnaround-ms.",
-            err=True,
-        )
+        complain(Message.of("scan_no_response", bauds=[done.baud for done in scans]))
         raise typer.Exit(1)
 
 
@@ -96,27 +99,27 @@ def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
 
 def announcement(
     port: str, bauds: Sequence[int], addresses: range, turnaround_s: float, every_baud: bool
-) -> str:
+) -> Message:
     """What will be done and how long it takes, before it is done."""
     seconds = [PASSES * len(addresses) * no_response_s(baud, turnaround_s) for baud in bauds]
-    which = (
-        f"addresses {addresses[0]} to {addresses[-1]}" if len(addresses) > 1 else f"address {addresses[0]}"
+    which = Message.of(
+        "scan_addresses" if len(addresses) > 1 else "scan_address", first=addresses[0], last=addresses[-1]
     )
+    one, all_of_them = _duration(seconds[0]), _duration(sum(seconds))
     if len(bauds) == 1:
-        how_long = f"{bauds[0]} baud: about {_duration(seconds[0])}"
+        how_long = Message.of("scan_one_baud", baud=bauds[0], time=one)
     elif every_baud:
-        how_long = f"all six baud rates: about {_duration(sum(seconds))}"
+        how_long = Message.of("scan_all_bauds", time=all_of_them)
     else:
-        how_long = (
-            f"{bauds[0]} baud, about {_duration(seconds[0])}, then the slower ones until a unit responds: "
-            f"{_duration(sum(seconds))} at most"
-        )
-    return f"Scanning {port}, {which}, at {how_long}; each unit found adds up to 2 s. Ctrl-C ends it."
+        how_long = Message.of("scan_slower_bauds", baud=bauds[0], time=one, most=all_of_them)
+    return Message.of("scan_begins", port=port, which=which, how_long=how_long)
 
 
-def _duration(seconds: float) -> str:
+def _duration(seconds: float) -> Message:
     minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{max(rest, 1)} s"
+    if minutes:
+        return Message.of("duration_minutes", minutes=minutes, seconds=rest)
+    return Message.of("duration_seconds", seconds=max(rest, 1))
 
 
 async def _scan(
@@ -153,34 +156,36 @@ def _report(
         remarks.append(Message.of("scan_turnaround", value=allowed_ms))
     if as_json:
         settings = {**settings_seen(found), "turnaround_ms": allowed_ms}
-        document = _json(port, scans, found, [str(remark) for remark in remarks])
+        document = _json(port, scans, found, remarks)
         typer.echo(json.dumps({**document, "settings": settings, "complete": complete}))
         return
     for one in found:
-        typer.echo(_line(one))
+        report(_line(one))
         for remark in one.remarks:
             typer.echo(f"    {remark}")
     for remark in remarks:
-        typer.echo(str(remark))
+        report(remark)
 
 
-def _line(one: Found) -> str:
-    words = [f"unit {one.unit} at {one.baud} baud: {_KINDS[one.kind]}"]
+def _line(one: Found) -> Message:
+    traits: list[int | str | Message] = [Message(_KINDS[one.kind])]
     if one.parameters:
-        words.append(f"parameters 1 to {one.parameters[-1]}")
+        traits.append(Message.of("found_parameters_to", last=one.parameters[-1]))
     if one.remote is not None:
-        words.append("remote" if one.remote else "not remote: it refuses every write")
+        traits.append(Message("found_remote" if one.remote else "found_not_remote"))
     if one.answered_within_s is not None:
-        words.append(f"responds within {1000 * one.answered_within_s:.1f} ms")
-    return ", ".join(words)
+        traits.append(Message.of("found_responds_within", time=number(f"{1000 * one.answered_within_s:.1f}")))
+    return Message.of("unit_found", unit=one.unit, baud=one.baud, traits=listed(traits))
 
 
-def _json(port: str, scans: Sequence[BaudScan], found: Sequence[Found], remarks: list[str]) -> dict[str, Any]:
+def _json(
+    port: str, scans: Sequence[BaudScan], found: Sequence[Found], remarks: list[Message]
+) -> dict[str, Any]:
     return {
         "port": port,
         "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
         "units": [_unit_json(one) for one in found],
-        "remarks": remarks,
+        **_remarks(remarks),
     }
 
 
@@ -198,5 +203,12 @@ def _unit_json(one: Found) -> dict[str, Any]:
         "parameter_reply_bytes": list(one.reply_bytes),
         "estop_healthy": one.estop_healthy,
         "turnaround_ms": None if answered is None else round(1000 * answered, 1),
-        "remarks": [str(remark) for remark in one.remarks],
+        **_remarks(one.remarks),
+    }
+
+
+def _remarks(remarks: Sequence[Message]) -> dict[str, Any]:
+    return {
+        "remarks": [str(remark) for remark in remarks],
+        "remark_messages": [message_shown(remark) for remark in remarks],
     }

@@ -10,6 +10,7 @@ import typer
 from app.cli.ending import ending
 from app.cli.listening import listen
 from app.settings import load
+from bus.messages import Message
 
 Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
 LINESIDE_TOML = Path("lineside.toml")
@@ -24,7 +25,8 @@ def serve(config: Config = LINESIDE_TOML) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
     with ending():
         settings = load(config)
-        with listen(settings.server.host, settings.server.port, f"set port in [server] of {config}") as port:
+        choose = Message.of("choose_port_configured", file=str(config))
+        with listen(settings.server.host, settings.server.port, choose) as port:
             from app.cli.hosting import host
 
             host(settings, config.resolve(), port)

@@ -9,7 +9,9 @@ from typing import Annotated, get_args
 import typer
 from pydantic import ValidationError
 
+from app.cli.ending import complain
 from bus.catalogue import numbers
+from bus.messages import Message
 from bus.settings import BAUDS, Baud, Dialect
 from bus.simulator.control import SimulatorControl
 from bus.simulator.demo import demo_line
@@ -66,10 +68,10 @@ def simulate(
     """Run simulated units only. The first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
     if baud not in BAUDS:
         raise typer.BadParameter(
-            f"{baud} is none of {', '.join(map(str, get_args(Baud)))}", param_hint="--baud"
+            str(Message.of("option_none_of", value=baud, known=list(get_args(Baud)))), param_hint="--baud"
         )
     if tcp is not None and link is not None:
-        raise typer.BadParameter("a link leads to a pseudo-terminal, not to a TCP port", param_hint="--link")
+        raise typer.BadParameter(str(Message("option_link_with_tcp")), param_hint="--link")
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     dialect = _dialect(
         checksum_10h=checksum_10h,
@@ -107,10 +109,13 @@ _ENDINGS = {signal.SIGINT, signal.SIGTERM}
 
 
 def _open(tcp: int | None, link: Path | None, baud: int) -> Port:
-    what = f"TCP port {tcp} cannot be opened" if tcp is not None else f"the link {link} cannot be made"
-    advice = "choose another, or 0 for any" if tcp is not None else "name a path in a folder that is there"
     try:
         return PtyPort(link, baud) if tcp is None else TcpLinePort(tcp)
     except OSError as error:
-        typer.echo(f"lineside: {what}: {error.strerror}; {advice}.", err=True)
+        why = str(error.strerror)
+        complain(
+            Message.of("simulator_link_refused", link=str(link), error=why)
+            if tcp is None
+            else Message.of("simulator_port_refused", port=tcp, error=why)
+        )
         raise typer.Exit(1) from error

@@ -10,7 +10,7 @@ import typer
 
 from app.cli.credentials import TokenFile, TokenOption, token_if_given
 from app.cli.dashboard import dashboard
-from app.cli.ending import ending
+from app.cli.ending import ending, report
 from app.cli.listening import url_of
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
@@ -47,7 +47,9 @@ def status(
         if as_json:
             typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses}))
         elif serves:
-            typer.echo("\n".join([f"{settings.site.name}: serving at {url}", *map(_line, buses or ())]))
+            report(Message.of("dashboard_serves", site=settings.site.name, url=url))
+            for bus in buses or ():
+                report(_line(bus))
         if not serves:
             raise NotServingError(Message.of("not_serving", url=url, config=str(config)))
 
@@ -70,6 +72,7 @@ def _buses(url: str, token: str) -> list[dict[str, Any]]:
             "worker": bus["worker"],
             "link": bus["link"],
             "link_cause": bus["link_cause"],
+            "link_cause_message": bus.get("link_cause_message"),
             "units": len(bus["units"]),
             "units_online": sum(unit["link"] == "online" for unit in bus["units"]),
         }
@@ -77,7 +80,8 @@ def _buses(url: str, token: str) -> list[dict[str, Any]]:
     ]
 
 
-def _line(bus: dict[str, Any]) -> str:
-    cause = f": {bus['link_cause']}" if bus["link_cause"] else ""
-    units = f"{bus['units_online']} of {bus['units']} units online"
-    return f"  bus {bus['name']}: {units}, port {bus['link']}{cause}"
+def _line(bus: dict[str, Any]) -> Message:
+    units = {"bus": bus["name"], "online": bus["units_online"], "units": bus["units"], "link": bus["link"]}
+    if bus["link_cause"]:
+        return Message("bus_not_open", {**units, "cause": bus["link_cause"]})
+    return Message("bus_open", units)

@@ -13,6 +13,7 @@ from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
 from bus.instants import UnixTime
+from bus.messages import Message
 
 tokens = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
 
@@ -52,7 +53,8 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with ending():
         for token in with_accounts(config, lambda accounts: accounts.tokens()):
-            expires = "" if token.expires_at is None else f"expires {_day(token.expires_at)}"
+            day = token.expires_at
+            expires = "" if day is None else str(Message.of("token_expires", day=_day(day)))
             columns = (token.name, token.role, token.created_by, token.bus or "", expires)
             typer.echo("\t".join(columns).rstrip())
 

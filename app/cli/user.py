@@ -11,6 +11,7 @@ from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import PEOPLE_ROLES, role_named
+from bus.messages import Message
 
 LONGEST_LINE = 10_000
 
@@ -45,7 +46,8 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every user: name, role, and whether it is a panel or disabled."""
     with ending():
         for user in with_accounts(config, lambda accounts: accounts.users()):
-            marks = [word for word, is_so in (("panel", user.panel), ("disabled", user.disabled)) if is_so]
+            states = (("user_is_panel", user.panel), ("user_is_disabled", user.disabled))
+            marks = [str(Message(code)) for code, is_so in states if is_so]
             typer.echo("\t".join([user.name, user.role, *marks]))
 
 

@@ -17,21 +17,31 @@ async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> E
     """The event of our write, later than the reading of the left side (the golden set), that left the
     right side as it is; None when it was changed at the panel."""
     since = None if row.left is None else row.left.read_at
-    wanted = Filter(kind="command", bus=bus, unit=unit, since=since, search=f"#{row.number} ")
+    wanted = Filter(
+        kind="command", bus=bus, unit=unit, since=since, code="event_write_parameter", number=row.number
+    )
     found, _ = await events.page(wanted, _LOOK_BACK)
-    ours = (event for event in found if _writes(event, row.number) and event["outcome"] in _ACTED)
-    last = next(ours, None)
-    if last is None or row.right is None:
+    last = next((event for event in found if event["outcome"] in _ACTED), None)
+    if row.right is None:
         return None
+    if last is None:
+        return await _older(events, bus, unit, row)
     # A secret is in no event: only its last write can be named.
     known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
     return last if known else None
 
 
-def _writes(event: Event, number: int) -> bool:
-    what = event["messages"].get("what")
-    if what is None:  # an event of a version that stored texts only
-        text: str = event["what"]
-        return f"write #{number} " in text
-    is_write: bool = what.code == "event_write_parameter" and what.params.get("number") == number
-    return is_write
+async def _older(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
+    """A command of a version that stored no parameter number: the one from the left value to the right."""
+    if row.left is None or row.right is None or row.left.raw is None or row.right.raw is None:
+        return None
+    wanted = Filter(
+        kind="command",
+        bus=bus,
+        unit=unit,
+        since=row.left.read_at,
+        old_raw=row.left.raw,
+        new_raw=row.right.raw,
+    )
+    found, _ = await events.page(wanted, _LOOK_BACK)
+    return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

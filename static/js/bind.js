@@ -183,7 +183,7 @@ export function listen(group, listener) {
   return () => listeners.get(group).delete(listener);
 }
 
-/** The current text of GROUP.FIELD, undefined when it was never received. */
+/** The current text or list of GROUP.FIELD, undefined when it was never received. */
 export function value(key) {
   const dot = key.indexOf(".");
   return values.get(key.slice(0, dot))?.[key.slice(dot + 1)];

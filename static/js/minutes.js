@@ -64,7 +64,7 @@ function outline({ t, avg }, from, { least, most }, step) {
 
 /** A number with as many decimals as the unit itself shows. */
 function inUnitsDecimals(unit, number) {
-  const decimals = (value(`${unit}.commanded`) ?? "").split(/[.,]/)[1]?.length ?? 0;
+  const decimals = value(`${unit}.setpoint`)?.[1] ?? 0;
   const [minimumFractionDigits, maximumFractionDigits] = [decimals, decimals];
   const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
   return number.toLocaleString(language, shape);

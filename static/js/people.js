@@ -5,22 +5,18 @@ const notify = (what) => document.dispatchEvent(new CustomEvent(what));
 
 function draw(here) {
   for (const list of document.querySelectorAll("[data-people]")) {
-    const items = here
-      .split("\n")
-      .filter(Boolean)
-      .map((line) => {
-        const [name, role] = line.split("\t");
-        const item = document.createElement("li");
-        item.textContent = `${name} · ${role}`;
-        return item;
-      });
+    const items = here.map(([name, role]) => {
+      const item = document.createElement("li");
+      item.textContent = `${name} · ${role}`;
+      return item;
+    });
     list.replaceChildren(...items);
   }
 }
 
 export function start() {
   listen("people", (fields) => {
-    draw(fields.here ?? "");
+    draw(fields.here ?? []);
     notify("lineside:people");
   });
 }

@@ -14,8 +14,6 @@ export function numberOf(text) {
   return /^[+-]?\d+(\.\d+)?$/.test(plain) ? Number(plain) : Number.NaN;
 }
 
-const textOf = (number, decimals) => number.toFixed(decimals).replace(".", DECIMAL_SIGN);
-
 // --- the field and its pad ----------------------------------------------------------------------------
 
 function followUnit(input) {
@@ -67,8 +65,13 @@ function keepUndo() {
 const TOOLS = {
   scale: (present, by) => (present * by) / 100,
   offset: (present, by) => present + by,
-  value: (_, by) => by,
 };
+
+/** A setpoint, as [raw, decimals], that a tool has changed, as text; null where the setpoint is not known. */
+export function changed(tool, [raw, decimals] = [], by = 0) {
+  if (typeof raw !== "number" || typeof decimals !== "number") return null;
+  return TOOLS[tool](raw / 10 ** decimals, by).toFixed(decimals).replace(".", DECIMAL_SIGN);
+}
 
 /** Online and not in LOCAL; see the row in templates/setpoints/page.html. */
 const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
@@ -85,14 +88,14 @@ function fillIn(form, tool) {
   for (const row of form.querySelectorAll("tr[data-unit]")) {
     const field = row.querySelector("[data-new]");
     if (!field?.dataset.new || !canBeSet(field) || !row.querySelector("[data-tick]")?.checked) continue;
-    const present = numberOf(value(`${field.dataset.new}.commanded`) ?? "");
-    if (tool !== "value" && Number.isNaN(present)) continue;
-    field.value = textOf(TOOLS[tool](present, by), Number(row.dataset.decimals || 0));
+    const setpoint = value(`${field.dataset.new}.setpoint`);
+    const text = tool === "value" ? source.value.trim() : changed(tool, setpoint, by);
+    if (text !== null) field.value = text;
   }
 }
 
 function together(form, what) {
-  if (what in TOOLS) return fillIn(form, what);
+  if (what in TOOLS || what === "value") return fillIn(form, what);
   for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all" && canBeSet(tick);
   if (what === "clear") for (const field of form.querySelectorAll("[data-new]")) field.value = "";
 }

@@ -13,8 +13,7 @@ function drawing(level) {
   return svg;
 }
 
-function entry(line) {
-  const [key, level, name, text, since] = line.split("\t");
+function entry([key, level, name, text, since]) {
   const link = document.createElement("a");
   link.className = "mark strip__item";
   link.dataset.level = level;
@@ -32,11 +31,10 @@ function entry(line) {
 }
 
 function draw(strip, abnormal) {
-  const lines = strip ? strip.split("\n") : [];
   document.title = abnormal > 0 ? `(${abnormal}) ${title}` : title;
   for (const list of document.querySelectorAll("[data-strip]")) {
     const focused = list.contains(document.activeElement) ? document.activeElement.href : null;
-    list.replaceChildren(...lines.map(entry));
+    list.replaceChildren(...strip.map(entry));
     if (focused) [...list.querySelectorAll("a")].find((link) => link.href === focused)?.focus();
   }
 }

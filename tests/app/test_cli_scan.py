@@ -228,10 +228,10 @@ def test_a_device_server_keeps_its_own_baud_rate() -> None:
 
 def test_it_prints_beforehand_how_long_it_takes() -> None:
     every = range(1, 256)
-    assert "at 9600 baud: about 35 s;" in announcement("P", (9600,), every, 0.05, False)
-    six = announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False)
+    assert "at 9600 baud: about 35 s;" in str(announcement("P", (9600,), every, 0.05, False))
+    six = str(announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, False))
     assert "9600 baud, about 35 s, then the slower ones until a unit responds: 7 min 31 s at most" in six
-    assert "all six baud rates: about 7 min 31 s" in announcement(
-        "P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True
+    assert "all six baud rates: about 7 min 31 s" in str(
+        announcement("P", (9600, 4800, 2400, 1200, 600, 300), every, 0.05, True)
     )
-    assert "address 7, at 300 baud: about 1 s" in announcement("P", (300,), range(7, 8), 0.05, False)
+    assert "address 7, at 300 baud: about 1 s" in str(announcement("P", (300,), range(7, 8), 0.05, False))

@@ -63,7 +63,7 @@ def test_a_dashboard_that_serves(config: Path, monkeypatch: pytest.MonkeyPatch) 
     words = "bus dry-end: 1 of 2 units online, port closed: /dev/ttyUSB0 is not there"
     assert words in CliRunner().invoke(cli, call).stdout
     printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
-    assert printed["buses"][0] == {**BUS, "units": 2, "units_online": 1}
+    assert printed["buses"][0] == {**BUS, "link_cause_message": None, "units": 2, "units_online": 1}
 
 
 @pytest.mark.parametrize(

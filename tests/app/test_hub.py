@@ -117,7 +117,7 @@ async def test_each_user_is_listed_once(world: World) -> None:
     assert world.hub.connected == 3
     world.hub.leave(other)
     (diff,) = await sent(one)
-    assert diff["f"]["people"] == {"here": "anna\toperator", "count": "1"}
+    assert diff["f"]["people"] == {"here": [["anna", "operator"]], "count": "1"}
 
 
 async def test_how_far_a_command_is_goes_to_the_pages_and_is_not_kept(world: World) -> None:

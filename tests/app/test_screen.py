@@ -50,9 +50,9 @@ def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
     )
     changed = shown.see("dry", [1, 2, 3], 150.2, include_bus=False)["whole_line"]
     assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
-    assert changed["strip"].split("\n") == [
-        "dry/1\thigh\tUnit 1\tStopped: run input off\tsince 00:01",
-        "dry/3\thigh\tUnit 3\tStopped: run input off\tsince 00:02",
+    assert changed["strip"] == [
+        ["dry/1", "high", "Unit 1", "Stopped: run input off", "since 00:01"],
+        ["dry/3", "high", "Unit 3", "Stopped: run input off", "since 00:02"],
     ]
 
 
@@ -111,7 +111,7 @@ def test_the_strip_has_an_end() -> None:
     shown = screen(live)
     live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
     changed = shown.see("dry", list(range(1, 61)), 100.2, include_bus=False)
-    assert len(changed["whole_line"]["strip"].split("\n")) == 30
+    assert len(changed["whole_line"]["strip"]) == 30
     assert changed["whole_line"]["abnormal"] == "60"
 
 

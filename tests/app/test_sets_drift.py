@@ -15,6 +15,7 @@ from app.sets.model import ParameterRow, ParameterSet, UnitRows
 from app.sets.store import SetStore
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
+from bus.messages import Message
 from tests.app.played_commands import a_bus
 from tests.app.screens import translator
 
@@ -45,7 +46,7 @@ class Scene:
 
     async def sent(self, who: str, number: int, raw: int | None, outcome: str | None = "verified") -> None:
         fields: dict[str, Any] = {"who": who, "origin": "api", "bus": "dry-end", "unit": 1, "new_raw": raw}
-        what = f"write #{number} {PARAMETERS[number].name} (86h)"
+        what = Message.of("event_write_parameter", number=number, called=PARAMETERS[number].name)
         await self.events.record(kind="command", what=what, outcome=outcome, **fields)
 
     def key(self) -> str:
@@ -114,11 +115,26 @@ async def test_the_last_write_of_the_operator_password_is_named_unseen(
     scene.reads(21, 4711)
     assert await scene.text() == "#21 differs from the golden set, changed at the panel"
     fields: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
-    await scene.events.record(
-        kind="command", what="write #21 Operator Password (86h)", outcome="verified", **fields
-    )
+    what = Message.of("event_write_parameter", number=21, called="Operator Password")
+    await scene.events.record(kind="command", what=what, outcome="verified", **fields)
     scene.reads(21, 4712)
     assert "by anna" in await scene.text()
+
+
+@pytest.mark.parametrize(("old_raw", "is_named"), [(0, True), (5, False), (None, False)])
+async def test_an_event_without_messages_is_known_by_its_values_not_by_its_text(
+    scene: Scene, old_raw: int | None, is_named: bool
+) -> None:
+    fields: dict[str, Any] = {
+        "who": "anna",
+        "origin": "api",
+        "bus": "dry-end",
+        "unit": 1,
+        "outcome": "verified",
+    }
+    await scene.events.record(kind="command", what="any text", old_raw=old_raw, new_raw=21, **fields)
+    scene.reads(12, 21)
+    assert ("by anna" in await scene.text()) is is_named
 
 
 async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> None:

@@ -3,8 +3,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";
 
-openPage();
-const { numberOf } = await import("../../static/js/setter.js");
+openPage({ language: "de" });
+const { changed, numberOf } = await import("../../static/js/setter.js");
 
 test("a number has a comma or a point, and any sign that a keyboard has", () => {
   const typed = ["99,5", " 92.5 ", "-3", "−3", "–3", "+4", "007"];
@@ -14,4 +14,14 @@ test("a number has a comma or a point, and any sign that a keyboard has", () => 
 test("empty is not zero, and what is half a number is none", () => {
   for (const text of ["", " ", "x", "1,", ".5", "1.2.3", "1,234.5", "1e3", "0x10", "Infinity", "1 2"])
     assert.ok(Number.isNaN(numberOf(text)), text);
+});
+
+test("a tool changes the setpoint that the server sends as a number, not its text", () => {
+  assert.equal(changed("scale", [1234, 1], 50), "61,7");
+  assert.equal(changed("offset", [12000, 0], -0.4), "12000");
+  assert.equal(changed("offset", [9995, 2], 0.1), "100,05");
+});
+
+test("a setpoint or decimals that are not known change nothing", () => {
+  for (const setpoint of [undefined, [null, null], [100, null]]) assert.equal(changed("scale", setpoint, 50), null);
 });

@@ -16,7 +16,6 @@ from app.commands.forms.line_change import followers_of, proven, reviewed
 from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import change, judge, keep_their_setpoint, know_ramps
 from app.commands.measure import measure_of_setpoint
-from app.commands.review.ramp import present_setpoint
 from app.commands.review.risks import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.rules.timeouts import longest_change_s
@@ -25,7 +24,6 @@ from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from app.web.access import Person, Viewer
-from bus.catalogue.numbers import DECIMALS
 from bus.contract import SetLine
 from bus.errors import CallerError
 from bus.instants import UnixTime
@@ -49,16 +47,12 @@ async def setpoints(_: Viewer, page: Page) -> Response:
 
 def _line_of(page: PageContext, name: str, bus: BusLive, number: int) -> dict[str, object]:
     live = bus.units[number]
-    present = present_setpoint(bus, live)
-    decimals = 4 if follower(live) else live.parameter_raw(DECIMALS)
     allowed = setpoint_range(live, page.guards(name).limits.of(number))
     limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
     return {
         "unit": page.shown(name, number),
         "measure": measure_of_setpoint(live),
         "limits": {end: page.translator.formats.point(text) for end, text in limits.items()},
-        "present_raw": "" if present is None else present,
-        "decimals": "" if decimals is None else decimals,
         "follower": bool(follower(live)),
     }
 

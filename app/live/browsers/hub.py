@@ -227,7 +227,7 @@ class Hub:
         people = self.people()
         for readers in self._read():
             screen = readers.screen
-            here = "\n".join(f"{name}\t{screen.translator.t(role)}" for name, role in people.items())
+            here = [[name, screen.translator.t(role)] for name, role in people.items()]
             readers.publish(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _notify_watchers(self) -> None:

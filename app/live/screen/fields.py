@@ -1,13 +1,14 @@
 """One unit, one bus, as the texts and positions that a browser puts on the page. Pure.
 
 A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per
-language for all browsers. Positions are fractions as text; bits are strings of ``0`` and
-``1``, of which a lamp shows one place. An empty text means: not known.
+language for all browsers, or a list of typed values. Positions are fractions as text; bits are strings
+of ``0`` and ``1``, of which a lamp shows one place. An empty text means: not known.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
 from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
@@ -47,7 +48,8 @@ STATE_WORDS: dict[MotionState, str] = {
 MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
 PORT_WORDS = {"open": "open", "closed": "closed"}
 
-Fields = dict[str, str]
+Fields = dict[str, Any]
+"""Each a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +161,7 @@ _NEVER: Fields = {
     "at": "",
     "actual": UNKNOWN,
     "commanded": UNKNOWN,
+    "setpoint": [None, None],
     "deviation": UNKNOWN,
     "analog": UNKNOWN,
     "fill": "",
@@ -178,6 +181,7 @@ def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, translator: Transla
     return {
         "actual": translator.formats.fixed(reading.actual, decimals),
         "commanded": translator.formats.fixed(reading.commanded, decimals),
+        "setpoint": [reading.commanded, decimals],
         "deviation": _signed(reading.actual - reading.commanded, decimals, translator),
         "analog": _analog(unit, reading.analog, translator),
     }

@@ -92,10 +92,9 @@ def line_fields(
         "at_zero": f"{tally.at_zero}",
         "ramping": f"{tally.ramping}",
         "off_speed": f"{tally.off_speed}",
-        "strip": "\n".join(
-            "\t".join((entry.key, entry.level, entry.name, entry.text, entry.since))
-            for entry in strip_of(entries)
-        ),
+        "strip": [
+            [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
+        ],
         "abnormal": f"{len(entries)}",
         "named": _named(entries, views, translator),
     } | _figures(live, translator, now)
