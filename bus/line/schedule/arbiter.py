@@ -173,6 +173,8 @@ class Arbiter:
     def _settle_routine(
         self, task: Task, attempts: SendAttempts, exchange: ExchangeResult, began: float, ended: float
     ) -> bool:
+        # A poll at 300 baud takes longer than commands may keep the schedule waiting: it waits from here on.
+        self._routine_at = ended
         again = attempts.settle(exchange)
         self.schedule.spent(task, began, ended, answered=exchange.reply is not None)
         result = attempts.result
