@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, StrictBool, model_validator
 from pydantic_core import PydanticCustomError
 
+from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
@@ -66,28 +67,33 @@ class AlarmSettings(StrictModel):
         is_bit = self.value in INPUT_VALUES or self.value.startswith("output.")
         limited = self.above is not None or self.below is not None
         if is_bit and (limited or self.change_per_s is not None or self.deadband):
-            raise ValueError(f'{self.value} is on or off; write state = "on" or "off" instead of a limit')
+            raise self._refusal("setting_alarm_of_bit")
         if not is_bit and self.state is not None:
-            raise ValueError(f"{self.value} is a number; write above or below instead of state")
+            raise self._refusal("setting_alarm_of_number")
         if [limited, self.change_per_s is not None, self.state is not None].count(True) != 1:
-            right = 'state = "on" or "off"' if is_bit else "above, below or both, or change_per_s"
-            raise ValueError(f"write one condition: {right}")
+            raise self._refusal(f"setting_alarm_one_{'state' if is_bit else 'limit'}")
         return self
 
     @model_validator(mode="after")
     def _deadband_fits(self) -> AlarmSettings:
         if self.change_per_s is not None and self.deadband:
-            raise ValueError("deadband belongs to above and below; use off_delay_s with change_per_s")
+            raise self._refusal("setting_alarm_deadband_of_rate")
         if self.above is not None and self.below is not None:
             if self.below >= self.above:
-                raise ValueError("below is not less than above; every value would be outside")
+                raise self._refusal("setting_alarm_limits_reversed")
             if self.deadband >= (self.above - self.below) / 2:
-                raise ValueError(
-                    "deadband is wider than half the distance of the limits; the alarm would never clear"
-                )
+                raise self._refusal("setting_alarm_deadband_wide")
         elif self.above is not None and self.value != "analog" and self.deadband > self.above:
-            raise ValueError("deadband is wider than the limit; the alarm would never clear")
+            raise self._refusal("setting_alarm_deadband_wide")
         return self
+
+    def _refusal(self, code: str) -> PydanticCustomError:
+        return _refusal(Message.of(code, name=self.name, value=self.value))
+
+
+def _refusal(message: Message, *at: int | str) -> PydanticCustomError:
+    """``at``: where the fault is, from the table on that is judged."""
+    return PydanticCustomError("alarm", "not an alarm", {"message": message, "at": at})
 
 
 def refuse_misplaced(alarms: Iterable[AlarmSettings], buses: Iterable[BusSettings]) -> None:
@@ -95,14 +101,14 @@ def refuse_misplaced(alarms: Iterable[AlarmSettings], buses: Iterable[BusSetting
     units = {bus.name: {unit.id for unit in bus.unit} for bus in buses}
     names: set[tuple[str, str]] = set()
     for index, alarm in enumerate(alarms):
-        key, context = "bus", {"name": alarm.name, "bus": alarm.bus, "unit": alarm.unit}
         if alarm.bus not in units:
-            message = "alarm {name}: there is no bus {bus}; name one that is configured"
+            key = "bus"
         elif alarm.unit not in units[alarm.bus]:
-            key, message = "unit", "alarm {name}: bus {bus} has no unit {unit}; name one that is configured"
+            key = "unit"
         elif (alarm.bus, alarm.name) in names:
-            key, message = "name", "alarm {name} is given twice for bus {bus}; give each its own name"
+            key = "name"
         else:
             names.add((alarm.bus, alarm.name))
             continue
-        raise PydanticCustomError("misplaced", message, context | {"at": ("alarm", index, key)})
+        message = Message.of(f"setting_alarm_{key}", name=alarm.name, bus=alarm.bus, unit=alarm.unit)
+        raise _refusal(message, "alarm", index, key)
