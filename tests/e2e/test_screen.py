@@ -20,6 +20,9 @@ PAGES = [
     "/units/line/1/parameters",
     "/setpoints",
     "/bus/line",
+    "/alarms",
+    "/alarms/journal",
+    "/alarms/line.1.estop_active.0",
 ]
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
