@@ -38,6 +38,8 @@ class AlarmList:
         self._changed: dict[str, Alarm] = {}
         self._due: dict[str, UnixTime] = {}
         self._wake = asyncio.Event()
+        self.writing = asyncio.Lock()
+        """Held while transitions are written: one that fails must not come after those that follow it."""
         self._first_out = FirstOut()
         self._subscribers: list[AlarmSubscriber] = []
 
@@ -139,14 +141,16 @@ class AlarmList:
 
     async def write(self) -> None:
         """Write everything that is not on disk yet. Raises StoreError; it then waits."""
-        entries, alarms = self.take_unwritten()
-        if not entries and not alarms:
-            return
-        try:
-            await self._store.write(entries, alarms)
-        except StoreError:
-            self.give_back(entries, alarms)
-            raise
+        async with self.writing:
+            entries, alarms = self.take_unwritten()
+            if not entries and not alarms:
+                return
+            try:
+                # The end of the server cancels who waits, and must not take back what was handed over.
+                await asyncio.shield(self._store.write(entries, alarms))
+            except StoreError:
+                self.give_back(entries, alarms)
+                raise
 
     async def follow(self, tick: Callable[[], None], clock: Clock) -> None:
         """Run ``tick`` every second, what is due at its time, and write what has changed, without end."""

@@ -158,6 +158,12 @@ class LineAlarms:
     async def _act(
         self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool = False
     ) -> Alarm:
+        async with self.find(alarm_id).list.writing:
+            return await self._act_now(person, alarm_id, act, what, reason, hides=hides)
+
+    async def _act_now(
+        self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool
+    ) -> Alarm:
         alarm, of = self.find(alarm_id)
         before = (alarm.facts, alarm.hidden_by, alarm.reason)
         try:

@@ -57,6 +57,7 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
     assert (done.status_code, done.json()["state"]) == (200, "ack_active")
     estop(house, active=False)
     assert await present(operator) == []
+    await house.services.alarms.write()
     journal = (await operator.get(f"{API}/journal")).json()["transitions"]
     assert [(e["trigger"], e["after"], e["reason"]) for e in journal if e["code"] == "estop_active"] == [
         ("clear", "normal", None),

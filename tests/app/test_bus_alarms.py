@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -247,3 +249,20 @@ async def test_a_suppression_whose_reason_is_gone_after_a_restart_ends(database:
     again.alarms.load(await again.store.load())
     assert again.state("1.not_at_speed") == "unack_active"
     assert again.state("2.estop_active") == "unack_active"
+
+
+async def test_the_end_of_the_server_loses_no_transition_that_is_being_written(
+    bus: AlarmBus, database: Database
+) -> None:
+    bus.wait(1, 2, inputs=RUN)
+    held = threading.Event()
+    blocked = asyncio.ensure_future(database.write(lambda _: held.wait(20)))
+    writing = asyncio.create_task(bus.alarms.list.write())
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    writing.cancel()
+    await asyncio.gather(writing, return_exceptions=True)
+    held.set()
+    await blocked
+    await bus.alarms.list.write()
+    assert [entry.trigger for entry in await bus.store.journal(10, None)] == ["rise"]
