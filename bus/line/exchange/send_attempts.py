@@ -16,16 +16,22 @@ MOST_FENCES = 8
 
 
 class ExchangeResult(msgspec.Struct, frozen=True):
-    """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
+    """How one exchange ended. ``reply`` None: no response in its window.
+
+    ``began`` and ``ended`` are the line's own time, ``sent_at`` and ``responded_at`` Unix time, in seconds.
+    """
 
     request: Request
     reply: Reply | None
+    began: float
+    ended: float
     sent_at: UnixTime
+    """The request's last byte on the wire."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
-    """How the request was written, where something was sent."""
+    """How the request was written."""
     overdue: tuple[int, ...] = ()
     """Units whose response to an earlier request came, once for each response."""
 

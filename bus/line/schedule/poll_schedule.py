@@ -10,7 +10,7 @@ Order of claims on the wire, the first that may use it wins:
 6. the round of 81h, where watched units have more turns than the others.
 
 When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
-here: they come before everything (``bus.line.poller``).
+here: they come before everything (``bus.line.schedule.arbiter``).
 """
 
 from __future__ import annotations
