@@ -232,7 +232,7 @@ def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, W
 
 
 def half_done(case: Case, before: Speeds, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
-    """A whole-line change without a broadcast must leave every speed as it was, and nothing staged unsaid.
+    """A change of all units without a broadcast must leave every speed as it was, and nothing staged unsaid.
 
     What an operator had staged before may stay, or give way to the present speed.
     """

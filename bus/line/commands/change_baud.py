@@ -1,10 +1,10 @@
-"""#18 of every unit as one guarded act. Pure procedures (``bus.line.commands.procedure``).
+"""#18 of every unit as one guarded change. Pure procedures (``bus.line.commands.procedure``).
 
-Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the
-writes each unit is looked for at both rates. All at the new one: the host stays there. All at the old one:
-every #18 is read back, and the host follows when the units have been switched off and on. Anything else:
-every unit is written its old rate at whichever rate it answers, and what must be done at which panel is
-said where even that fails.
+Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the writes
+each unit is polled at both rates. All at the new one: the host stays there. All at the old one: every #18 is
+read back, and the host follows when the units have been switched off and on. Anything else: every unit is
+written its old rate at whichever rate it responds, and where even that fails the result names the panels and
+what to set there.
 """
 
 from __future__ import annotations
@@ -95,7 +95,9 @@ class _Change:
         return None
 
     def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
-        """A unit that changes at once may say its ACK at the new rate already."""
+        """Return whether a unit has the new rate although its ACK was lost: it may send that at the new rate
+        already.
+        """
         if sent.attempts == 0:
             return False
         yield Retune(self._new)
@@ -107,7 +109,7 @@ class _Change:
         return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
     def _answering(self, units: Sequence[int]) -> UnitsFound:
-        """Which of ``units`` answer at the present rate."""
+        """Return the ones of ``units`` that respond at the present rate."""
         found: set[int] = set()
         for unit in units:
             sent = yield from send(Send(ReadStatusRequest(unit), fresh=True, max_attempts=READ_ATTEMPTS))
@@ -143,7 +145,7 @@ class _Change:
     # --- back ----------------------------------------------------------------------------------
 
     def _go_back(self, outcome: Outcome, reason: Message) -> Procedure:
-        """Write every unit its old rate at whichever rate it answers; prove all at the old one."""
+        """Write every unit its old rate at whichever rate it responds; read all back at the old one."""
         yield Retune(self._new)
         yield from self._write_old(self._units)
         yield Retune(self._old)
