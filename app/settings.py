@@ -79,7 +79,7 @@ def _network(written: object) -> IPv4Network | IPv6Network:
     if network is None:
         raise ValueError("write the address of a proxy, like 10.0.0.5, or its network, like 10.0.0.0/28")
     if not network.prefixlen:
-        raise ValueError("name the proxies; of all addresses anybody could write X-Forwarded-For")
+        raise ValueError("name the proxies; with all addresses any client could write X-Forwarded-For")
     return network
 
 

@@ -182,7 +182,7 @@ def test_units_found_before_an_early_end_are_printed(
     assert "the scan is not complete" in result.stderr
 
 
-def test_a_line_that_talks_unasked_is_not_scanned() -> None:
+def test_a_line_with_unrequested_bytes_is_not_scanned() -> None:
     faults = Faults(1)
     faults.set(FaultKind.FLOOD, 1.0)
     with line(unit(2), faults=faults) as port:

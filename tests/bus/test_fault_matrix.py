@@ -40,7 +40,7 @@ from bus.simulator.unit import Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unasked, untrue_result
+from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unrequested, untrue_result
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
 UNITS = 4
@@ -108,7 +108,7 @@ class Trial:
         for action in commands(seed, count):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
             await self._judge(action, dice.choice((0.03, 0.2, 2.0)))
-        self.complaints += unasked(self.cases, self._record)
+        self.complaints += unrequested(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
 
     async def _judge(self, action: Action, timeout_s: float) -> None:

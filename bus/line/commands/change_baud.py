@@ -66,11 +66,11 @@ class _Change:
         if failure is not None:
             return (yield from self._go_back(*failure))
         yield ReportProgress("proving", None, 0, len(self._units))
-        at_old = yield from self._answering(self._units)
+        at_old = yield from self._responding(self._units)
         if at_old == set(self._units):
             return (yield from self._at_power_up())
         yield Retune(self._new)
-        at_new = yield from self._answering([unit for unit in self._units if unit not in at_old])
+        at_new = yield from self._responding([unit for unit in self._units if unit not in at_old])
         if at_new == set(self._units):
             return (yield from self._at_once())
         lost = sorted(set(self._units) - at_old - at_new)
@@ -101,14 +101,14 @@ class _Change:
         if sent.attempts == 0:
             return False
         yield Retune(self._new)
-        found = yield from self._answering([unit])
+        found = yield from self._responding([unit])
         yield Retune(self._old)
         return unit in found
 
     def _likely_refusals_first(self) -> list[int]:
         return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
-    def _answering(self, units: Sequence[int]) -> UnitsFound:
+    def _responding(self, units: Sequence[int]) -> UnitsFound:
         """Return the ones of ``units`` that respond at the present rate."""
         found: set[int] = set()
         for unit in units:
@@ -150,9 +150,9 @@ class _Change:
         yield from self._write_old(self._units)
         yield Retune(self._old)
         yield from self._write_old(self._units)
-        answering = yield from self._answering(self._units)
-        missing = yield from self._not_holding(sorted(answering), self._old)
-        lost = sorted({*missing, *(set(self._units) - answering)})
+        responding = yield from self._responding(self._units)
+        missing = yield from self._not_holding(sorted(responding), self._old)
+        lost = sorted({*missing, *(set(self._units) - responding)})
         yield ExpectBaud(self._old)
         if not lost:
             message = Message.of("baud_restored", reason=reason, baud=self._old)
@@ -169,7 +169,7 @@ class _Change:
 
     def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
         for unit in units:
-            here = yield from self._answering([unit])
+            here = yield from self._responding([unit])
             if here:
                 request = WriteParameterRequest(unit, BAUD_RATE, self._old // HUNDREDS)
                 yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))

@@ -49,7 +49,7 @@ class SendAttempts:
         self._deadline = float("inf") if send.withdraws or not is_write(send.request) else deadline
         self._attempts = 0
         self._fences = 0
-        self._unanswered = 0
+        self._without_response = 0
         self._sent_at: UnixTime | None = None
         self._noise = NO_NOISE
         self._late = 0
@@ -117,7 +117,7 @@ class SendAttempts:
 
     def _settle_fence(self, *, responded: bool) -> None:
         if responded:
-            self._unanswered = 0
+            self._without_response = 0
             self._fences += 1
             if self._fences > MOST_FENCES:
                 self._end(SendStatus.TIMED_OUT)
@@ -125,8 +125,11 @@ class SendAttempts:
             self._timed_out()
 
     def _timed_out(self) -> None:
-        self._unanswered += 1
-        if self._unanswered >= self.send.attempts_allowed or self._attempts >= self.send.attempts_allowed:
+        self._without_response += 1
+        if (
+            self._without_response >= self.send.attempts_allowed
+            or self._attempts >= self.send.attempts_allowed
+        ):
             self._end(SendStatus.TIMED_OUT)
 
     def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:

@@ -124,8 +124,8 @@ class _Examination:
                 (o.responded_after_s for o in self.outcomes if o.responded_after_s is not None), default=None
             ),
         )
-        garbled, questions = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
-        remarks = remarks_on(one, garbled=garbled, questions=questions, uncertain=self.uncertain)
+        garbled, requests = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
+        remarks = remarks_on(one, garbled=garbled, requests=requests, uncertain=self.uncertain)
         return replace(one, remarks=remarks)
 
     # --- requests ------------------------------------------------------------------------------

@@ -40,8 +40,8 @@ class Found:
     """Whether some of its responses came after their window."""
 
 
-def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
-    """Return remarks about a DIGIMAX IV. ``garbled`` of its ``questions`` had noise as their response;
+def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
+    """Return remarks about a DIGIMAX IV. ``garbled`` of its ``requests`` had noise as their response;
     ``uncertain``: some of them had none.
     """
     remarks = _on_its_address(one)
@@ -51,7 +51,7 @@ def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> 
     if uncertain:
         remarks.append(Message("found_uncertain"))
     if garbled:
-        remarks.append(Message.of("found_noise", n=garbled, all=questions))
+        remarks.append(Message.of("found_noise", n=garbled, all=requests))
     if one.checksum_10h == "twice":
         remarks.append(Message("found_checksum_twice"))
     if one.estop_healthy == 0:

@@ -15,7 +15,7 @@ from bus.messages import Message
 
 LISTEN_S = 0.2
 """How long the line is received before the first request."""
-MOST_UNASKED_BYTES = 10
+MOST_UNREQUESTED_BYTES = 10
 """More than this in that time, and responses cannot be distinguished from other traffic."""
 
 
@@ -51,8 +51,8 @@ async def scan_addresses(
 ) -> None:
     """As ``scan_baud``, over an open port."""
     began = asyncio.get_running_loop().time()
-    if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
-        raise WireError(Message.of("bytes_unrequested", count=unasked, seconds=LISTEN_S))
+    if (unrequested := await line.listen(LISTEN_S)) > MOST_UNREQUESTED_BYTES:
+        raise WireError(Message.of("bytes_unrequested", count=unrequested, seconds=LISTEN_S))
     complete = False
     while not complete:
         passes = Passes(addresses)

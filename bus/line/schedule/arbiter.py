@@ -18,7 +18,7 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 PACE = 0.8
-"""On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
+"""On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 

@@ -117,7 +117,7 @@ class PollSchedule:
         weight = min(1.0, seconds / 5.0)
         self._poll_fraction += (polled - self._poll_fraction) * weight
 
-    # --- what is next --------------------------------------------------------------------------
+    # --- the next claim ------------------------------------------------------------------------
 
     def next(self, now: float, *, slow_waits: bool = False) -> Task | None:
         """The next use of the wire; None: nothing before ``wake_at``."""
