@@ -17,7 +17,8 @@ import msgspec
 
 from bus.contract import BusFigures, BusLink, BusLinkState, Watch
 from bus.errors import CallerError, WireError
-from bus.line.clock import LineClock
+from bus.instants import Monotonic
+from bus.line.clock import NEVER, LineClock
 from bus.line.commands.command_run import CommandRun
 from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
 from bus.line.commands.result import ProcedureResult
@@ -99,7 +100,7 @@ class LineLoop:
     def _foreseen_exchange(self) -> NextExchange | None:
         return self._foreseen if self._ended is not None and self._ended[1].is_ordinary else None
 
-    def _next_exchange(self, now: float) -> NextExchange | None:
+    def _next_exchange(self, now: Monotonic) -> NextExchange | None:
         other = self._baud_search.turn(self.baud, responds=self._responds)
         if other is not None:
             self._retune(other)
@@ -168,11 +169,11 @@ class LineLoop:
             if isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak):
                 self.schedule.parameters.need(request.unit)
 
-    async def _rest(self, now: float) -> None:
+    async def _rest(self, now: Monotonic) -> None:
         """Until something may be due that was not at ``now``, or the loop is woken."""
         self._report()
         self._resting = Completion()
-        moments = [moment for moment in self._arbiter.moments() if now < moment < float("inf")]
+        moments = [moment for moment in self._arbiter.moments() if now < moment < NEVER]
         alarm = self.clock.call_at(min(moments), self._wake) if moments else None
         try:
             await self._resting

@@ -21,6 +21,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.contract.durations import stage_s
+from bus.instants import Monotonic
 from bus.line.commands import change_baud, reads, scan_bus, staging, writes
 from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
@@ -98,7 +99,7 @@ COMMANDS: dict[type[Action], LineCommand[Any]] = {
 }
 
 
-def command_run_of(line: LineLoop, command_id: str, action: Action, deadline: float) -> CommandRun | None:
+def command_run_of(line: LineLoop, command_id: str, action: Action, deadline: Monotonic) -> CommandRun | None:
     """A command with its claim on the wire and its procedure; None for an action that is not for the wire.
     ``deadline`` on the line's clock."""
     row = COMMANDS.get(type(action))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from bus.instants import Monotonic
 from bus.line.clock import LineClock
 from bus.line.exchange.send import NO_NOISE, LineNoise
 from bus.line.exchange.send_attempts import ExchangeResult
@@ -14,12 +15,12 @@ class CurrentExchange(msgspec.Struct):
     """Times are the line's own, in seconds."""
 
     exchange: Exchange
-    began: float
-    ends_sending: float
+    began: Monotonic
+    ends_sending: Monotonic
     """When the request's last byte has left."""
-    last_moment: float
+    last_moment: Monotonic
     """No response can come later, whenever this process receives it."""
-    ended: float = 0.0
+    ended: Monotonic = Monotonic(0.0)
     frame: bytes = b""
     """The response, as it was on the wire."""
     is_ordinary: bool = False

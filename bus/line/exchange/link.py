@@ -15,6 +15,7 @@ import math
 
 from bus.contract import Direction
 from bus.errors import WireError
+from bus.instants import Monotonic
 from bus.line.clock import LineClock
 from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
@@ -60,7 +61,7 @@ class Link:
         """The exchange before, for what comes in while none is under way."""
         self._unaccounted: CurrentExchange | None = None
         self._pace = PortPace()
-        self._secret_until = -math.inf
+        self._secret_until = Monotonic(-math.inf)
         self.loss: Message | None = None
         """Why the last port was lost."""
         self.has_responses = False
@@ -201,7 +202,7 @@ class Link:
         if current is not None and current.exchange.reply is not None:
             self._end(current, now)
 
-    def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: float) -> bool:
+    def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
         """Whether ``events`` are the response, when it is expected, and nothing else has come."""
         if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
             return False
@@ -215,7 +216,7 @@ class Link:
     def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:
         return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
 
-    def _begin(self, exchange: Exchange, began: float) -> None:
+    def _begin(self, exchange: Exchange, began: Monotonic) -> None:
         """``exchange`` was handed to the port at ``began``."""
         has_response = exchange.request.unit != 0
         ends_sending = began + len(exchange.sent) * self._byte_s
@@ -226,7 +227,7 @@ class Link:
         self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
 
-    def _end(self, current: CurrentExchange, now: float) -> None:
+    def _end(self, current: CurrentExchange, now: Monotonic) -> None:
         """It ends as it is; the last thing that is done here, as the next exchange begins meanwhile."""
         self._current, self._last, self._unaccounted = None, current.exchange, current
         current.ended = now
@@ -234,7 +235,7 @@ class Link:
 
     # --- what came in --------------------------------------------------------------------------
 
-    def _take(self, event: ExchangeEvent, exchange: Exchange, now: float) -> None:
+    def _take(self, event: ExchangeEvent, exchange: Exchange, now: Monotonic) -> None:
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
                 self._take_noise(event, exchange.request.unit, now)
@@ -261,7 +262,7 @@ class Link:
             self._overdue.append(event.frame.body[0])
         self._statistics.stray_frame(event, addressed, is_overdue=is_overdue)
 
-    def _take_noise(self, noise: Noise, unit: int, now: float) -> None:
+    def _take_noise(self, noise: Noise, unit: int, now: Monotonic) -> None:
         """After a response with a wrong checksum no other will come, so only quiet is waited for."""
         self._statistics.noise(noise, unit)
         if self._current is None:
@@ -270,7 +271,7 @@ class Link:
         if noise.reason is Fault.CHECKSUM and noise.body[0] == unit:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
-    def _take_response(self, wire: bytes, now: float) -> None:
+    def _take_response(self, wire: bytes, now: Monotonic) -> None:
         current = self._current
         if current is None:
             return
@@ -285,7 +286,7 @@ class Link:
 
     # --- waiting -------------------------------------------------------------------------------
 
-    def _listen_at(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
+    def _listen_at(self, exchange: Exchange, began: Monotonic, window_ends: Monotonic) -> Monotonic | None:
         """Shortly before the response can be complete, on a port that is as slow as its baud rate."""
         if not self.is_paced or exchange.request.unit == 0:
             return None
@@ -293,7 +294,7 @@ class Link:
         gathering_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
         return min(began + gathering_s, window_ends - MARGIN_S / 2)
 
-    def _timed_out(self, now: float) -> None:
+    def _timed_out(self, now: Monotonic) -> None:
         current = self._current
         if current is None:
             return
@@ -303,7 +304,7 @@ class Link:
         current.exchange.give_up()
         self._end(current, now)
 
-    def _note(self, now: float, way: Direction, data: bytes, exchange: Exchange) -> None:
+    def _note(self, now: Monotonic, way: Direction, data: bytes, exchange: Exchange) -> None:
         """Keep what is known to belong to ``exchange``."""
         hidden = exchange.prepared.secret
         if hidden:
@@ -311,7 +312,7 @@ class Link:
         self._trace.add(TracedFrame(self._clock.epoch(now), way, data, hidden=hidden))
 
     def _note_stray(
-        self, now: float, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
+        self, now: Monotonic, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
         """Keep what is no response, but not its bytes while it may be a late response with a secret (#21)."""
         secret = exchange is not None and exchange.prepared.secret

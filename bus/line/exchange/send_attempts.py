@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 from msgspec.structs import replace
 
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
+from bus.line.clock import NEVER
 from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
 from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, is_write
@@ -23,8 +24,8 @@ class ExchangeResult(msgspec.Struct, frozen=True):
 
     request: Request
     reply: Reply | None
-    began: float
-    ended: float
+    began: Monotonic
+    ended: Monotonic
     sent_at: UnixTime
     """The request's last byte on the wire."""
     responded_at: UnixTime | None = None
@@ -43,10 +44,10 @@ class SendAttempts:
     never leaves after ``deadline`` (on the clock of ``now``), whatever the outcome of its earlier tries.
     """
 
-    def __init__(self, send: Send, deadline: float = float("inf")) -> None:
+    def __init__(self, send: Send, deadline: Monotonic = NEVER) -> None:
         self.send = send
         self.result: SendResult | None = None
-        self._deadline = float("inf") if send.withdraws or not is_write(send.request) else deadline
+        self._deadline = NEVER if send.withdraws or not is_write(send.request) else deadline
         self._attempts = 0
         self._fences = 0
         self._without_response = 0
@@ -67,7 +68,7 @@ class SendAttempts:
         """Return whether the sending of ``request`` is reported: the first time only, and not for a fence."""
         return self.send.reports_sent and not self.begun and request == self.send.request
 
-    def next_request(self, now: float, pending: PendingResponses) -> Request | None:
+    def next_request(self, now: Monotonic, pending: PendingResponses) -> Request | None:
         """Return what to send now; None once ``result`` is there. ``pending``: of the addressed unit."""
         if self.result is not None:
             return None

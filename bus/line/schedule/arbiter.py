@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from bus.instants import Monotonic
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
@@ -47,13 +48,13 @@ class Arbiter:
         self._exchange_s = exchange_s
         self._routine: tuple[Task, SendAttempts] | None = None
         self._foreseen: tuple[Task, SendAttempts] | None = None
-        self._routine_at = 0.0
+        self._routine_at = Monotonic(0.0)
         self._read_last = False
-        self._not_before = 0.0
-        self._reserved_at = 0.0
-        self._reserved_until = 0.0
+        self._not_before = Monotonic(0.0)
+        self._reserved_at = Monotonic(0.0)
+        self._reserved_until = Monotonic(0.0)
 
-    def reserve(self, now: float) -> None:
+    def reserve(self, now: Monotonic) -> None:
         """Hold back reads of the schedule for a moment, because a write is about to be requested.
 
         For writes that never come, no more than one such moment between two reads is lost, and none while the
@@ -63,7 +64,7 @@ class Arbiter:
             self._reserved_at = now
             self._reserved_until = now + RESERVED_S
 
-    def next_request(self, now: float) -> NextRequest | None:
+    def next_request(self, now: Monotonic) -> NextRequest | None:
         """Return the request to send now; None: nothing before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll()) is not None:
@@ -71,7 +72,7 @@ class Arbiter:
             return self._routine_request(now)
         return self._command_request(now) or self._routine_request(now)
 
-    def foresee(self, under_way: NextRequest, now: float) -> NextRequest | None:
+    def foresee(self, under_way: NextRequest, now: Monotonic) -> NextRequest | None:
         """What follows ``under_way`` if its response is an ordinary one; None where that decides it.
 
         An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
@@ -88,7 +89,7 @@ class Arbiter:
         request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
         return NextRequest(request) if request is not None and request == attempts.send.request else None
 
-    def follow(self, now: float) -> None:
+    def follow(self, now: Monotonic) -> None:
         """What was foreseen has left at ``now``, and the turn before it is settled."""
         assert self._foreseen is not None
         self._routine, self._foreseen = self._foreseen, None
@@ -105,7 +106,7 @@ class Arbiter:
         assert self._routine is not None
         return self._settle_routine(*self._routine, exchange)
 
-    def moments(self) -> list[float]:
+    def moments(self) -> list[Monotonic]:
         """When something may become due that is not now."""
         probe = self.schedule.wake_at()
         moments = [self._not_before, self._reserved_until, *self.commands.moments()]
@@ -113,7 +114,7 @@ class Arbiter:
 
     # --- commands ------------------------------------------------------------------------------
 
-    def _command_request(self, now: float, *, slow: bool = False) -> NextRequest | None:
+    def _command_request(self, now: Monotonic, *, slow: bool = False) -> NextRequest | None:
         chosen = self.commands.next_request(now, self._pending_of, slow=slow)
         if chosen is None:
             return None
@@ -121,7 +122,7 @@ class Arbiter:
         self._reserved_until = now
         return NextRequest(request, run)
 
-    def _leave_a_poll(self, now: float) -> bool:
+    def _leave_a_poll(self, now: Monotonic) -> bool:
         """A look at parameters takes every second turn at most: who reads many must not blind the others."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
@@ -142,7 +143,7 @@ class Arbiter:
             and task.unit in self.schedule.poll_order
         )
 
-    def _routine_request(self, now: float) -> NextRequest | None:
+    def _routine_request(self, now: Monotonic) -> NextRequest | None:
         if now < max(self._not_before, self._reserved_until):
             return None
         slow_waits = self.commands.slow_waits
@@ -180,13 +181,13 @@ class Arbiter:
             self.schedule.parameters.was_read(task.unit, task.number, available=available)
         return False
 
-    def _was_not_read(self, task: Task, now: float) -> None:
+    def _was_not_read(self, task: Task, now: Monotonic) -> None:
         if task.kind is TaskKind.FIRST:
             self.schedule.stopped_responding(task.unit, now)
         if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
             self.schedule.parameters.was_not_read(task.unit, task.number)
 
-    def _pace(self, request: Request, now: float) -> None:
+    def _pace(self, request: Request, now: Monotonic) -> None:
         self._read_last = False
         self._routine_at = now
         self._not_before = now + PACE * self._exchange_s(request)

@@ -7,6 +7,8 @@ at the new one: no unit returns to the old rate, so from then on a timeout is ju
 
 from __future__ import annotations
 
+from bus.instants import Monotonic
+
 LOOK_ELSEWHERE_S = 3.0
 """How long a line without any response is polled at one baud rate before the other."""
 
@@ -16,7 +18,7 @@ class BaudSearch:
     turn.
     """
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, now: Monotonic) -> None:
         self._expected: int | None = None
         self._old: int | None = None
         self._tuned_at = now
@@ -28,11 +30,11 @@ class BaudSearch:
         """
         self._expected, self._old = (None, None) if baud == present else (baud, present)
 
-    def tuned(self, now: float) -> None:
+    def tuned(self, now: Monotonic) -> None:
         """The port goes at another rate from now on."""
         self._tuned_at = now
 
-    def look(self, now: float, baud: int, *, responds: bool) -> bool:
+    def look(self, now: Monotonic, baud: int, *, responds: bool) -> bool:
         """Return whether the other rate is tried next; ``responds``: whether any unit does at ``baud``."""
         if self._expected is None:
             return False

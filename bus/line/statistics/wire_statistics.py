@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bus.instants import Monotonic
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
 from bus.wire.commands import Nak, ReadStatusRequest
@@ -81,7 +82,7 @@ class WireStatistics:
             self._roster[addressed].statistics.counts.foreign += 1
 
 
-def _begins(exchange: CurrentExchange, byte_s: float) -> float:
+def _begins(exchange: CurrentExchange, byte_s: float) -> Monotonic:
     """Return when the response began: a first byte that was left to gather came earlier than it was read."""
     begins = exchange.ended - len(exchange.frame) * byte_s
     first = exchange.exchange.first_byte_at
