@@ -4,9 +4,10 @@
 exchange.
 
 Between the last byte of a response and the first of the next request the wire is idle, and 0.1 ms of that is
-0.004 of the rate. So while the response to a poll is under way, the turn after it is chosen and its exchange
-prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the prepared
-request leaves first, and what the response led to is settled and reported while the next one is under way.
+0.004 of the rate. Therefore, while the response to a poll is under way, the turn after it is chosen and its
+exchange prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the
+prepared request leaves first, and what the response led to is settled and reported while the next one is
+under way.
 """
 
 from __future__ import annotations

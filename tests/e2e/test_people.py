@@ -193,7 +193,7 @@ def press(
 
 @pytest.fixture
 def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
-    """A recipe that wants 90.0 of unit 1, which stands at 60.0."""
+    """A recipe with 90.0 for unit 1, which is at 60.0."""
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 600}).status_code == 200
     eventually(lambda: site.unit(1)["commanded_raw"] == 600, "unit 1 at 60.0")

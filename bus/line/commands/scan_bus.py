@@ -26,7 +26,7 @@ from bus.settings import Dialect, wire_seconds
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
 OVERDUE = 3
-"""So many overdue responses during a scan, and what is garbled may be one of them beside another's."""
+"""From this many overdue responses on, a garbled one may be one of them beside another unit's."""
 EXCHANGE_BYTES = 25
 """An 81h and its response."""
 

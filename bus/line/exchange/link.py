@@ -33,12 +33,12 @@ from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
 LISTEN_FRACTION = 0.93
-"""So long a part of the least time bytes are left to gather, as each few that are received alone cost as much
-as a response; less than ``port_pace.EARLY``."""
+"""For this part of the least time bytes are left to gather, because each few that are received alone cost as
+much as a response; less than ``port_pace.EARLY``."""
 SECRET_LINGERS_S = 5.0
 """For so long after an exchange with a secret (#21) what is no response may be a piece of it, or a copy."""
 AHEAD_S = 0.002
-"""So long before a response can be complete they are received: a loop's timers count milliseconds."""
+"""This long before a response can be complete they are received: a loop's timers count milliseconds."""
 
 
 class Link:
@@ -114,7 +114,7 @@ class Link:
         """Which responses of ``unit`` may still come late or twice.
 
         However slow the port: this process may have been kept from running, and what came meanwhile
-        looks as if it came just now. So the order of frames is trusted, their moment is not.
+        looks as if it came just now. Therefore the order of frames is trusted, their time is not.
         """
         return self._pending.about(unit)
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from bus.catalogue.numbers import DECIMALS
 
 DECIMALS_EVERY = 4
-"""So many reads of the slow scan bring one #3, and a first reading of all the others still ends soon."""
+"""This many reads of the slow scan include one #3, and a first reading of all the others still ends soon."""
 
 
 class ParameterQueue:
