@@ -9,11 +9,10 @@ from bus.catalogue.values import parameter_unit
 from bus.messages import Message, number
 
 
-def in_measure(value: str, measure: str | Message) -> Message:
+def in_measure(value: str | Message, measure: str | Message) -> Message:
     """A number with its measure: ``5.0 s``."""
-    if not measure:
-        return number(value)
-    return Message.of("value_in_measure", value=number(value), measure=measure)
+    shown = number(value) if isinstance(value, str) else value
+    return Message.of("value_in_measure", value=shown, measure=measure) if measure else shown
 
 
 def measure_of_setpoint(unit: UnitLive) -> str:

@@ -10,7 +10,7 @@ from app.sets.effects import OPERATING_VALUES
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, Parameter
-from bus.catalogue.values import is_follower, parameter_text, parameter_unit
+from bus.catalogue.values import is_follower, parameter_message, parameter_unit
 from bus.messages import Message, term
 
 Comparison = Literal["equal", "differs", "unavailable", "unknown"]
@@ -109,8 +109,8 @@ def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
     if raw in parameter.choices:
         return term(parameter.choices[raw])
     follower = is_follower(rows.raw(FOLLOWER_MODE))
-    text, unit = (
-        parameter_text(parameter, raw, rows.raw(DECIMALS), follower=follower),
+    value, unit = (
+        parameter_message(parameter, raw, rows.raw(DECIMALS), follower=follower),
         parameter_unit(parameter),
     )
-    return in_measure(text, term(unit) if unit else "")
+    return in_measure(value, term(unit) if unit else "")

@@ -9,7 +9,7 @@ import re
 
 from bus.catalogue.parameter import Parameter, Scale
 from bus.errors import CallerError
-from bus.messages import Message, number
+from bus.messages import Message, number, term
 
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
@@ -33,7 +33,7 @@ def speed_text(raw: int, decimals: int) -> str:
     four-byte number does not finish.
     """
     if decimals > MOST_DECIMALS:
-        return f"{raw} raw"
+        return str(bare(raw))
     integer_part, part = divmod(raw, 10**decimals)
     return f"{integer_part}.{part:0{decimals}d}" if decimals else str(integer_part)
 
@@ -45,6 +45,18 @@ def speed_raw(text: str, decimals: int) -> int:
     one decimal the point was most likely meant to group thousands. Raises CallerError.
     """
     return _raw(text, decimals)
+
+
+def speed_message(raw: int, decimals: int | None) -> Message:
+    """The same for people; marked as raw also while the decimals are not known (None)."""
+    if decimals is None or decimals > MOST_DECIMALS:
+        return bare(raw)
+    return number(speed_text(raw, decimals))
+
+
+def bare(raw: int) -> Message:
+    """An integer on the wire, marked as that."""
+    return Message.of("raw_value", raw=raw)
 
 
 def ratio_text(raw: int) -> str:
@@ -88,19 +100,25 @@ def parameter_unit(parameter: Parameter) -> str:
 
 
 def parameter_text(parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False) -> str:
+    """:func:`parameter_message` in English."""
+    return str(parameter_message(parameter, raw, decimals, follower=follower))
+
+
+def parameter_message(
+    parameter: Parameter, raw: int, decimals: int | None, *, follower: bool = False
+) -> Message:
     """What people read: a choice by its name where that is known, else the number in its scale.
 
     ``decimals`` is #3 of the unit, None while it is not known: a speed is then marked as raw.
     ``follower``: #8 is 1 or 2, so presets and jumps are ratios. A secret is not shown.
     """
     if parameter.secret:
-        return "hidden"
+        return Message("value_hidden")
     if raw in parameter.choices:
-        return parameter.choices[raw]
-    places = _decimals(parameter, decimals, follower)
-    if places is None:
-        return f"{raw} raw"
-    return str(raw * 100) if parameter.scale is Scale.BAUD else speed_text(raw, places)
+        return term(parameter.choices[raw])
+    if parameter.scale is Scale.BAUD:
+        return number(str(raw * 100))
+    return speed_message(raw, _decimals(parameter, decimals, follower))
 
 
 def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, follower: bool = False) -> int:

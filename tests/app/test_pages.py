@@ -139,3 +139,15 @@ async def test_the_trends_page_offers_parquet_only_where_it_can_be_written(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     page = (await viewer.get("/trends")).text
     assert ('id="export-parquet"' in page, 'id="export-csv"' in page) == (False, True)
+
+
+async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House) -> None:
+    client = await house.signed_in(Role.ENGINEER)
+    client.headers["Accept-Language"] = "de"
+    read = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((8, 0), (20, 1234))]
+    house.services.live.buses["dry-end"].apply(list(read))
+    page = (await client.get("/units/dry-end/1/parameters")).text
+    assert "1234 roh" in page
+    assert "1234 raw" not in page
+    review = await client.post("/units/dry-end/1/parameters/16/review", data={"value": "1"})
+    assert "#16 schreiben: Ja" in review.text

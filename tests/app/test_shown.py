@@ -13,7 +13,7 @@ from app.live.api.view import bus_json, parameter_json
 from app.live.state.live_state import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
-from bus.messages import term
+from bus.messages import Message, term
 from tests.app.screens import translator
 from tests.app.stage import Stage, bus_settings, result_of, snapshot
 
@@ -22,8 +22,9 @@ EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
+    block = Message.of("block_by", reason="belt off", who="anna")
     for _ in range(2):
-        bus = bus_json(live.buses["dry-end"], time.time(), lambda unit: f"dry-end {unit}", translator())
+        bus = bus_json(live.buses["dry-end"], time.time(), lambda _unit: block, translator())
         TypeAdapter(EXACT(BusShown)).validate_python(bus)
         for unit in bus["units"]:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)

@@ -6,11 +6,11 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from argon2 import PasswordHasher, extract_parameters
+from argon2 import PasswordHasher, Type, extract_parameters
 
 from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.auth import rules, store
+from app.auth import passwords, rules, store
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
 from app.auth.passwords import Passwords
@@ -195,6 +195,17 @@ async def test_a_secret_that_todays_rules_refuse_works_and_is_noted(house: House
     assert not (await house.accounts.users())[0].weak_secret
     await house.enter()
     assert not (await house.accounts.users())[0].weak_secret
+
+
+SERVED = passwords._hasher
+"""What a server hashes with. The session's fixture replaces it after this module was imported."""
+
+
+def test_a_server_hashes_as_owasp_recommends() -> None:
+    """Password Storage Cheat Sheet: Argon2id with 7 MiB, five iterations and one thread."""
+    parameters = extract_parameters(SERVED.hash("secret"))
+    assert parameters.type is Type.ID
+    assert (parameters.memory_cost, parameters.time_cost, parameters.parallelism) == (7 * 1024, 5, 1)
 
 
 EARLIER = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)

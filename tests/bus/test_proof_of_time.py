@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import random
 
+import pytest
+
 from bus.contract import SetSpeed
 from bus.simulator.faults import FaultKind
 from tests.bus.virtual_line import VirtualLine, run
@@ -58,12 +60,16 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert run(scene, UNITS, seed=10) != first
 
 
-def test_ten_minutes_without_a_fault_report_every_unit_alike() -> None:
+@pytest.mark.parametrize(("units", "minutes"), [(3, 3.5), pytest.param(8, 10, marks=pytest.mark.soak)])
+def test_minutes_without_a_fault_report_every_unit_alike(units: int, minutes: float) -> None:
+    """Long enough to read every parameter beside the scan."""
+    seconds = 60 * minutes
+
     async def scene(line: VirtualLine) -> None:
-        await asyncio.sleep(600)
+        await asyncio.sleep(seconds)
         counts = [len(line.readings(unit)) for unit in line.units]
         assert max(counts) - min(counts) <= 3, "but for the 81h that fences a parameter"
-        assert sum(counts) / 600 > 37.0
-        assert len({(value.unit, value.number) for value in line.parameters()}) == 8 * 40
+        assert sum(counts) / seconds > 37.0
+        assert len({(value.unit, value.number) for value in line.parameters()}) == units * 40
 
-    run(scene, 8)
+    run(scene, units)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import selectors
-from collections.abc import Awaitable, Callable, Coroutine
+from collections import defaultdict
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any, TypeVar
 
 from bus.contract import (
@@ -182,8 +183,17 @@ class VirtualLine:
         self.written: list[tuple[float, bytes]] = []
         self.updates: list[Update] = []
         self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
-        self.worker.outbox.put = self.updates.extend  # type: ignore[method-assign]
+        self._results: defaultdict[str, list[Result]] = defaultdict(list)
+        self._came = asyncio.Event()
+        self.worker.outbox.put = self._put  # type: ignore[method-assign]
         self._count = 0
+
+    def _put(self, updates: Iterable[Update]) -> None:
+        for update in updates:
+            self.updates.append(update)
+            if isinstance(update, Result):
+                self._results[update.id].append(update)
+                self._came.set()
 
     async def _open(self, _port: str, baud: int, receiver: Receiver) -> OpenPort:
         if not self.plugged:
@@ -226,21 +236,21 @@ class VirtualLine:
 
     def result_of(self, command_id: str) -> Result | None:
         """Return the result reported for ``command_id``, if any."""
-        results = [
-            update for update in self.updates if isinstance(update, Result) and update.id == command_id
-        ]
-        assert len(results) <= 1, "one command, one fate"
+        results = self._results[command_id]
+        assert len(results) <= 1, "one command, one result"
         return results[0] if results else None
 
     async def perform(self, action: Action, *, timeout_s: float = 2.0, within_s: float = 60.0) -> Result:
         """Command the worker and wait for the result."""
         command_id = self.command(action, timeout_s=timeout_s)
-        for _ in range(int(within_s / 0.005)):
-            result = self.result_of(command_id)
-            if result is not None:
-                return result
-            await asyncio.sleep(0.005)
-        raise AssertionError(f"no fate for {action} within {within_s} s")
+        try:
+            async with asyncio.timeout(within_s):
+                while (result := self.result_of(command_id)) is None:
+                    self._came.clear()
+                    await self._came.wait()
+        except TimeoutError:
+            raise AssertionError(f"no result of {action} within {within_s} s") from None
+        return result
 
     def readings(self, unit: int | None = None) -> list[Reading]:
         """Return all reported readings, or those of one unit."""

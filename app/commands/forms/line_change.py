@@ -14,7 +14,6 @@ from starlette.responses import Response
 from app.commands.forms.outcome import OutcomeText, ResultRow
 from app.commands.forms.page_context import PageContext
 from app.commands.review.ramp import present_setpoint
-from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from bus.contract import Result
@@ -56,17 +55,17 @@ def proven(
         bus=bus,
         outcome=_outcome_of_all(page, result, proofs),
         proofs=proofs,
-        former=_former(live, setpoints, form) if result.outcome == "verified" else {},
+        former=_former(page, live, setpoints, form) if result.outcome == "verified" else {},
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
 
 
-def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str]:
+def _former(page: PageContext, live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str]:
     """What each unit had before, as it shows it; nothing where that is not known of all."""
     was = {number: str(form.get(f"was-{number}", "")) for number in setpoints}
     if not all(text.isdecimal() for text in was.values()):
         return {}
-    return {number: shown_setpoint(int(text), live.units[number]) for number, text in was.items()}
+    return {number: page.setpoint(int(text), live.units[number]) for number, text in was.items()}
 
 
 def _outcome_of_all(page: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
@@ -93,7 +92,7 @@ def _proofs(
     return [
         (
             live.units[number].settings.name,
-            shown_setpoint(raw, live.units[number]),
+            page.setpoint(raw, live.units[number]),
             page.outcome(by_unit.get(number, result), live.units[number]),
         )
         for number, raw in setpoints.items()

@@ -14,7 +14,7 @@ from app.commands.forms.outcome import OutcomeText, outcome_text, problem_text
 from app.commands.rules.timeouts import timeout_s_for
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.values import shown_setpoint
+from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.lookup import bus_or_404, unit_or_404
@@ -70,6 +70,10 @@ class PageContext:
         """All texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 
+    def setpoint(self, raw: int | None, unit: UnitLive) -> str:
+        """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
+        return self.translator.t(setpoint_message(raw, unit))
+
     def people(self) -> dict[str, str]:
         """Return the role of each user with an open page, keyed by user name."""
         return service_of(self.request, Hub).people()
@@ -114,9 +118,7 @@ class PageContext:
         """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
         if unit is None:
             return outcome_text(result, str, self.translator)
-        return outcome_text(
-            result, lambda raw: self.translator.formats.point(shown_setpoint(raw, unit)), self.translator
-        )
+        return outcome_text(result, lambda raw: self.setpoint(raw, unit), self.translator)
 
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""

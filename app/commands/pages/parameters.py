@@ -18,7 +18,7 @@ from app.commands.measure import measure_of_value
 from app.commands.review.risks import obstacle_of, risks_of_writing
 from app.commands.rules.setpoint_range import parameter_bounds
 from app.commands.service.writer import permitted, permitted_writer
-from app.commands.values import known_parameter_text, text_of
+from app.commands.values import parameter_message
 from app.errors import Problem
 from app.live.api.view import parameter_json
 from app.live.state.bus_live import UnitLive
@@ -70,8 +70,12 @@ def _by_group(number: int) -> tuple[int, int]:
 def _row(page: PageContext, bus: str, live: UnitLive, number: int) -> dict[str, Any]:
     known = live.parameters.get(number)
     lowest, highest = parameter_bounds(live, number, page.guards(bus).limits.of(live.settings.id))
-    shown = {"at": None if known is None else known.at, "min": lowest, "max": highest}
-    return parameter_json(live, number) | shown
+    raw = None if known is None else known.raw
+    shown = {
+        "at": None if known is None else known.at,
+        "value": None if raw is None else parameter_message(PARAMETERS[number], raw, live),
+    }
+    return parameter_json(live, number) | {"min": lowest, "max": highest} | shown
 
 
 @router.post("/{number:int}/review")
@@ -92,6 +96,7 @@ async def review_parameter(
     except (CallerError, Problem) as error:
         return _not_so(page, live, parameter, error)
     lowest, highest = parameter_bounds(live, number, page.guards(bus).limits.of(unit))
+    known = live.parameter_raw(number)
     return page.review(
         "unit/_review_parameter.html",
         lowest=lowest,
@@ -99,8 +104,8 @@ async def review_parameter(
         unit=page.shown(bus, unit),
         parameter=parameter,
         raw=raw,
-        old=known_parameter_text(parameter, live),
-        new=text_of(parameter, raw, live),
+        old="" if known is None else parameter_message(parameter, known, live),
+        new=parameter_message(parameter, raw, live),
         measure=measure_of_value(live, parameter, raw),
         obstacle=obstacle_of(facts(page, bus, unit)),
         risks=risks_of_writing(number, raw),
@@ -143,7 +148,7 @@ async def _write(
         # Why, in words: the value that was read back is not here.
         outcome = OutcomeText(outcome.tone, page.translator.t(result.message or ""))
     elif result.read_back is not None:
-        reads = page.translator.formats.point(text_of(parameter, result.read_back, live))
+        reads = page.translator.t(parameter_message(parameter, result.read_back, live))
         template = "verified: reads {value}" if result.outcome == "verified" else "reads {value} instead"
         outcome = OutcomeText(outcome.tone, page.translator.t(template, value=reads))
     return page.render(
@@ -160,10 +165,10 @@ def _not_so(
     page: PageContext, live: UnitLive, parameter: Parameter, error: CallerError | Problem
 ) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
-    text = "" if nearest is None or parameter.secret else text_of(parameter, nearest, live)
-    shown = page.translator.formats.point(text)
+    value = None if nearest is None or parameter.secret else parameter_message(parameter, nearest, live)
+    shown = "" if value is None else page.translator.t(value)
     reason = page.translator.t(error.message)
-    if text:
+    if shown:
         # The rule speaks of raw values; what was typed here is what the unit shows.
         reason = page.translator.t(
             "out of range: the nearest allowed value is {value}; nothing was sent", value=shown

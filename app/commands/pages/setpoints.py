@@ -20,7 +20,6 @@ from app.commands.review.risks import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.rules.timeouts import longest_change_s
 from app.commands.service.writer import permitted
-from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from app.web.access import Person, Viewer
@@ -48,11 +47,11 @@ async def setpoints(_: Viewer, page: Page) -> Response:
 def _line_of(page: PageContext, name: str, bus: BusLive, number: int) -> dict[str, object]:
     live = bus.units[number]
     allowed = setpoint_range(live, page.guards(name).limits.of(number))
-    limits = {"low": shown_setpoint(allowed.lowest, live), "high": shown_setpoint(allowed.highest, live)}
+    limits = {"low": page.setpoint(allowed.lowest, live), "high": page.setpoint(allowed.highest, live)}
     return {
         "unit": page.shown(name, number),
         "measure": measure_of_setpoint(live),
-        "limits": {end: page.translator.formats.point(text) for end, text in limits.items()},
+        "limits": limits,
         "follower": bool(follower(live)),
     }
 

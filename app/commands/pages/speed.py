@@ -17,7 +17,6 @@ from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import change, judge, know_ramps
 from app.commands.review.ramp import nudges, present_setpoint
 from app.commands.service.writer import permitted, permitted_writer
-from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower
 from app.web.access import Person
@@ -73,7 +72,7 @@ def _not_so(page: PageContext, live: UnitLive, error: CallerError | Problem) -> 
     return page.not_so(
         page.translator.t(error.message),
         ERROR_PLACE,
-        nearest="" if nearest is None else page.translator.formats.point(shown_setpoint(nearest, live)),
+        nearest=page.setpoint(nearest, live),
         status=error.status if isinstance(error, Problem) else 422,
     )
 
@@ -99,7 +98,7 @@ async def set_speed(
         result = await page.send(person, bus, action, id)
     except Problem as problem:
         return page.refused(problem, live.settings.name)
-    undo = {"value": shown_setpoint(int(was), live), "how": how} if was and action.execute else None
+    undo = {"value": page.setpoint(int(was), live), "how": how} if was and action.execute else None
     return _done(page, bus, live, raw, result, undo if result.outcome == "verified" else None)
 
 
@@ -111,7 +110,7 @@ def _done(
     return page.done(
         live.settings.name,
         page.outcome(result, live),
-        requested=shown_setpoint(raw, live),
+        requested=page.setpoint(raw, live),
         reads=reads,
         undo=undo,
         unit=page.shown(bus, live.settings.id),
@@ -148,7 +147,7 @@ async def nudge(
     except Problem as problem:
         return _not_so(page, live, problem)
     response = page.render(
-        "unit/_nudged.html", requested=shown_setpoint(raw, live), outcome=page.outcome(result, live)
+        "unit/_nudged.html", requested=page.setpoint(raw, live), outcome=page.outcome(result, live)
     )
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response

@@ -11,7 +11,6 @@ from app.commands.forms.page_context import Page, PageContext
 from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import nudges, present_setpoint
 from app.commands.rules.setpoint_range import setpoint_range
-from app.commands.values import shown_setpoint
 from app.live.state.bus_live import UnitLive, follower
 from app.web.access import Viewer
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
@@ -35,15 +34,15 @@ def _faceplate(page: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
         "fields": page.fields(),
         "bus": bus,
         "unit": page.shown(bus, unit),
-        "present": "" if present is None else page.translator.formats.point(shown_setpoint(present, live)),
+        "present": page.setpoint(present, live),
         "present_raw": "" if present is None else present,
-        "lowest": page.translator.formats.point(shown_setpoint(allowed.lowest, live)),
-        "highest": page.translator.formats.point(shown_setpoint(allowed.highest, live)),
+        "lowest": page.setpoint(allowed.lowest, live),
+        "highest": page.setpoint(allowed.highest, live),
         "bounds_unit": measure_of_setpoint(live),
         "follower": bool(follower(live)),
-        "nudges": [(sign * step, shown_setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
+        "nudges": [(sign * step, page.setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
         "limits": limits,
-        "limit_texts": {name: shown_setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
+        "limit_texts": {name: page.setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
         "block": page.guards(bus).blocks.of(unit),
         "analog_low": live.parameter_raw(ANALOG_OUT_LOW),
         "analog_high": live.parameter_raw(ANALOG_OUT_HIGH),

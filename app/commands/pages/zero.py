@@ -15,7 +15,6 @@ from app.commands.review.risks import by_remark
 from app.commands.review.zero import ZeroPlan, plan_zero
 from app.commands.rules.timeouts import longest_change_s, timeout_s_for
 from app.commands.service.writer import permitted
-from app.commands.values import shown_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.web.access import Person, Viewer
@@ -118,7 +117,7 @@ async def _zero_units(person: Person, page: PageContext, plan: ZeroPlan, id: str
             if isinstance(result, Problem)
             else page.outcome(result, unit)
         )
-        proofs.append((_on_site(page, plan.bus, name), shown_setpoint(0, unit), shown))
+        proofs.append((_on_site(page, plan.bus, name), page.setpoint(0, unit), shown))
     return proofs
 
 

@@ -9,7 +9,7 @@ from app.commands.review.ramp import Ramp, present_setpoint, ramp_of
 from app.commands.review.risks import facts_of, obstacle_of, risks_of
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.safeguards.limits import Limits
-from app.commands.values import shown_setpoint
+from app.commands.values import setpoint_message
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -23,11 +23,11 @@ class SetpointChange:
     name: str
     old_raw: int | None
     new_raw: int
-    old: str
-    new: str
+    old: str | Message
+    new: str | Message
     measure: str
-    lowest: str
-    highest: str
+    lowest: str | Message
+    highest: str | Message
     ramp: Ramp | None
     obstacle: Message | None
     risks: tuple[Message, ...]
@@ -45,11 +45,11 @@ def change_of(
         name=unit.settings.name,
         old_raw=old_raw,
         new_raw=new_raw,
-        old=shown_setpoint(old_raw, unit),
-        new=shown_setpoint(new_raw, unit),
+        old=setpoint_message(old_raw, unit),
+        new=setpoint_message(new_raw, unit),
         measure=measure_of_setpoint(unit),
-        lowest=shown_setpoint(allowed.lowest, unit),
-        highest=shown_setpoint(allowed.highest, unit),
+        lowest=setpoint_message(allowed.lowest, unit),
+        highest=setpoint_message(allowed.highest, unit),
         ramp=ramp,
         obstacle=obstacle_of(facts),
         risks=risks_of(facts),

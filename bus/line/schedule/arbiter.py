@@ -168,6 +168,8 @@ class Arbiter:
         return NextRequest(request)
 
     def _settle_routine(self, task: Task, attempts: SendAttempts, exchange: ExchangeResult) -> bool:
+        # A poll at 300 baud takes longer than commands may keep the schedule waiting: it waits from here on.
+        self._routine_at = exchange.ended
         again = attempts.settle(exchange)
         self.schedule.spent(task, exchange.began, exchange.ended, responded=exchange.reply is not None)
         result = attempts.result
