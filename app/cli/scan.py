@@ -55,7 +55,7 @@ def scan(
         check_port(port)
     except ValueError as error:
         raise typer.BadParameter(
-            str(Message.of("option_port_refused", port=repr(port), reason=str(error))), param_hint="--port"
+            str(Message.of("option_port_refused", port=repr(port), reason=error.args[0])), param_hint="--port"
         ) from error
     if baud is not None and baud not in BAUDS:
         raise typer.BadParameter(

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import msgspec
 
+from bus.instants import Monotonic
 from bus.settings import Dialect
 from bus.wire.bodies import parse_reply
 from bus.wire.commands import Reply, Request
@@ -92,7 +93,7 @@ class Exchange:
         self.decoder = decoder or FrameDecoder(dialect)
         self.awaiting = request.unit != 0
         self.reply: Reply | None = None
-        self.first_byte_at: float | None = None
+        self.first_byte_at: Monotonic | None = None
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self.dialect = dialect
         self._before = pending or PendingResponses(request.unit, dialect)
@@ -100,7 +101,7 @@ class Exchange:
         self._pending = self._before.sent(request)
         self._unresolved: bytes | None = None
 
-    def receive(self, data: bytes, at: float) -> list[ExchangeEvent]:
+    def receive(self, data: bytes, at: Monotonic) -> list[ExchangeEvent]:
         """Take bytes that came in at ``at``, in pieces of any size, and return the events."""
         if data and self.first_byte_at is None:
             self.first_byte_at = at

@@ -246,7 +246,7 @@ def test_an_analog_output_is_acknowledged_at_best() -> None:
 
 
 def miss(request: Request) -> ExchangeResult:
-    return ExchangeResult(request, None, 1.0)
+    return ExchangeResult(request, None, 1.0, 1.5, 1.0)
 
 
 def ask_until_over(
@@ -258,9 +258,8 @@ def ask_until_over(
         sent.append(request)
         pending = pending.sent(request)
         if answers(request):
-            attempts.settle(
-                ExchangeResult(request, status(1) if request == ReadStatusRequest(1) else Ack(1), 1.0, 1.5)
-            )
+            reply = status(1) if request == ReadStatusRequest(1) else Ack(1)
+            attempts.settle(ExchangeResult(request, reply, 1.0, 1.5, 1.0, 1.5))
             pending = PendingResponses(1, PLAIN)
         else:
             attempts.settle(miss(request))
@@ -324,7 +323,7 @@ def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
     attempts = SendAttempts(Send(ReadStatusRequest(1)))
     fence = attempts.next_request(0.0, pending)
     assert isinstance(fence, ReadParameterRequest)
-    assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5)), (
+    assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5, 1.0, 1.5)), (
         "a fence that was answered is no retry"
     )
     assert attempts.next_request(0.0, PendingResponses(1, PLAIN)) == ReadStatusRequest(1)

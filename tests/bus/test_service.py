@@ -145,7 +145,7 @@ def test_figures_name_the_one_unit_that_is_silent() -> None:
         await settled(line)
         line.faults.set(FaultKind.DEAD, 1.0, 2)
         await asyncio.sleep(5.0)
-        assert line.worker.poller.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
+        assert line.worker.line.figures().diagnosis == [Message.of("diagnosis_one_silent", unit=2)]
 
     run(scene, 4)
 
@@ -277,7 +277,7 @@ def test_who_answers_in_the_name_of_a_dead_unit_is_found_by_what_it_reads_as_its
         line.faults.set(FaultKind.DEAD, 1.0, 5)
         line.faults.set(FaultKind.EVERYBODY, 1.0, 3)
         cause = Message.of("diagnosis_other_name", units=[5], own=3)
-        await line.until(lambda: line.readings(5) and cause in line.worker.poller.figures().diagnosis)
+        await line.until(lambda: line.readings(5) and cause in line.worker.line.figures().diagnosis)
         assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}
 
     run(scene, 5)

@@ -87,7 +87,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
         result = await line.perform(ExecuteAll())
         assert setpoints(line) == before, "a stray execute surprises nobody"
-        assert line.worker.poller.roster[1].staged is None
+        assert line.worker.line.roster[1].staged is None
 
     run(scene, 4)
 
@@ -138,7 +138,7 @@ def test_a_unit_outside_the_change_keeps_its_staged_speed_and_does_not_move() ->
         assert result.outcome == "verified"
         assert line.plant.unit(4).setpoint == old
         assert line.plant.unit(4).entered == 777
-        assert line.worker.poller.roster[4].staged == 777
+        assert line.worker.line.roster[4].staged == 777
         result = await line.perform(ExecuteAll())
         assert result.outcome == "verified"
         assert line.plant.unit(4).setpoint == 777
@@ -298,7 +298,7 @@ def test_a_pulled_cable_in_the_middle_leaves_what_may_be_staged_in_words() -> No
         line.plug()
         await asyncio.sleep(3.0)
         assert setpoints(line) == before, "nothing is sent late"
-        assert line.worker.poller.roster[1].staged == 501, "and what is known stays shown"
+        assert line.worker.line.roster[1].staged == 501, "and what is known stays shown"
 
     run(scene, 4)
 
@@ -353,7 +353,7 @@ def test_execute_all_proves_what_was_staged_and_says_what_was_not() -> None:
         assert result.outcome == "verified"
         assert [unit.read_back for unit in result.units][:2] == [601, 602]
         assert "nothing was staged from here" in str(result.units[2].message)
-        assert line.worker.poller.roster[1].staged is None
+        assert line.worker.line.roster[1].staged is None
 
     run(scene, 4)
 

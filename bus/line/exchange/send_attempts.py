@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 from msgspec.structs import replace
 
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
+from bus.line.clock import NEVER
 from bus.line.exchange.send import NO_NOISE, LineNoise, Send, SendResult, SendStatus
 from bus.settings import Dialect
 from bus.wire.commands import Reply, Request, is_write
@@ -16,16 +17,22 @@ MOST_FENCES = 8
 
 
 class ExchangeResult(msgspec.Struct, frozen=True):
-    """How one exchange ended. Times: seconds since the epoch; ``reply`` None: no answer in its window."""
+    """How one exchange ended. ``reply`` None: no response in its window.
+
+    ``began`` and ``ended`` are the line's own time, ``sent_at`` and ``responded_at`` Unix time, in seconds.
+    """
 
     request: Request
     reply: Reply | None
+    began: Monotonic
+    ended: Monotonic
     sent_at: UnixTime
+    """The request's last byte on the wire."""
     responded_at: UnixTime | None = None
     frame: bytes = b""
     noise: LineNoise = NO_NOISE
     dialect: Dialect | None = None
-    """How the request was written, where something was sent."""
+    """How the request was written."""
     overdue: tuple[int, ...] = ()
     """Units whose response to an earlier request came, once for each response."""
 
@@ -37,10 +44,10 @@ class SendAttempts:
     leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
     """
 
-    def __init__(self, send: Send, deadline: float = float("inf")) -> None:
+    def __init__(self, send: Send, deadline: Monotonic = NEVER) -> None:
         self.send = send
         self.result: SendResult | None = None
-        self._deadline = float("inf") if send.withdraws or not is_write(send.request) else deadline
+        self._deadline = NEVER if send.withdraws or not is_write(send.request) else deadline
         self._attempts = 0
         self._fences = 0
         self._unanswered = 0
@@ -61,7 +68,7 @@ class SendAttempts:
         """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
         return self.send.reports_sent and not self.begun and request == self.send.request
 
-    def next_request(self, now: float, pending: PendingResponses) -> Request | None:
+    def next_request(self, now: Monotonic, pending: PendingResponses) -> Request | None:
         """What to send now; None once ``result`` is there. ``pending``: of the unit asked."""
         if self.result is not None:
             return None

@@ -7,6 +7,7 @@ if it is slow, nothing that was collected until then is worth anything.
 
 from __future__ import annotations
 
+from bus.instants import Monotonic
 from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.scan_port import Collected, ScanPort
@@ -38,7 +39,7 @@ class Prober:
         self._line = line
         self._baud = baud
         self._turnaround_s = turnaround_s
-        self._unanswered: dict[int, float] = {}
+        self._unanswered: dict[int, Monotonic] = {}
         """When units were asked that have not responded since."""
         self._quick: set[int] = set()
 

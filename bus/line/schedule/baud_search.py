@@ -7,6 +7,8 @@ new one: no unit goes back to the old rate by itself, so from then on a silence 
 
 from __future__ import annotations
 
+from bus.instants import Monotonic
+
 LOOK_ELSEWHERE_S = 3.0
 """How long a wholly silent line is asked at one baud rate before it is asked at the other."""
 
@@ -14,7 +16,7 @@ LOOK_ELSEWHERE_S = 3.0
 class BaudSearch:
     """``look`` now and then, ``turn`` between two questions: a silent line gets one after the other."""
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, now: Monotonic) -> None:
         self._expected: int | None = None
         self._old: int | None = None
         self._tuned_at = now
@@ -25,11 +27,11 @@ class BaudSearch:
         same twice: nothing that was expected before holds any more."""
         self._expected, self._old = (None, None) if baud == present else (baud, present)
 
-    def tuned(self, now: float) -> None:
+    def tuned(self, now: Monotonic) -> None:
         """The port goes at another rate from now on."""
         self._tuned_at = now
 
-    def look(self, now: float, baud: int, *, responds: bool) -> bool:
+    def look(self, now: Monotonic, baud: int, *, responds: bool) -> bool:
         """Whether the other rate is to be tried next; ``answers``: whether any unit does at ``baud``."""
         if self._expected is None:
             return False

@@ -10,7 +10,7 @@ Order of claims on the wire, the first that may use it wins:
 6. the round of 81h, where watched units have more turns than the others.
 
 When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
-here: they come before everything (``bus.line.poller``).
+here: they come before everything (``bus.line.schedule.arbiter``).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import msgspec
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
+from bus.instants import Monotonic
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.poll_order import PollOrder
 from bus.line.schedule.probe_backoff import ProbeBackoff
@@ -80,7 +81,7 @@ class PollSchedule:
         self.poll_order.watch(units)
         self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
 
-    def responded(self, unit: int, now: float) -> None:
+    def responded(self, unit: int, now: Monotonic) -> None:
         """``unit`` answered for the first time, or again after a silence."""
         self.probes.responded(unit, now)
         if unit in self.poll_order:
@@ -89,7 +90,7 @@ class PollSchedule:
         self.parameters.learn_all(unit)
         self._adapt()
 
-    def stopped_responding(self, unit: int, now: float) -> None:
+    def stopped_responding(self, unit: int, now: Monotonic) -> None:
         """``unit`` missed so often that it is out of the round."""
         self.poll_order.leave(unit)
         self.parameters.forget(unit)
@@ -97,11 +98,11 @@ class PollSchedule:
             self.probes.stopped_responding(unit, now)
         self._adapt()
 
-    def port_opened(self, now: float) -> None:
+    def port_opened(self, now: Monotonic) -> None:
         """The port is open again: silent units are worth a question."""
         self.probes.forgive(now)
 
-    def spent(self, task: Task, began: float, ended: float, *, answered: bool) -> None:
+    def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, answered: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""
         seconds = ended - began
         match task.kind:
@@ -119,7 +120,7 @@ class PollSchedule:
 
     # --- what is next --------------------------------------------------------------------------
 
-    def next(self, now: float, *, slow_waits: bool = False) -> Task | None:
+    def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
         """The next use of the wire; None: nothing before ``wake_at``."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
@@ -136,11 +137,11 @@ class PollSchedule:
         unit = self.poll_order.take()
         return Task(TaskKind.POLL, unit) if unit is not None else None
 
-    def wake_at(self) -> float | None:
+    def wake_at(self) -> Monotonic | None:
         """When something becomes due, after ``next`` had nothing; None: only when something happens."""
         return self.probes.wake_at()
 
-    def _gap(self, now: float | None, *, slow_waits: bool) -> Task | None:
+    def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
         """What may use a gap now; ``now`` None: the wire is free anyhow."""
         if (now is None or self._needed.ready(now)) and (wanted := self.parameters.next_needed()):
             return Task(TaskKind.PARAMETER, *wanted, needed=True)

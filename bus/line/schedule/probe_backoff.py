@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
+from bus.instants import Monotonic
 from bus.line.schedule.wire_share import WireShare
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
@@ -23,7 +24,7 @@ to begin an answer."""
 @dataclass(slots=True)
 class _OfflineUnit:
     step: int
-    due: float
+    due: Monotonic
 
 
 class ProbeBackoff:
@@ -46,11 +47,11 @@ class ProbeBackoff:
     def __contains__(self, unit: int) -> bool:
         return unit in self._units
 
-    def stopped_responding(self, unit: int, now: float) -> None:
+    def stopped_responding(self, unit: int, now: Monotonic) -> None:
         """``unit`` stopped answering, or did not answer its first question."""
         self._units[unit] = _OfflineUnit(0, now + self._wait(0))
 
-    def unanswered(self, unit: int, now: float, cost_s: float) -> None:
+    def unanswered(self, unit: int, now: Monotonic, cost_s: float) -> None:
         """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
         self._rations[self.alone].spend(now, cost_s)
         offline = self._units.get(unit)
@@ -58,27 +59,27 @@ class ProbeBackoff:
             offline.step = min(offline.step + 1, len(STEPS_S) - 1)
             offline.due = now + self._wait(offline.step)
 
-    def responded(self, unit: int, now: float) -> None:
+    def responded(self, unit: int, now: Monotonic) -> None:
         """``unit`` answers again; what silenced it may have silenced others, so they are due now."""
         if self._units.pop(unit, None) is not None:
             for other in self._units.values():
                 other.due = min(other.due, now)
 
-    def forgive(self, now: float) -> None:
+    def forgive(self, now: Monotonic) -> None:
         """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
         waited longest first, and the first one whatever was spent before."""
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)
 
-    def due(self, now: float) -> int | None:
+    def due(self, now: Monotonic) -> int | None:
         """The unit to probe now, the longest overdue first; None when none is due or the ration is used."""
         if not self._units or not self._rations[self.alone].ready(now):
             return None
         unit = min(self._units, key=lambda each: self._due_of(self._units[each]))
         return unit if self._due_of(self._units[unit]) <= now else None
 
-    def wake_at(self) -> float | None:
+    def wake_at(self) -> Monotonic | None:
         """When the next probe may leave; None when nobody is silent."""
         if not self._units:
             return None
@@ -93,7 +94,7 @@ class ProbeBackoff:
     def _wait(self, step: int) -> float:
         return STEPS_S[step] * (1.0 - JITTER * self._random.random())
 
-    def _due_of(self, offline: _OfflineUnit) -> float:
+    def _due_of(self, offline: _OfflineUnit) -> Monotonic:
         if not self.alone:
             return offline.due
         late = max(0.0, STEPS_S[offline.step] - ALONE_STEP_S)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import BusFigures, UnitFigures
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
 from bus.line.roster import Roster, UnitRecord
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
@@ -18,7 +18,7 @@ WINDOW_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    at: float
+    at: Monotonic
     busy_s: float
     noise_bytes: int
     echoes: int
@@ -32,7 +32,7 @@ class Figures:
         self._marks: deque[_Mark] = deque()
 
     def take(
-        self, now: float, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
+        self, now: Monotonic, at: UnixTime, counts: WireCounts, roster: Roster, schedule: PollSchedule
     ) -> BusFigures:
         """The figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}

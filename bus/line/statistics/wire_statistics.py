@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bus.instants import Monotonic
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
 from bus.wire.commands import Nak, ReadStatusRequest
@@ -54,7 +55,7 @@ class WireStatistics:
         """An answer of an earlier exchange, or the last one once more."""
         self._roster[unit].statistics.counts.late += 1
 
-    def ended(self, exchange: CurrentExchange, now: float, byte_s: float) -> None:
+    def ended(self, exchange: CurrentExchange, byte_s: float) -> None:
         """An exchange is over, with its answer or without; a byte takes ``byte_s``."""
         request, reply = exchange.exchange.request, exchange.exchange.reply
         self.wire.busy_s += (len(exchange.exchange.sent) + len(exchange.frame)) * byte_s
@@ -69,7 +70,7 @@ class WireStatistics:
         self._last_answer = exchange.frame
         statistics.counts.answers += 1
         self.wire.answers += 1
-        statistics.times.add(_begins(exchange, now, byte_s) - exchange.ends_sending)
+        statistics.times.add(_begins(exchange, byte_s) - exchange.ends_sending)
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
 
@@ -81,8 +82,8 @@ class WireStatistics:
             self._roster[addressed].statistics.counts.foreign += 1
 
 
-def _begins(exchange: CurrentExchange, now: float, byte_s: float) -> float:
+def _begins(exchange: CurrentExchange, byte_s: float) -> Monotonic:
     """When the answer began: a first byte that was left to gather came earlier than it was heard."""
-    begins = now - len(exchange.frame) * byte_s
+    begins = exchange.ended - len(exchange.frame) * byte_s
     first = exchange.exchange.first_byte_at
     return begins if first is None else min(begins, first - byte_s)

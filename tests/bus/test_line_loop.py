@@ -22,6 +22,7 @@ from bus.contract import (
     SetLine,
     SetSpeed,
     UnitLink,
+    Update,
     Watch,
     WriteAnalogOutput,
     WriteOutput,
@@ -214,7 +215,7 @@ def test_a_unit_that_was_never_there_costs_little_and_is_called_offline() -> Non
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(30)
         assert unit_links(line, 4) == ["offline"]
-        assert line.worker.poller.figures().wire_utilisation > 0.9
+        assert line.worker.line.figures().wire_utilisation > 0.9
 
     run(scene, 3, configured=4)
 
@@ -316,6 +317,24 @@ def test_a_cable_pulled_during_the_first_request_costs_no_unit_its_polls() -> No
     run(scene, 3)
 
 
+def test_the_next_poll_leaves_before_the_reading_is_reported() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        put, reports = line.worker.outbox.put, []
+
+        def noted(updates: list[Update]) -> None:
+            if any(isinstance(update, Reading) for update in updates):
+                reports.append((line.loop.time(), line.written[-1]))
+            put(updates)
+
+        line.worker.outbox.put = noted  # type: ignore[method-assign]
+        await asyncio.sleep(1)
+        at_once = [at for at, (sent_at, _) in reports if at == sent_at]
+        assert len(at_once) > 0.9 * len(reports) > 20
+
+    run(scene, 4)
+
+
 def test_a_flood_that_never_frames_holds_nothing_up() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
@@ -345,7 +364,7 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None
         line.faults.set(kind, 0.5, 0 if kind is FaultKind.ECHO else 2)
         await asyncio.sleep(15)
         assert not made_up(line.updates, line.line.record, EPOCH)
-        figures = line.worker.poller.figures()
+        figures = line.worker.line.figures()
         unit = figures.units[1]
         counted = figures.noise_bytes + figures.echoes + unit.foreign + unit.late + unit.checksum_errors
         assert counted > 0
@@ -447,7 +466,7 @@ def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
         assert result.values[0].frame == b""
         assert all(frame.data == b"" for frame in result.frames if "secret" in frame.meaning)
         assert any("secret" in frame.meaning for frame in result.frames)
-        kept = b"".join(passed.data for passed in line.worker.poller.trace.since(0.0))
+        kept = b"".join(passed.data for passed in line.worker.line.trace.since(0.0))
         assert (9876).to_bytes(4, "big") not in kept, "a value without a 10h, which is doubled on the wire"
 
     run(scene, 2)
@@ -478,7 +497,7 @@ def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
         for unit in line.plant.units:
             unit.power_up()
         await asyncio.sleep(4 * LOOK_ELSEWHERE_S)
-        assert line.worker.poller.baud == 4800
+        assert line.worker.line.baud == 4800
         assert [unit_links(line, unit)[-1] for unit in line.units] == ["online"] * 4
 
     run(scene, 4)
@@ -534,7 +553,7 @@ def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
         for unit in line.plant.units:
             unit.power_up()
         await asyncio.sleep(15 * LOOK_ELSEWHERE_S)
-        assert line.worker.poller.baud == 4800
+        assert line.worker.line.baud == 4800
         assert bus_rates(line)[-1] == 4800
         assert [unit_links(line, unit)[-1] for unit in (2, 3)] == ["online"] * 2
 
@@ -562,7 +581,7 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         if odd in ("dead", "dies"):
             assert "panel of unit 3" in str(result.message)
         await asyncio.sleep(3)
-        assert line.worker.poller.baud == 9600
+        assert line.worker.line.baud == 9600
         assert unit_links(line, 1)[-1] == "online"
 
     run(scene, 4)
@@ -592,7 +611,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
 def test_a_nak_on_the_retry_of_a_unit_that_is_soon_back_leaves_nothing_behind() -> None:
     async def scene(line: VirtualLine) -> None:
         command = await _its_ack_lost_and_then_local(line, 2)
-        await line.until(lambda: line.worker.poller.baud == 4800)
+        await line.until(lambda: line.worker.line.baud == 4800)
         line.plant.unit(2).memory[numbers.CONTROL_MODE] = 1
         await line.until(lambda: line.result_of(command))
         result = _result_of(line, command)
