@@ -58,7 +58,7 @@ class Site(StrictModel):
     @classmethod
     def _zone_is_known(cls, name: str) -> str:
         if name and not is_zone(name):
-            raise ValueError("write a time zone like Europe/Berlin, or leave it out for the machine's own")
+            raise ValueError(Message("setting_time_zone"))
         return name
 
     @field_validator("language")
@@ -66,7 +66,7 @@ class Site(StrictModel):
     def _language_has_a_file(cls, tag: str) -> str:
         known = sorted(catalogs())
         if tag not in known:
-            raise ValueError(f"write one of {', '.join(known)}")
+            raise ValueError(Message.of("setting_one_of", known=[*known]))
         return tag
 
 
@@ -77,9 +77,9 @@ def _network(written: object) -> IPv4Network | IPv6Network:
     except ValueError:
         network = None
     if network is None:
-        raise ValueError("write the address of a proxy, like 10.0.0.5, or its network, like 10.0.0.0/28")
+        raise ValueError(Message("setting_proxy"))
     if not network.prefixlen:
-        raise ValueError("name the proxies; of all addresses anybody could write X-Forwarded-For")
+        raise ValueError(Message("setting_every_proxy"))
     return network
 
 
@@ -89,9 +89,7 @@ def _host_name(written: str) -> str:
         try:
             ip_address(bare)
         except ValueError:
-            raise ValueError(
-                "write a name or an address without scheme and port, like mill.example"
-            ) from None
+            raise ValueError(Message("setting_host_name")) from None
     return bare
 
 
@@ -112,9 +110,9 @@ class Sessions(StrictModel):
     @model_validator(mode="after")
     def _idle_is_not_longer_than_all(self) -> Sessions:
         if self.idle_hours > 24 * self.total_days:
-            raise ValueError("idle_hours is longer than total_days; write fewer hours or more days")
+            raise ValueError(Message("setting_idle_hours"))
         if self.panel_idle_days > self.panel_total_days:
-            raise ValueError("panel_idle_days is longer than panel_total_days; write at most as many")
+            raise ValueError(Message("setting_panel_idle_days"))
         return self
 
 
@@ -186,13 +184,12 @@ class Settings(StrictModel):
         ports: dict[str, str] = {}
         for index, bus in enumerate(buses):
             if bus.name in names:
-                message = "bus name {name} is given twice; every bus has its own"
-                raise PydanticCustomError("twice", message, {"name": bus.name, "at": (index, "name")})
+                message = Message.of("setting_bus_twice", name=bus.name)
+                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
             port = _same_device(bus.port)
             if port in ports:
-                message = "port {port} belongs to bus {other} already; every bus has its own port"
-                context = {"port": bus.port, "other": ports[port], "at": (index, "port")}
-                raise PydanticCustomError("twice", message, context)
+                message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
+                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
             names.add(bus.name)
             ports[port] = bus.name
         return buses

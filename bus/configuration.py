@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BusSettings
+from bus.validation import fault_message
 
 KeyStep = str | int
 Model = TypeVar("Model", bound=BaseModel)
@@ -170,22 +171,13 @@ def _fault_message(model: type[BaseModel], place: tuple[KeyStep, ...], details: 
     if details["type"] == "missing":
         return Message.of("configuration_needs_key", table=_inside(place), key=key)
     if "at" in details.get("ctx", {}):
-        return Message.of("configuration_refused", reason=details["msg"])
+        return cast(Message, details["ctx"]["message"])
     names = ".".join(step for step in place if isinstance(step, str) and step != "[key]")
     if details["type"] == "tuple_type" and isinstance(details["input"], dict):
         return Message.of("configuration_needs_array", table=names)
-    return Message.of("configuration_value", key=names, value=repr(details["input"]), right=_right(details))
-
-
-def _right(details: ErrorDetails) -> str | Message:
-    if details["type"] == "string_pattern_mismatch":
-        return Message("configuration_slug")
-    message = details["msg"].removeprefix("Value error, ")
-    message = message.replace("Input should be a valid tuple", "Input should be a list")
-    message = message.replace(
-        "Value should have at least 1 item after validation, not 0", "it must not be empty"
-    )
-    return message.replace("Input should", "it must").replace("String should", "it must")
+    is_slug = details["type"] == "string_pattern_mismatch"
+    right = Message("configuration_slug") if is_slug else fault_message(details)
+    return Message.of("configuration_value", key=names, value=repr(details["input"]), right=right)
 
 
 def _inside(place: tuple[KeyStep, ...]) -> str:
@@ -207,7 +199,7 @@ def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> Message:
 
 
 def _keys(annotation: Any, place: tuple[KeyStep, ...]) -> list[str]:
-    """The keys that may stand at a place of a model."""
+    """The keys that are valid at a place of a model."""
     if get_origin(annotation) is Annotated:
         return _keys(get_args(annotation)[0], place)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 from pydantic_core import PydanticCustomError
 
+from bus.messages import Message
 from bus.text import OneLine
 
 Baud = Literal[300, 600, 1200, 2400, 4800, 9600]
@@ -46,7 +47,7 @@ class Dialect(StrictModel):
     def _is_a_number(cls, value: object) -> object:
         """Reject TOML's true, which Python takes for 1: its author may mean the opposite."""
         if type(value) is not int:
-            raise ValueError("write a whole number, without quotes")
+            raise ValueError(Message("setting_integer"))
         return value
 
 
@@ -85,8 +86,8 @@ class BusSettings(Dialect):
         seen: set[int] = set()
         for index, unit in enumerate(units):
             if unit.id in seen:
-                message = "unit id {id} is given twice; every unit on a bus has its own (#17)"
-                raise PydanticCustomError("twice", message, {"id": unit.id, "at": (index, "id")})
+                message = Message.of("setting_unit_twice", unit=unit.id)
+                raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "id")})
             seen.add(unit.id)
         return units
 
@@ -109,11 +110,11 @@ class BusSettings(Dialect):
 def check_port(port: str) -> str:
     """The port itself. Raises ValueError for what is neither a path nor a URL that can be opened."""
     if not port:
-        raise ValueError("write a device path, such as one in /dev/serial/by-id/")
+        raise ValueError(Message("setting_device_path"))
     if "://" in port and not port.startswith(("socket://", "rfc2217://")):
-        raise ValueError("write a device path, socket://host:port or rfc2217://host:port")
+        raise ValueError(Message("setting_port_scheme"))
     if "://" in port and not _names_host_and_port(port):
-        raise ValueError("write host and port number, like socket://192.168.0.7:4001")
+        raise ValueError(Message("setting_host_and_port"))
     return port
 
 

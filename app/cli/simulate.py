@@ -20,6 +20,7 @@ from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits
+from bus.validation import fault_message
 
 
 def register(cli: typer.Typer) -> None:
@@ -102,7 +103,7 @@ def _dialect(**options: str | int) -> Dialect:
     except ValidationError as error:
         first = error.errors()[0]
         option = "--" + str(first["loc"][0]).replace("_", "-")
-        raise typer.BadParameter(first["msg"], param_hint=option) from error
+        raise typer.BadParameter(str(fault_message(first)), param_hint=option) from error
 
 
 _ENDINGS = {signal.SIGINT, signal.SIGTERM}

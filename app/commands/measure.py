@@ -6,7 +6,7 @@ from app.live.api.view import setpoint_text
 from app.live.state.bus_live import UnitLive, follower
 from bus.catalogue.parameter import Parameter, Scale
 from bus.catalogue.values import parameter_unit
-from bus.messages import Message, number
+from bus.messages import Message, number, term
 
 
 def in_measure(value: str | Message, measure: str | Message) -> Message:
@@ -22,10 +22,11 @@ def measure_of_setpoint(unit: UnitLive) -> str:
     return unit.settings.labels.unit if is_shown else ""
 
 
-def measure_of_value(unit: UnitLive, parameter: Parameter, raw: int) -> str:
+def measure_of_value(unit: UnitLive, parameter: Parameter, raw: int) -> str | Message:
     """Of a value of a parameter: "" of a choice, which has a name, and of a ratio."""
     if raw in parameter.choices:
         return ""
     if parameter.scale is Scale.SPEED or (parameter.scale is Scale.SPEED_OR_RATIO and not follower(unit)):
         return unit.settings.labels.unit
-    return parameter_unit(parameter)
+    measure = parameter_unit(parameter)
+    return term(measure) if measure else ""

@@ -11,12 +11,12 @@ from pydantic import Field, ValidationError
 
 from app.sets.compare import with_unit
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
-from app.web.faults import fault_message
 from app.web.shape import StrictBody
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
+from bus.validation import fault_message
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable
 from typing import Protocol
 
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime, monotonic_now
 
 SLEW_S = 0.001
 """How far the wall clock's drift is followed in one ``settle``; a step of more than a second at once."""
 STEP_S = 1.0
+NEVER = Monotonic(math.inf)
 
 
 class Timer(Protocol):
@@ -24,38 +26,38 @@ class Timer(Protocol):
 class LineClock(Protocol):
     """``now`` never goes back; ``epoch`` is what other machines understand. Both in seconds."""
 
-    def now(self) -> float:
+    def now(self) -> Monotonic:
         """The line's own time."""
 
-    def epoch(self, now: float) -> UnixTime:
+    def epoch(self, now: Monotonic) -> UnixTime:
         """The same moment in seconds since 1970."""
 
     def settle(self) -> None:
         """Follow the wall clock a little; called about once a second."""
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
+    def call_at(self, when: Monotonic, callback: Callable[[], None]) -> Timer:
         """Have ``callback`` run at ``when`` (of ``now``), or as soon as possible after."""
 
 
 class RealClock:
     """The machine's clocks and the running event loop.
 
-    The offset between the two is kept, so that frames stay in order when somebody sets the wall clock.
+    The offset between the two is fixed, so that frames stay in order when the wall clock is set.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         self._loop = loop or asyncio.get_running_loop()
         self._offset = time.time() - time.monotonic()
 
-    def now(self) -> float:
-        return time.monotonic()
+    def now(self) -> Monotonic:
+        return monotonic_now()
 
-    def epoch(self, now: float) -> UnixTime:
-        return UnixTime(now + self._offset)
+    def epoch(self, now: Monotonic) -> UnixTime:
+        return UnixTime(float(now) + self._offset)
 
     def settle(self) -> None:
         error = time.time() - time.monotonic() - self._offset
         self._offset += error if abs(error) > STEP_S else max(-SLEW_S, min(SLEW_S, error))
 
-    def call_at(self, when: float, callback: Callable[[], None]) -> Timer:
-        return self._loop.call_later(max(0.0, when - time.monotonic()), callback)
+    def call_at(self, when: Monotonic, callback: Callable[[], None]) -> Timer:
+        return self._loop.call_later(max(0.0, when - self.now()), callback)

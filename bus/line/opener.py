@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import structlog
 
 from bus.errors import WireError
-from bus.line.poller import Poller
+from bus.line.line_loop import LineLoop
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
 from bus.messages import Message
@@ -17,7 +17,7 @@ from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5
-"""A lost port that nobody reported is noticed after so long."""
+"""A lost port without a report is detected after this time."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 
@@ -25,20 +25,17 @@ _log = structlog.get_logger("bus.line")
 
 
 class Opener:
-    """Opens the poller's port, by its path anew each time, so a by-id link may point elsewhere by then."""
+    """Opens the line's port, by its path each time, so a by-id link may point elsewhere by then."""
 
-    def __init__(self, poller: Poller, open_function: OpenFunction = open_port) -> None:
-        self._poller = poller
+    def __init__(self, line: LineLoop, open_function: OpenFunction = open_port) -> None:
+        self._line = line
         self._open = open_function
-        self._lost: asyncio.Future[Message] | None = None
         self._port: OpenPort | None = None
         self._cause: Message | None = None
         self._causes = 0
         """How often in a row another cause was seen than before."""
-        self._lost_cause: Message | None = None
         self._backoff = ReconnectDelay(random.random)
-        self._listener: _Listener | None = None
-        poller.lost = self._is_lost
+        self._opening: _Opening | None = None
 
     async def run(self) -> None:
         """Until cancelled, which closes the port."""
@@ -57,17 +54,25 @@ class Opener:
 
     async def _open_until_lost(self) -> float:
         """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
-        clock, counts = self._poller.clock, self._poller.link.counts
-        began, answers = clock.now(), counts.answers
-        failure = await self._try()
-        if failure is not None:
-            return self._failed(failure, clock.now() - began)
+        clock = self._line.clock
+        began = clock.now()
+        self._opening = opening = _Opening(self)
+        try:
+            self._port = await self._open(self._line.bus.port, self._line.baud, opening)
+            opening.check()
+        except WireError as error:
+            self.close()
+            return self._failed(error, clock.now() - began)
+        self._cause = None
+        if self._backoff.is_worth_logging:
+            self._log_open()
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
-        await self._until_lost()
+        cause = await self._use(self._port)
         stable.cancel()
-        pause_s = self._backoff.ended(clock.now() - opened, useful=counts.answers > answers)
-        self._log_closed(self._lost_cause)
+        self.close()
+        pause_s = self._backoff.ended(clock.now() - opened, useful=self._line.link.has_responses)
+        self._log_closed(cause)
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
@@ -76,81 +81,67 @@ class Opener:
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
         self._log_closed(failure.message)
-        self._poller.still_closed(failure.message)
+        self._line.still_closed(failure.message)
         return pause_s
 
-    async def _try(self) -> WireError | None:
-        """Why it cannot be opened; None: it is open."""
-        poller = self._poller
-        self._lost = asyncio.get_running_loop().create_future()
-        self._listener = _Listener(self)
+    async def _use(self, port: OpenPort) -> Message:
+        checking = asyncio.create_task(self._check(port))
         try:
-            self._port = await self._open(poller.bus.port, poller.baud, self._listener)
-        except WireError as error:
-            return error
-        self._cause = None
-        if self._backoff.is_worth_logging:
-            self._log_open()
-        poller.port_opened(self._port)
-        return None
+            return await self._line.run(port)
+        finally:
+            checking.cancel()
+
+    async def _check(self, port: OpenPort) -> None:
+        while True:
+            await asyncio.sleep(CHECK_S)
+            try:
+                port.check()
+            except WireError as error:
+                self._line.lose_port(error.message)
 
     def _note_stable(self) -> None:
-        """The opening that has lasted at last may have been none worth a line."""
+        """An opening that lasts is logged even where the ones before were not worth it."""
         self._causes = 0
         if not self._backoff.is_worth_logging:
             self._log_open()
 
     def _log_open(self) -> None:
-        _log.info("port open", port=self._poller.bus.port, baud=self._poller.baud)
+        _log.info("port open", port=self._line.bus.port, baud=self._line.baud)
 
-    async def _until_lost(self) -> None:
-        assert self._lost is not None
-        while not self._lost.done():
-            # Not wait_for(): of Python 3.11 it swallows a cancellation that comes as the port is lost.
-            await asyncio.wait({self._lost}, timeout=CHECK_S)
-            self._check()
-        self.close()
-
-    def _check(self) -> None:
-        if self._port is None or self._lost is None or self._lost.done():
-            return
-        try:
-            self._port.check()
-        except WireError as error:
-            self._poller.port_lost(error.message)
-
-    def _is_lost(self, cause: Message) -> None:
-        self._lost_cause = cause
-        if self._lost is not None and not self._lost.done():
-            self._lost.set_result(cause)
-
-    def _log_closed(self, cause: Message | None) -> None:
-        is_new, self._cause = cause not in (None, self._cause), cause
+    def _log_closed(self, cause: Message) -> None:
+        is_new, self._cause = cause != self._cause, cause
         self._causes += is_new
         if is_new and self._backoff.is_worth_logging and is_worth_logging(self._causes):
             _log.warning(
                 "port closed; retrying", cause=str(cause), lost_soon_after_opening=self._backoff.count
             )
 
-    def data_received(self, listener: _Listener, data: bytes) -> None:
-        """Bytes of one opening; of an old one they mean nothing any more."""
-        if listener is self._listener:
-            self._poller.link.data_received(data)
+    def data_received(self, opening: _Opening, data: bytes) -> None:
+        """Bytes of one opening; those of an old one mean nothing."""
+        if opening is self._opening:
+            self._line.link.data_received(data)
 
-    def ended(self, listener: _Listener, cause: Message) -> None:
+    def lost(self, opening: _Opening, cause: Message) -> None:
         """One opening is over."""
-        if listener is self._listener:
-            self._poller.port_lost(cause)
+        if opening is self._opening:
+            self._line.lose_port(cause)
 
 
-class _Listener:
-    """Hears one opening of the port."""
+class _Opening:
+    """Receives what comes of one opening of the port."""
 
     def __init__(self, opener: Opener) -> None:
         self._opener = opener
+        self._loss: Message | None = None
+
+    def check(self) -> None:
+        """Raises EndedWhileOpening where it is over already."""
+        if self._loss is not None:
+            raise EndedWhileOpening(self._loss)
 
     def data_received(self, data: bytes) -> None:
         self._opener.data_received(self, data)
 
     def connection_lost(self, cause: Message) -> None:
-        self._opener.ended(self, cause)
+        self._loss = cause
+        self._opener.lost(self, cause)

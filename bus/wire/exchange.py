@@ -7,8 +7,8 @@ at any time       equal to our own request       Echo (a half-duplex adapter ech
 at any time       another address                Foreign
 awaiting          right address, wrong shape     Unexpected
 awaiting          fits, but may be a late one    Late (see ``fence``)
-awaiting          fits                           Answered; nothing is awaited any more
-responded         the same bytes a second time   Doubled
+awaiting          fits                           Responded; nothing is awaited any more
+responded         the same bytes a second time   Duplicate
 responded or      right address                  Late
 timed out
 ================  =============================  ==========================================
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import msgspec
 
+from bus.instants import Monotonic
 from bus.settings import Dialect
 from bus.wire.bodies import parse_reply
 from bus.wire.commands import Reply, Request
@@ -29,7 +30,7 @@ from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 from bus.wire.prepared import prepare
 
 
-class Answered(msgspec.Struct, frozen=True):
+class Responded(msgspec.Struct, frozen=True):
     """The response to the request."""
 
     reply: Reply
@@ -61,13 +62,13 @@ class Late(msgspec.Struct, frozen=True):
     frame: ReceivedFrame
 
 
-class Doubled(msgspec.Struct, frozen=True):
+class Duplicate(msgspec.Struct, frozen=True):
     """A duplicate of the response already taken."""
 
     frame: ReceivedFrame
 
 
-ExchangeEvent = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise | DoubledChecksum
+ExchangeEvent = Responded | Foreign | Echo | Unexpected | Late | Duplicate | Noise | DoubledChecksum
 
 
 class Exchange:
@@ -92,7 +93,7 @@ class Exchange:
         self.decoder = decoder or FrameDecoder(dialect)
         self.awaiting = request.unit != 0
         self.reply: Reply | None = None
-        self.first_byte_at: float | None = None
+        self.first_byte_at: Monotonic | None = None
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self.dialect = dialect
         self._before = pending or PendingResponses(request.unit, dialect)
@@ -100,7 +101,7 @@ class Exchange:
         self._pending = self._before.sent(request)
         self._unresolved: bytes | None = None
 
-    def receive(self, data: bytes, at: float) -> list[ExchangeEvent]:
+    def receive(self, data: bytes, at: Monotonic) -> list[ExchangeEvent]:
         """Take bytes that came in at ``at``, in pieces of any size, and return the events."""
         if data and self.first_byte_at is None:
             self.first_byte_at = at
@@ -135,7 +136,7 @@ class Exchange:
             return Foreign(unit, frame)
         # A duplicate response is not evidence of a second request.
         if not self.awaiting and frame.body == self._response:
-            return Doubled(frame)
+            return Duplicate(frame)
         # Resolved on demand: the next request is more urgent.
         self._pending, self._unresolved = self.pending, frame.body
         return self._judge(frame) if self.awaiting else Late(frame)
@@ -150,4 +151,4 @@ class Exchange:
         self.awaiting = False
         self.reply = reply
         self._response = frame.body
-        return Answered(reply, frame)
+        return Responded(reply, frame)

@@ -31,8 +31,8 @@ from bus.instants import UnixTime
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
 from bus.line.events import LineUpdate
+from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, OpenFunction
-from bus.line.poller import Poller
 from bus.line.port.open_port import open_port
 from bus.line.statistics.trace import Interpreter, TracedFrame
 from bus.messages import Message, in_english
@@ -43,12 +43,12 @@ from bus.worker.uplink import Uplink
 
 RESULTS_KEPT = 2_000
 MOST_COMMANDS, MOST_TRACES = 300, 8
-"""At once, far more than people and programs ask for: an app gone wrong must not fill the memory."""
+"""At once, far more than people and programs request: a faulty app must not fill the memory."""
 TOO_MANY = Message("too_many_commands")
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
-"""What a change in flight may take once the worker is told to go."""
-SAY_WITHIN_S = 0.3
+"""What a change in flight may take once the worker has to leave."""
+DELIVER_WITHIN_S = 0.3
 LOOK_S = 0.01
 FRAMES_AT_A_STRETCH = 25
 
@@ -70,10 +70,10 @@ class BusWorker:
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
         self.app_clock = ClockOffset()
-        self.poller = Poller(bus, self.clock, self._take, seed if seed is not None else uuid.uuid4().int)
-        self._opener = Opener(self.poller, open_function)
+        self.line = LineLoop(bus, self.clock, self._take, seed if seed is not None else uuid.uuid4().int)
+        self._opener = Opener(self.line, open_function)
         self._started_at = self._epoch()
-        self._figures = self.poller.figures()
+        self._figures = self.line.figures()
         self._results: OrderedDict[str, Result | None] = OrderedDict()
         self._frames: list[TracedFrame] = []
         self._interpreter = Interpreter(bus.dialect)
@@ -89,12 +89,12 @@ class BusWorker:
     async def finish(self) -> None:
         """No new command; what is under way ends or is withdrawn, within ``FINISH_WITHIN_S``."""
         self._leaving = True
-        for run in self.poller.commands:
-            self.poller.cancel(run.id)
-        await _wait_while(lambda: len(self.poller.commands) > 0, FINISH_WITHIN_S)
-        await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, SAY_WITHIN_S)
+        for run in self.line.commands:
+            self.line.cancel(run.id)
+        await _wait_while(lambda: len(self.line.commands) > 0, FINISH_WITHIN_S)
+        await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, DELIVER_WITHIN_S)
 
-    # --- what the uplink asks ------------------------------------------------------------------
+    # --- calls of the uplink -------------------------------------------------------------------
 
     def hello(self) -> Hello:
         """Who speaks."""
@@ -113,26 +113,28 @@ class BusWorker:
         return Snapshot(
             seq=seq,
             sent_at=self._epoch(),
-            bus=self.poller.state,
-            units=self.poller.roster.states(),
+            bus=self.line.state,
+            units=self.line.roster.states(),
             figures=self._figures,
         )
 
     def watch(self, watch: Watch) -> None:
         """What people look at."""
-        self.poller.watch(watch)
-        self.poller.trace.follower = self._follow if watch.trace else None
+        self.line.watch(watch)
+        self.line.trace.follower = self._follow if watch.trace else None
 
     def reserve(self) -> None:
-        """A write is about to be asked for: the next turn is left to it."""
-        self.poller.reserve()
+        """Keep the next turn of the wire free: a write is about to be requested."""
+        self.line.reserve()
 
     def cancel(self, command_id: str) -> None:
         """Give it up where nothing is half done."""
-        self.poller.cancel(command_id)
+        self.line.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once; asked again, repeat its fate. A piece of the trace is read again."""
+        """Carry it out once; a second request with its id returns the same result. A piece of the trace is
+        read again.
+        """
         if isinstance(command.action, ReadTrace):
             self._begin_trace(command.id, command.action)
             return
@@ -150,7 +152,7 @@ class BusWorker:
         now = self.clock.now()
         deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
         refusal = self._refusal(command, deadline - now)
-        run = command_run_of(self.poller, command.id, command.action, deadline)
+        run = command_run_of(self.line, command.id, command.action, deadline)
         if refusal is None and run is None:
             refusal = "invalid", Message("unknown_command")
         if refusal is not None:
@@ -160,7 +162,7 @@ class BusWorker:
         kind = type(command.action).__name__
         _log.info("command", id=command.id, action=kind, time_left_s=round(deadline - now, 3))
         self._emit([Progress(command.id, self._epoch(), "waiting")])
-        self.poller.submit(run)
+        self.line.submit(run)
 
     def _begin_trace(self, command_id: str, action: ReadTrace) -> None:
         if len(self._reading_traces) >= MOST_TRACES:
@@ -174,10 +176,10 @@ class BusWorker:
         """Why nothing is sent for it, where that is plain at once."""
         if self._leaving:
             return "not_sent", Message("worker_stopping")
-        if len(self.poller.commands) >= MOST_COMMANDS:
+        if len(self.line.commands) >= MOST_COMMANDS:
             return "not_sent", TOO_MANY
-        if not self.poller.link.open:
-            return "bus_closed", self.poller.state.refusal
+        if not self.line.link.open:
+            return "bus_closed", self.line.state.refusal
         if time_left_s < 0 and command.action.writes:
             return "not_sent", Message.of("arrived_late", seconds=round(-time_left_s, 1))
         return None
@@ -210,8 +212,8 @@ class BusWorker:
         while True:
             await asyncio.sleep(FIGURES_S)
             self.clock.settle()
-            self.poller.tick()
-            figures = self.poller.figures()
+            self.line.tick()
+            figures = self.line.figures()
             self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
             self.outbox.put([self._figures])
 
@@ -229,7 +231,7 @@ class BusWorker:
         """In small pieces, so that the wire waits for none of it."""
         interpreter = Interpreter(self.bus.dialect)
         frames = []
-        for passed in self.poller.trace.since(action.since):
+        for passed in self.line.trace.since(action.since):
             frames.append(interpreter.frame(passed))
             if len(frames) >= action.limit:
                 break
@@ -258,7 +260,7 @@ def _version() -> str:
 async def run_worker(
     bus: BusSettings, app_url: str, token: str, *, leave: asyncio.Event | None = None
 ) -> None:
-    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (or for ever).
+    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (by default indefinitely).
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """

@@ -1,6 +1,6 @@
-// The number pad for a field that has none of its own: on touch, in place of the device's keyboard, which a panel on
-// the wall may not have. It stands on the side of the screen where the field is not, and says whose value it writes
-// and within what limits. The keys with data-pad are pressed in setter.js.
+// The number pad for a field without one: on touch, in place of the device's keyboard, which a panel on the wall may
+// not have. It opens on the side of the screen where the field is not, and shows whose value it writes and the limits.
+// setter.js handles the keys with data-pad.
 const NUMBERS = "input.input--number:enabled";
 const CLEAR_PX = 12;
 

@@ -91,12 +91,12 @@ function look() {
   const idle = performance.now() - touchedAt;
   if (idle > GUARD_MS) document.dispatchEvent(new CustomEvent("lineside:idle"));
   if (idle > HOME_MS && goHome()) return;
-  if (idle > DARK_MS && !isDark() && !wantsSomebody()) darken();
+  if (idle > DARK_MS && !isDark() && !needsAttention()) darken();
   else if (idle > GUARD_MS && !cover) lay("cover--guard");
 }
 
 /** An abnormal state keeps the screen on. */
-const wantsSomebody = () => level === "urgent" || level === "high";
+const needsAttention = () => level === "urgent" || level === "high";
 
 /** To the panel's own page, once until it is touched again. */
 function goHome() {
@@ -138,11 +138,11 @@ export function start() {
     item.hidden = !document.fullscreenEnabled;
   if (home === undefined) return;
   arrive();
-  listen("whole_line", (fields) => {
+  listen("line_summary", (fields) => {
     verdict = fields.verdict ?? "";
     level = fields.level ?? "";
     if (!isDark()) return;
-    if (wantsSomebody()) uncover();
+    if (needsAttention()) uncover();
     else cover.firstChild.textContent = verdict;
   });
   document.addEventListener("lineside:lost", () => isDark() && uncover());

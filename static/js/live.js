@@ -57,7 +57,7 @@ function again() {
   clearTimeout(retry);
   retry = setTimeout(open, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
   tries += 1;
-  if (tries === 3) askWhy();
+  if (tries === 3) findCause();
 }
 
 function receive(message) {
@@ -135,7 +135,7 @@ function describe() {
   if (body.dataset.link !== "lost") return;
   const names = {
     closed: "causeClosed",
-    silent: "causeSilent",
+    timeout: "causeTimeout",
     offline: "causeOffline",
   };
   document.querySelector("[data-gone-cause]").textContent = word(names[cause]);
@@ -143,7 +143,7 @@ function describe() {
   document.querySelector("[data-gone-for]").textContent = span(clock.now() - lostSince);
 }
 
-async function askWhy() {
+async function findCause() {
   try {
     const response = await fetch("/account", {
       redirect: "manual",
@@ -179,9 +179,9 @@ function check() {
 }
 
 function judge() {
-  const silent = (performance.now() - receivedAt) / 1000;
-  if (silent > TIMEOUT_S && body.dataset.link !== "lost") onLost("silent");
-  if (silent > TIMEOUT_S && socket?.readyState === WebSocket.OPEN) drop();
+  const age = (performance.now() - receivedAt) / 1000;
+  if (age > TIMEOUT_S && body.dataset.link !== "lost") onLost("timeout");
+  if (age > TIMEOUT_S && socket?.readyState === WebSocket.OPEN) drop();
   describe();
 }
 

@@ -1,8 +1,7 @@
-// How often this device may be given something to draw. All drawing together gets a fixed share of the main thread,
-// whatever the device: a quick one draws what it is told at once, one that takes long has the rest of its time for
-// the finger. What came meanwhile is drawn together, the newest of each.
+// Caps rendering at a fixed share of main-thread time, so that input stays responsive on slow devices; a fast device
+// renders at once. Changes that arrive meanwhile are drawn together, the newest of each.
 
-/** The part of the main thread that drawing may take; hearing what there is to draw comes on top. */
+/** The part of the main thread that drawing may take; receiving messages comes on top. */
 const SHARE = 0.15;
 /** Drawings may be this far ahead of their share: a few cheap ones in a row wait for nothing. */
 const AHEAD_MS = 200;
@@ -25,8 +24,8 @@ export function credible(known) {
   return known.length < REMEMBERED ? 0 : Math.min(known.at(-1), CREDIBLE * least);
 }
 
-/** The time until which drawing has used up its share, once more has begun at `began` that costs `cost`; all in
-    ms. `until` is what it was before. */
+/** Return the time until which drawing has used up its share, after a drawing of `cost` that began at `began`; all
+    in ms. `until` is the former value. */
 export function usedUp(until, began, cost) {
   return Math.min(Math.max(until, began) + cost / SHARE, began + LONGEST_MS + AHEAD_MS);
 }
@@ -57,8 +56,8 @@ function run(draw) {
   measure(performance.now() - began);
 }
 
-/** Call `draw` now, or as soon as its share allows; once, however often it is asked for until then. It says
-    whether it drew anything: of what nobody can see there is no frame to pay for. */
+/** Call `draw` now, or as soon as its share allows; once, however often it is requested until then. `draw` returns
+    whether it drew anything: invisible changes cost no frame. */
 export function soon(draw) {
   if (timer) return;
   const wait = readyAt(paid) - performance.now();

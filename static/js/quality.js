@@ -40,7 +40,7 @@ function ageOf(unit) {
   const at = fieldsOf(unit)?.at;
   if (!at) return word("never");
   const age = span(clock.now() - at);
-  return qualityOf(unit) === "online" ? age : word("silent", age);
+  return qualityOf(unit) === "online" ? age : word("lastResponse", age);
 }
 
 function check() {

@@ -16,7 +16,7 @@ function follow(part) {
   });
 }
 
-function followWhole(page) {
+function followPage(page) {
   const key = page.dataset.reload;
   const dot = key.indexOf(".");
   const look = () => {
@@ -29,7 +29,7 @@ function followWhole(page) {
 }
 
 export function start() {
-  for (const page of document.querySelectorAll("[data-reload]")) followWhole(page);
+  for (const page of document.querySelectorAll("[data-reload]")) followPage(page);
 
   for (const part of document.querySelectorAll("[data-redraw]")) follow(part);
 }

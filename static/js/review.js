@@ -66,13 +66,13 @@ function watchUnit(form, part) {
 
 /** Why a unit takes nothing from here any more; empty while it does. */
 function whyNot({ link, mode, blocked }) {
-  if (link !== "online") return word("fellSilent");
+  if (link !== "online") return word("stoppedResponding");
   if (mode !== "remote") return word("leftRemote");
   return blocked ? word("wasBlocked", blocked) : "";
 }
 
 /** A part of the page that is fetched as the page is opened or on its way, and not by a press. */
-const isByItself = (source) => source.hasAttribute("hx-trigger");
+const isAutomatic = (source) => source.hasAttribute("hx-trigger");
 
 /** The review is over without a command: the button is gone and the reason stays. */
 function end(form, reason) {
@@ -122,7 +122,7 @@ function unanswered(form) {
 }
 
 /** Of a press that had no review. */
-function sayUnanswered() {
+function showNoResponse() {
   const words = document.createElement("p");
   words.className = "field__error";
   words.textContent = word("outcomeUnknown");
@@ -194,7 +194,7 @@ export function start() {
   document.addEventListener("htmx:before:request", (event) => {
     const { request, sourceElement: source } = event.detail.ctx;
     // What only reads may come before the first word.
-    if (!isLive() && !(request.method === "GET" && isByItself(source))) return event.preventDefault();
+    if (!isLive() && !(request.method === "GET" && isAutomatic(source))) return event.preventDefault();
     if (source.matches("[data-review]")) lock(source);
   });
   document.addEventListener("htmx:after:swap", (event) => {
@@ -204,14 +204,14 @@ export function start() {
     const named = event.detail.ctx.target;
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target === content) opened();
-    // A message beside a field may be out of sight: on a phone the button is a pad below it. A page scrolls only for
-    // the person who pressed.
-    else if (target?.matches("[role=status]") && target.firstElementChild && !isByItself(event.detail.ctx.sourceElement))
+    // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
+    // the person who clicked.
+    else if (target?.matches("[role=status]") && target.firstElementChild && !isAutomatic(event.detail.ctx.sourceElement))
       target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");
     if (form) unanswered(form);
-    else if (event.detail.ctx?.sourceElement.matches("[data-once]")) sayUnanswered();
+    else if (event.detail.ctx?.sourceElement.matches("[data-once]")) showNoResponse();
   });
 }

@@ -1,5 +1,5 @@
 // <trend-spark data-spark="dry-end/1"> draws ten minutes of its unit's actual speed; data-value="commanded" another.
-// All on a page are requested together, every ten seconds, and only those in sight.
+// All visible ones on a page are requested together, every ten seconds.
 import { now } from "./clock.js";
 
 const MINUTES = 10;
@@ -8,7 +8,7 @@ const [WIDTH, HEIGHT] = [240, 40];
 /** The height of the drawing, as a part of the value, at least. */
 const LEAST_REACH = 0.02;
 const SVG = "http://www.w3.org/2000/svg";
-const inSight = new Set();
+const visible = new Set();
 let requested = false;
 
 class TrendSpark extends HTMLElement {
@@ -20,12 +20,12 @@ class TrendSpark extends HTMLElement {
     svg.setAttribute("aria-hidden", "true");
     svg.append(this.path);
     this.replaceChildren(svg);
-    sight.observe(this);
+    observer.observe(this);
   }
 
   disconnectedCallback() {
-    sight.unobserve(this);
-    inSight.delete(this);
+    observer.unobserve(this);
+    visible.delete(this);
   }
 
   get series() {
@@ -58,8 +58,8 @@ function outline(t, values, from, to) {
   return path;
 }
 
-const sight = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) inSight[isIntersecting ? "add" : "delete"](target);
+const observer = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) visible[isIntersecting ? "add" : "delete"](target);
   if (!requested) refresh();
 });
 
@@ -74,7 +74,7 @@ async function fetchSparks(query) {
 }
 
 async function refresh() {
-  if (document.hidden || !inSight.size) return;
+  if (document.hidden || !visible.size) return;
   requested = true;
   const to = now();
   const from = to - MINUTES * 60;
@@ -82,10 +82,10 @@ async function refresh() {
     from: new Date(from * 1000).toISOString(),
     to: new Date(to * 1000).toISOString(),
   });
-  for (const name of new Set([...inSight].map((spark) => spark.series))) query.append("series", name);
+  for (const name of new Set([...visible].map((spark) => spark.series))) query.append("series", name);
   const found = await fetchSparks(query);
   if (!found) return;
-  for (const spark of inSight) if (found[spark.series]) spark.draw(found[spark.series], from, to);
+  for (const spark of visible) if (found[spark.series]) spark.draw(found[spark.series], from, to);
 }
 
 customElements.define("trend-spark", TrendSpark);

@@ -89,7 +89,7 @@ async function fetchAll() {
     drawAll();
   } catch (error) {
     // A browser's own words for a request that came to nothing are in its language, not in the page's.
-    const why = error instanceof TypeError ? words.silent : error.message;
+    const why = error instanceof TypeError ? words.noResponse : error.message;
     if (error.name !== "AbortError") byId("trend-fault").textContent = words.fault.replace("{n}", why);
   }
 }

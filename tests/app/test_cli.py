@@ -87,7 +87,7 @@ def test_check_reports_faults(lineside: Shell) -> None:
     lineside.config.write_text(CONFIG.replace("id = 1", "id = 0"))
     code, out, err = lineside("check")
     assert (code, out) == (1, "")
-    assert f"{lineside.config}:7: bus.unit.id = 0: it must be greater than or equal to 1" in err
+    assert f"{lineside.config}:7: bus.unit.id = 0: it must be at least 1" in err
 
 
 def test_serve_refuses_a_bad_configuration(lineside: Shell) -> None:

@@ -82,14 +82,14 @@ def test_everything_may_be_left_out(tmp_path: Path) -> None:
     [
         (BUSES.replace('"b"', '"a"'), ":5: bus name a is given twice; every bus has its own"),
         (BUSES.replace("USB1", "USB0"), ":6: port /dev/ttyUSB0 belongs to bus a already"),
-        ("[server]\nport = 70000\n", ":2: server.port = 70000: it must be less than or equal to 65535"),
+        ("[server]\nport = 70000\n", ":2: server.port = 70000: it must be at most 65535"),
         ("[serve]\n", ":1: unknown key serve in the file; did you mean server?"),
         ('[site]\nlanguage = "xx"\n', ":2: site.language = 'xx': write one of de, en"),
         ('[site]\ntime_zone = "Mars"\n', ":2: site.time_zone = 'Mars': write a time zone like Europe/Berlin"),
         ("bus = 3\n", ":1: bus = 3: it must be a list"),
         ('[bus]\nname = "a"\n', ":1: write [[bus]] instead of [bus], as there may be several"),
         ('[server]\nhost = ""\n', ":2: server.host = '': it must have at least 1 character"),
-        (BUSES + "estop_healthy = true\n", ":7: bus.estop_healthy = True: write a whole number"),
+        (BUSES + "estop_healthy = true\n", ":7: bus.estop_healthy = True: write an integer"),
     ],
 )
 def test_faults(tmp_path: Path, text: str, error: str) -> None:

@@ -1,4 +1,4 @@
-"""Whose request is next, and what is known of it before the answer under way is there."""
+"""Whose request is next: polls in turn, commands before them, retries before the next poll."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bus.line.commands.procedure import CommandContext, Procedure
 from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
-from bus.line.schedule.arbiter import Arbiter
+from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect
 from bus.wire.commands import Ack, ReadStatusRequest, Reply, Request, SetAndExecuteSpeedRequest, StatusReply
@@ -20,7 +20,7 @@ POLL_S = 0.026
 
 
 class Line:
-    """Turns of a line whose units all answer; time goes on by a poll for each."""
+    """Turns of a line whose units all respond; time advances by a poll for each."""
 
     def __init__(self, units: int) -> None:
         self.time = 100.0
@@ -36,23 +36,28 @@ class Line:
         while self.schedule.parameters.next_needed():
             """All that is needed is known."""
 
-    def poll(self) -> Request:
-        """The next request; a poll, when nothing else is due."""
+    def poll(self) -> NextRequest:
+        """The next turn; a poll, when nothing else is due."""
+        turn = self.next()
+        while not isinstance(turn.request, ReadStatusRequest):
+            self.settle(turn, None)
+            turn = self.next()
+        return turn
+
+    def next(self) -> NextRequest:
+        """The next turn, a poll's time later."""
         self.time += POLL_S
-        request = self.turns.next_request(self.time)
-        while not isinstance(request, ReadStatusRequest):
-            assert request is not None
-            self.settle(request, None)
-            self.time += POLL_S
-            request = self.turns.next_request(self.time)
-        return request
+        turn = self.turns.next_request(self.time)
+        assert turn is not None
+        return turn
 
-    def settle(self, request: Request, reply: Reply | None) -> bool:
-        """It was answered, or not."""
-        return self.turns.settle(ExchangeResult(request, reply, self.time), self.time - POLL_S, self.time)
+    def settle(self, turn: NextRequest, reply: Reply | None) -> bool:
+        """Its exchange is over."""
+        result = ExchangeResult(turn.request, reply, self.time - POLL_S, self.time, self.time)
+        return self.turns.settle(turn, result)
 
 
-def _answer(request: Request) -> StatusReply:
+def _response(request: Request) -> StatusReply:
     return StatusReply(request.unit, 1, 1, 0, 0, 0)
 
 
@@ -66,77 +71,112 @@ def _write(unit: int) -> CommandRun:
     )
 
 
-def _foreseen(line: Line, times: int) -> Iterator[tuple[Request, Request]]:
-    request = line.poll()
-    for _ in range(times):
-        following = line.turns.foresee(request, line.time)
-        if following is None:
-            line.settle(request, _answer(request))
-            request = line.poll()
-            continue
-        line.time += POLL_S
-        line.settle(request, _answer(request))
-        assert line.turns.followed(line.time) == following
-        yield request, following
-        request = following if isinstance(following, ReadStatusRequest) else line.poll()
-
-
-def test_what_was_foreseen_has_its_turn_and_every_unit_keeps_its_own() -> None:
+def test_every_unit_keeps_its_own_turn() -> None:
     line = Line(4)
-    pairs = list(_foreseen(line, 200))
-    assert len(pairs) > 150
-    polled = [following.unit for _, following in pairs if isinstance(following, ReadStatusRequest)]
+    polled = []
+    for _ in range(200):
+        turn = line.poll()
+        polled.append(turn.request.unit)
+        line.settle(turn, _response(turn.request))
     counts = [polled.count(unit) for unit in range(1, 5)]
     assert max(counts) - min(counts) <= 4
 
 
-def test_an_errand_goes_first_and_what_was_foreseen_after_it() -> None:
+def _foreseen(line: Line, times: int) -> Iterator[NextRequest]:
+    turn = line.poll()
+    for _ in range(times):
+        following = line.turns.foresee(turn, line.time)
+        line.settle(turn, _response(turn.request))
+        if following is None:
+            turn = line.poll()
+            continue
+        line.time += POLL_S
+        line.turns.follow(line.time)
+        yield following
+        turn = following if isinstance(following.request, ReadStatusRequest) else line.poll()
+
+
+def test_what_was_foreseen_has_its_turn_and_every_unit_keeps_its_own() -> None:
+    line = Line(4)
+    followed = list(_foreseen(line, 200))
+    assert len(followed) > 150
+    polled = [turn.request.unit for turn in followed if isinstance(turn.request, ReadStatusRequest)]
+    counts = [polled.count(unit) for unit in range(1, 5)]
+    assert max(counts) - min(counts) <= 4
+
+
+def test_a_command_goes_first_and_what_was_foreseen_after_it() -> None:
     line = Line(3)
-    request = line.poll()
-    following = line.turns.foresee(request, line.time)
+    turn = line.poll()
+    following = line.turns.foresee(turn, line.time)
     assert following is not None
-    line.turns.commands.add(_write(request.unit))
-    line.settle(request, _answer(request))
-    line.time += POLL_S
-    assert line.turns.next_request(line.time) == SetAndExecuteSpeedRequest(request.unit, 500)
-    assert line.turns.foresee(SetAndExecuteSpeedRequest(request.unit, 500), line.time) is None
-    line.turns.commands.cancel("c1")
-    line.turns.owner = None
-    for run in line.turns.commands:
-        run.end(ProcedureResult("not_sent"))
+    run = _write(turn.request.unit)
+    line.turns.commands.add(run)
+    line.settle(turn, _response(turn.request))
+    write = line.next()
+    assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
+    assert line.turns.foresee(write, line.time) is None
+    line.settle(write, Ack(turn.request.unit))
     line.turns.commands.take_finished()
-    assert line.turns.next_request(line.time + POLL_S) == following
+    assert line.next() == following
 
 
-def test_a_poll_without_an_answer_is_tried_again_before_what_was_foreseen() -> None:
+def test_a_poll_without_a_response_is_tried_again_before_what_was_foreseen() -> None:
     line = Line(3)
-    request = line.poll()
-    following = line.turns.foresee(request, line.time)
+    turn = line.poll()
+    following = line.turns.foresee(turn, line.time)
     assert following is not None
-    assert line.settle(request, None), "it is tried again"
-    line.time += POLL_S
-    assert line.turns.next_request(line.time) == request
-    line.settle(request, _answer(request))
-    line.time += POLL_S
-    assert line.turns.next_request(line.time) == following
+    assert line.settle(turn, None), "it is tried again"
+    assert line.next() == turn
+    line.settle(turn, _response(turn.request))
+    assert line.next() == following
 
 
-def test_a_write_without_an_answer_is_tried_again_too() -> None:
-    line = Line(2)
-    polled = line.poll()
-    line.turns.commands.add(_write(2))
-    line.settle(polled, _answer(polled))
-    write = SetAndExecuteSpeedRequest(2, 500)
-    assert line.turns.next_request(line.time) == write
-    assert line.settle(write, None), "it is tried again"
-    assert line.turns.next_request(line.time) == write
-    assert not line.settle(write, Ack(2)), "it was answered"
+def test_nothing_is_foreseen_while_a_write_is_announced() -> None:
+    line = Line(3)
+    turn = line.poll()
+    line.turns.reserve(line.time)
+    assert line.turns.foresee(turn, line.time) is None
 
 
 def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
-    """What the unit answers twice must not be taken for the next answer, so the answer is pondered first."""
+    """What the unit sends twice must not be taken for the next response, so the response is settled first."""
     line = Line(1)
     for _ in range(20):
-        request = line.poll()
-        assert line.turns.foresee(request, line.time) is None
-        line.settle(request, _answer(request))
+        turn = line.poll()
+        assert line.turns.foresee(turn, line.time) is None
+        line.settle(turn, _response(turn.request))
+
+
+def test_a_command_goes_before_the_next_poll() -> None:
+    line = Line(3)
+    turn = line.poll()
+    run = _write(turn.request.unit)
+    line.turns.commands.add(run)
+    line.settle(turn, _response(turn.request))
+    write = line.next()
+    assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
+    line.settle(write, Ack(turn.request.unit))
+    assert run.result == ProcedureResult("acknowledged")
+
+
+def test_a_poll_without_a_response_is_tried_again_before_the_next() -> None:
+    line = Line(3)
+    turn = line.poll()
+    assert line.settle(turn, None), "it is tried again"
+    assert line.next() == turn
+    assert not line.settle(turn, _response(turn.request))
+    assert line.next() != turn
+
+
+def test_a_write_without_a_response_is_tried_again_too() -> None:
+    line = Line(2)
+    polled = line.poll()
+    run = _write(2)
+    line.turns.commands.add(run)
+    line.settle(polled, _response(polled.request))
+    write = NextRequest(SetAndExecuteSpeedRequest(2, 500), run)
+    assert line.next() == write
+    assert line.settle(write, None), "it is tried again"
+    assert line.next() == write
+    assert not line.settle(write, Ack(2)), "it was answered"

@@ -1,4 +1,4 @@
-"""Every kind of command has one row that says how a worker carries it out, and how it claims the wire."""
+"""Every kind of command has one row that states how a worker carries it out, and how it claims the wire."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bus.contract import (
 from bus.line.clock import RealClock
 from bus.line.commands.catalogue import COMMANDS, command_run_of
 from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Priority
-from bus.line.poller import Poller
+from bus.line.line_loop import LineLoop
 from bus.settings import BusSettings, UnitSettings
 
 ONE = frozenset({1})
@@ -53,7 +53,7 @@ async def test_what_writes_goes_first_and_claims_the_units_that_it_can_reach(
     action: Action, claim: Priority, units: frozenset[int]
 ) -> None:
     bus = BusSettings(name="a", port="/dev/null", unit=(UnitSettings(id=1, name="One"),))
-    run = command_run_of(Poller(bus, RealClock(), lambda _: None), "a", action, 2.0)
+    run = command_run_of(LineLoop(bus, RealClock(), lambda _: None), "a", action, 2.0)
     assert run is not None
     assert (run.priority, run.units) == (claim, units)
     assert (run.priority is Priority.WRITE) == action.writes

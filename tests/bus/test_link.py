@@ -1,4 +1,4 @@
-"""One exchange at a time: windows, deadlines, leftovers, floods. A port and a clock of its own."""
+"""One exchange at a time: windows, deadlines, leftovers, floods, on a fake port and clock."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from msgspec.structs import replace
 
 from bus.contract import LONGEST_FRAME, MOST_MEANINGS
 from bus.errors import WireError
+from bus.line.completion import Completion
+from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import SECRET_LINGERS_S, Link
 from bus.line.exchange.port_pace import PortPace
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S
+from bus.line.port.port import PartlySent
 from bus.line.roster import Roster
 from bus.line.statistics.trace import HIDDEN, Interpreter, Trace, TracedFrame
 from bus.messages import Message
@@ -35,6 +38,7 @@ from tests.bus.played_clock import PlayedClock
 PLAIN = Dialect()
 BYTE_S = 10 / 9600
 TURNAROUND_S = 0.050
+GONE = Message("adapter_gone")
 STATUS = StatusReply(1, 500, 498, 77, 0xC0, 0x03)
 
 
@@ -47,12 +51,22 @@ class Wires(PlayedClock):
         self.dropped = 0
         self.listens = True
         self.gathered = b""
-        self.heard: list[tuple[ExchangeResult, float]] = []
+        self.exchanges: list[Completion[CurrentExchange]] = []
         self.roster = Roster([1, 2], 0.0)
         self.trace = Trace()
         self.link = Link(PLAIN, 9600, TURNAROUND_S, self, self.roster, self.trace)
-        self.link.done = lambda heard, _began, ended: self.heard.append((heard, ended))
         self.link.attach(self, 9600)
+
+    def send(self, request: Request) -> None:
+        """Begin an exchange."""
+        ending = self.link.send(self.link.prepare(request))
+        assert ending is not None
+        self.exchanges.append(ending)
+
+    @property
+    def results(self) -> list[ExchangeResult]:
+        """Of those that have ended."""
+        return [exchange.result.result(self) for exchange in self.exchanges if exchange.is_set]
 
     # the port
     def write(self, data: bytes) -> None:
@@ -80,6 +94,7 @@ class Wires(PlayedClock):
     # time
     def pass_time(self, seconds: float) -> None:
         self.pass_to(self.time + seconds)
+        self.link.account()
 
     def receive(self, data: bytes) -> None:
         """Byte by byte, each in its time."""
@@ -89,81 +104,82 @@ class Wires(PlayedClock):
                 self.link.data_received(bytes((value,)))
             else:
                 self.gathered += bytes((value,))
+        self.link.account()
 
-    def answer(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
+    def respond(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
         """As a unit would: after the request has left."""
         self.pass_time(len(self.written[-1]) * BYTE_S + after_s)
         self.receive(encode_reply(reply, PLAIN))
 
 
 @pytest.fixture
-def wires() -> Wires:
+async def wires() -> Wires:
     return Wires()
 
 
-def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
+async def test_a_response_is_taken_with_its_times(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer(after_s=0.005)
-    heard, ended = wires.heard[0]
-    assert heard.reply == STATUS
-    assert heard.sent_at == pytest.approx(began + 7 * BYTE_S)
-    assert heard.responded_at == ended == pytest.approx(began + 25 * BYTE_S + 0.005)
+    wires.send(ReadStatusRequest(1))
+    wires.respond(after_s=0.005)
+    result = wires.results[0]
+    assert result.reply == STATUS
+    assert result.sent_at == pytest.approx(began + 7 * BYTE_S)
+    assert result.responded_at == result.ended == pytest.approx(began + 25 * BYTE_S + 0.005)
     times = wires.roster[1].statistics.times
     assert times.largest == pytest.approx(0.005, abs=1e-6)
 
 
-def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
+async def test_a_timeout_ends_with_the_turnaround(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ReadStatusRequest(1))
+    wires.send(ReadStatusRequest(1))
     wires.pass_time(1.0)
-    heard, ended = wires.heard[0]
-    assert heard.reply is None
-    assert ended - began == pytest.approx(7 * BYTE_S + TURNAROUND_S + MARGIN_S)
+    result = wires.results[0]
+    assert result.reply is None
+    assert result.ended - began == pytest.approx(7 * BYTE_S + TURNAROUND_S + MARGIN_S)
     assert wires.dropped == 1, "what has not left by then leaves no more"
     assert wires.roster[1].statistics.counts.timeouts == 1
 
 
-def test_an_answer_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer(after_s=TURNAROUND_S)
-    assert wires.heard[0][0].reply == STATUS
+async def test_a_response_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
+    wires.respond(after_s=TURNAROUND_S)
+    assert wires.results[0].reply == STATUS
 
 
-def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
-    wires.link.send(ReadParameterRequest(1, 6))
+async def test_a_response_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
+    wires.send(ReadParameterRequest(1, 6))
     wires.pass_time(0.1)
-    wires.link.send(ReadStatusRequest(1))
+    wires.send(ReadStatusRequest(1))
     wires.receive(encode_reply(ParameterReply(1, 55), PLAIN))
-    assert len(wires.heard) == 1
-    wires.answer(after_s=0.0)
-    assert wires.heard[1][0].reply == STATUS
+    assert len(wires.results) == 1
+    wires.respond(after_s=0.0)
+    assert wires.results[1].reply == STATUS
     assert wires.roster[1].statistics.counts.foreign + wires.roster[1].statistics.counts.late == 1
 
 
-def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer()
-    wires.link.send(ReadStatusRequest(1))
+async def test_a_duplicate_comes_too_early_to_be_the_next_response(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
+    wires.respond()
+    wires.send(ReadStatusRequest(1))
     wires.receive(encode_reply(STATUS, PLAIN))
-    assert len(wires.heard) == 1, "it is there before the request has left"
+    assert len(wires.results) == 1, "it is there before the request has left"
     newer = StatusReply(1, 600, 600, 77, 0xC0, 0x03)
-    wires.answer(newer, after_s=0.0)
-    assert wires.heard[1][0].reply == newer
+    wires.respond(newer, after_s=0.0)
+    assert wires.results[1].reply == newer
     assert wires.roster[1].statistics.counts.late == 1
 
 
-def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires: Wires) -> None:
+async def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_response(wires: Wires) -> None:
     for _ in range(5):
-        wires.link.send(ReadStatusRequest(1))
+        wires.send(ReadStatusRequest(1))
         wires.pass_time(0.0005)
         wires.link.data_received(encode_reply(STATUS, PLAIN))
-    assert len(wires.heard) == 5
+    assert len(wires.results) == 5
 
 
 @given(st.lists(st.booleans(), max_size=300))
 def test_pace_is_never_stuck(history: list[bool]) -> None:
-    """Whatever came before: early answers alone, or answers on time alone, are soon believed."""
+    """After any history, early responses alone, or responses on time alone, are soon believed."""
     pace = PortPace()
     for early in history:
         pace.believes(0.5 if early else 1.0, 1.0)
@@ -171,74 +187,77 @@ def test_pace_is_never_stuck(history: list[bool]) -> None:
         assert any(pace.believes(0.5 if early else 1.0, 1.0) for _ in range(3))
 
 
-def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
+async def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
     began = wires.time
-    wires.link.send(ExecuteSpeedRequest(0))
+    wires.send(ExecuteSpeedRequest(0))
     wires.pass_time(0.1)
-    heard, ended = wires.heard[0]
-    assert heard.reply is None
-    assert ended - began == pytest.approx(7 * BYTE_S)
+    result = wires.results[0]
+    assert result.reply is None
+    assert result.ended - began == pytest.approx(7 * BYTE_S)
     assert wires.link.counts.broadcasts == 1
 
 
-def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
+async def test_a_damaged_response_ends_the_wait_at_once(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
     spoilt = bytearray(encode_reply(STATUS, PLAIN))
     spoilt[5] ^= 1
     wires.pass_time(7 * BYTE_S)
     wires.receive(bytes(spoilt))
     wires.pass_time(0.02)
-    assert wires.heard[0][0].reply is None
-    assert wires.heard[0][0].noise.garbled
+    assert wires.results[0].reply is None
+    assert wires.results[0].noise.garbled
     assert wires.roster[1].statistics.counts.checksum_errors == 1
 
 
-def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
+async def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
     wires.receive(bytes(200))
-    assert len(wires.heard) == 1
-    assert wires.heard[0][1] - 100.0 < 0.12
+    assert len(wires.results) == 1
+    assert wires.results[0].ended - 100.0 < 0.12
     assert wires.link.counts.noise_bytes > 0
 
 
-def test_bytes_that_nobody_asked_for_are_counted(wires: Wires) -> None:
+async def test_unrequested_bytes_are_counted(wires: Wires) -> None:
     wires.link.data_received(b"hello")
     assert wires.link.counts.noise_bytes == 5
 
 
-def test_an_echo_is_counted_and_is_no_answer(wires: Wires) -> None:
-    wires.link.send(SetAndExecuteSpeedRequest(1, 640))
+async def test_an_echo_is_counted_and_is_no_response(wires: Wires) -> None:
+    wires.send(SetAndExecuteSpeedRequest(1, 640))
     wires.receive(wires.written[0])
     wires.pass_time(0.005)
     wires.receive(encode_reply(Ack(1), PLAIN))
-    assert wires.heard[0][0].reply == Ack(1)
+    assert wires.results[0].reply == Ack(1)
     assert wires.link.counts.echoes == 1
 
 
-def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
+async def test_another_units_frame_is_counted_as_foreign(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
     wires.pass_time(7 * BYTE_S)
     wires.receive(encode_reply(StatusReply(7, 1, 1, 0, 0, 0), PLAIN))
-    assert not wires.heard
+    assert not wires.results
     assert wires.roster[1].statistics.counts.foreign == 1
 
 
-def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
-    wires.link.send(SetAndExecuteSpeedRequest(1, 640))
-    heard = wires.link.detach()
-    assert heard is not None
-    assert heard.request == SetAndExecuteSpeedRequest(1, 640)
+async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
+    wires.send(SetAndExecuteSpeedRequest(1, 640))
+    wires.link.lose(GONE)
+    (result,) = wires.results
+    assert (result.request, result.reply) == (SetAndExecuteSpeedRequest(1, 640), None)
     wires.pass_time(1.0)
-    assert not wires.heard
-    assert wires.link.detach() is None
+    assert not wires.link.open
+    assert wires.link.loss == GONE
+    sent = len(wires.written)
+    assert wires.link.send(wires.link.prepare(ReadStatusRequest(1))) is None
+    assert len(wires.written) == sent
 
 
 # --- the trace -----------------------------------------------------------------------------------
 
 
-def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer()
+async def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
+    wires.send(ReadStatusRequest(1))
+    wires.respond()
     first, second = wires.trace.since(0.0)
     assert (first.direction, second.direction) == ("out", "in")
     assert second.at > first.at
@@ -248,13 +267,13 @@ def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
     assert [passed.at for passed in wires.trace.since(second.at)] == [second.at]
 
 
-def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
-    wires.link.send(ReadParameterRequest(1, 21))
-    wires.answer(ParameterReply(1, 4242))
+async def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
+    wires.send(ReadParameterRequest(1, 21))
+    wires.respond(ParameterReply(1, 4242))
     for passed in wires.trace.since(0.0):
         assert passed.data == b""
         assert Interpreter(PLAIN).frame(passed).meaning == str(HIDDEN)
-    assert wires.heard[0][0].frame == b""
+    assert wires.results[0].frame == b""
 
 
 SECRET = ParameterReply(1, 9876)
@@ -268,60 +287,60 @@ def kept(wires: Wires) -> bytes:
 
 
 def timed_out(wires: Wires, request: Request) -> None:
-    """Nothing answers in time."""
-    wires.link.send(request)
+    """Let the exchange end without a response."""
+    wires.send(request)
     wires.pass_time(1.0)
-    assert wires.heard[-1][0].reply is None
+    assert wires.results[-1].reply is None
 
 
 @pytest.mark.parametrize("request_", [ReadParameterRequest(1, 21), WriteParameterRequest(1, 21, 9876)])
 @pytest.mark.parametrize("later_s", [0.0, 600.0])
-def test_a_secret_that_comes_late_is_kept_without_its_bytes(
+async def test_a_secret_that_comes_late_is_kept_without_its_bytes(
     wires: Wires, request_: Request, later_s: float
 ) -> None:
     timed_out(wires, request_)
     wires.pass_time(later_s)
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer(SECRET)
-    wires.answer()
-    assert wires.heard[-1][0].reply == STATUS
+    wires.send(ReadStatusRequest(1))
+    wires.respond(SECRET)
+    wires.respond()
+    assert wires.results[-1].reply == STATUS
     assert SECRET_BYTES not in kept(wires)
-    assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "an answer that is none is kept as ever"
+    assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "bytes that are no response are kept"
 
 
-@pytest.mark.parametrize("asked", [1, 2])
-def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, asked: int) -> None:
-    wires.link.send(ReadParameterRequest(1, 21))
-    wires.answer(SECRET)
+@pytest.mark.parametrize("polled_unit", [1, 2])
+async def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, polled_unit: int) -> None:
+    wires.send(ReadParameterRequest(1, 21))
+    wires.respond(SECRET)
     wires.receive(encode_reply(SECRET, PLAIN))
-    wires.link.send(ReadStatusRequest(asked))
-    wires.answer(SECRET)
-    wires.answer(replace(STATUS, unit=asked))
+    wires.send(ReadStatusRequest(polled_unit))
+    wires.respond(SECRET)
+    wires.respond(replace(STATUS, unit=polled_unit))
     assert SECRET_BYTES not in kept(wires)
 
 
-def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
+async def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> None:
     """The port is lost in the middle of it, or its checksum is."""
-    wires.link.send(ReadParameterRequest(1, 21))
+    wires.send(ReadParameterRequest(1, 21))
     spoilt = bytearray(encode_reply(SECRET, PLAIN))
     spoilt[-1] ^= 0xFF
     wires.pass_time(0.02)
     wires.receive(bytes(spoilt))
     wires.pass_time(1.0)
-    wires.link.detach()
+    wires.link.lose(GONE)
     wires.link.attach(wires, 9600)
     wires.receive(encode_reply(SECRET, PLAIN))
     assert SECRET_BYTES not in kept(wires)
 
 
-def test_what_is_no_answer_is_kept_as_ever_while_no_secret_can_come(wires: Wires) -> None:
-    wires.link.send(ReadParameterRequest(1, 21))
-    wires.answer(SECRET)
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer()
+async def test_bytes_that_are_no_response_are_kept_while_no_secret_can_come(wires: Wires) -> None:
+    wires.send(ReadParameterRequest(1, 21))
+    wires.respond(SECRET)
+    wires.send(ReadStatusRequest(1))
+    wires.respond()
     wires.pass_time(SECRET_LINGERS_S)
-    wires.link.send(ReadStatusRequest(1))
-    wires.answer(ParameterReply(1, 777))
+    wires.send(ReadStatusRequest(1))
+    wires.respond(ParameterReply(1, 777))
     wires.pass_time(1.0)
     assert (777).to_bytes(4, "big") in kept(wires)
 
@@ -336,7 +355,7 @@ def test_the_trace_is_bounded_by_time_and_by_bytes() -> None:
     assert next(trace.since(0.0)).at >= 60.0 - 1
 
 
-def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
+async def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
     """A server that floods the port comes in pieces of any size."""
     followed: list[TracedFrame] = []
     wires.trace.follower = followed.append
@@ -346,149 +365,153 @@ def test_of_noise_without_end_the_beginning_is_kept(wires: Wires) -> None:
     assert wires.link.counts.noise_bytes == 100_000
 
 
-def test_what_noise_means_is_bounded(wires: Wires) -> None:
+async def test_what_noise_means_is_bounded(wires: Wires) -> None:
     many = b"".join(encode_reply(Ack(unit), PLAIN) for unit in range(1, 100))
     wires.link.data_received(many)
     (passed,) = wires.trace.since(0.0)
     assert len(Interpreter(PLAIN).frame(passed).meanings) == MOST_MEANINGS
 
 
-def test_a_broadcast_is_left_to_leave() -> None:
+async def test_a_broadcast_is_left_to_leave() -> None:
     line = Wires()
-    line.link.send(ExecuteSpeedRequest(0))
+    line.send(ExecuteSpeedRequest(0))
     line.pass_time(0.1)
-    assert line.heard[-1][0].request == ExecuteSpeedRequest(0)
+    assert line.results[-1].request == ExecuteSpeedRequest(0)
     assert line.dropped == 0, "nobody answers it, so its end says nothing about whether it has left"
-    line.link.send(ReadStatusRequest(1))
+    line.send(ReadStatusRequest(1))
     line.pass_time(1.0)
     assert line.dropped == 1
 
 
-def test_bytes_gather_until_an_answer_can_be_complete() -> None:
+async def test_bytes_gather_until_a_response_can_be_complete() -> None:
     line = Wires()
-    line.link.send(ReadStatusRequest(1))
+    line.send(ReadStatusRequest(1))
     assert line.listens, "how fast the port is shows at its first answer"
-    line.answer(after_s=0.0)
-    line.link.send(ReadStatusRequest(2))
+    line.respond(after_s=0.0)
+    line.send(ReadStatusRequest(2))
     assert not line.listens
-    line.answer(replace(STATUS, unit=2), after_s=0.0)
-    heard, ended = line.heard[-1]
-    assert heard.reply == replace(STATUS, unit=2)
-    assert ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
+    line.respond(replace(STATUS, unit=2), after_s=0.0)
+    result = line.results[-1]
+    assert result.reply == replace(STATUS, unit=2)
+    assert result.ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
     assert line.roster[2].statistics.times.largest == pytest.approx(0.0, abs=0.0002)
 
 
-def test_a_leftover_that_gathered_is_still_too_early() -> None:
+async def test_a_leftover_that_gathered_is_still_too_early() -> None:
     line = Wires()
     for _ in range(2):
-        line.link.send(ReadStatusRequest(1))
-        line.answer()
-    line.link.send(ReadStatusRequest(2))
+        line.send(ReadStatusRequest(1))
+        line.respond()
+    line.send(ReadStatusRequest(2))
     line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
-    line.answer(replace(STATUS, unit=2, actual=78))
-    assert line.heard[-1][0].reply == replace(STATUS, unit=2, actual=78)
+    line.respond(replace(STATUS, unit=2, actual=78))
+    assert line.results[-1].reply == replace(STATUS, unit=2, actual=78)
 
 
-def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window() -> None:
+async def test_a_response_found_after_a_stall_is_as_old_as_its_window() -> None:
     line = Wires()
-    line.link.send(ReadStatusRequest(1))
+    line.send(ReadStatusRequest(1))
     line.time += 3600.0
     line.link.data_received(encode_reply(STATUS, PLAIN))
-    heard, _ = line.heard[-1]
-    assert heard.reply == STATUS
-    assert heard.responded_at is not None
-    assert heard.responded_at < 101.0, "a value is never said to be newer than it can be"
+    result = line.results[-1]
+    assert result.reply == STATUS
+    assert result.responded_at is not None
+    assert result.responded_at < 101.0, "a value is never said to be newer than it can be"
 
 
 def _paced() -> Wires:
     """A port that is known to be as slow as its baud rate."""
     line = Wires()
-    line.link.send(ReadStatusRequest(2))
-    line.answer(replace(STATUS, unit=2))
+    line.send(ReadStatusRequest(2))
+    line.respond(replace(STATUS, unit=2))
     return line
 
 
-def _followed() -> Wires:
-    """A request is on its way, and the next one ready to leave by itself after its answer."""
+async def test_a_response_that_comes_alone_and_in_time_is_ordinary() -> None:
     line = _paced()
-    line.link.send(ReadStatusRequest(1))
-    line.link.prepare(ReadStatusRequest(2))
-    return line
+    line.send(ReadStatusRequest(1))
+    line.respond()
+    assert line.exchanges[-1].result.is_ordinary
 
 
-def test_what_was_prepared_leaves_before_the_answer_is_told() -> None:
+async def test_what_follows_is_after_the_response_in_the_trace() -> None:
     line = _paced()
-    written: list[int] = []
-
-    def told(heard: ExchangeResult, _began: float, ended: float) -> None:
-        written.append(len(line.written))
-        line.heard.append((heard, ended))
-
-    line.link.done = told
-    line.link.send(ReadStatusRequest(1))
-    line.link.prepare(ReadStatusRequest(2))
-    line.answer()
-    assert line.heard[-1][0].reply == STATUS
-    assert written == [3], "the next request was on its way when the answer was told"
-    assert line.link.busy
-    line.answer(replace(STATUS, unit=2))
-    assert line.heard[-1][0].reply == replace(STATUS, unit=2)
-    assert not line.link.busy
-
-
-def test_what_follows_stands_after_the_answer_in_the_trace() -> None:
-    line = _followed()
-    line.answer()
+    line.send(ReadStatusRequest(1))
+    following = line.link.prepare(ReadStatusRequest(2))
+    line.pass_time(25 * BYTE_S)
+    line.link.data_received(encode_reply(STATUS, PLAIN))
+    line.link.send(following)
     ways = [passed.direction for passed in line.trace.since(0.0)]
     assert ways == ["out", "in", "out", "in", "out"]
+    line.respond(replace(STATUS, unit=2))
+    assert following.reply == replace(STATUS, unit=2)
 
 
-def test_nothing_follows_by_itself_where_more_came_than_the_answer() -> None:
-    line = _followed()
+async def test_a_response_with_which_more_came_is_not_ordinary() -> None:
+    line = _paced()
+    line.send(ReadStatusRequest(1))
     line.pass_time(25 * BYTE_S)
     line.link.data_received(encode_reply(STATUS, PLAIN) + encode_reply(replace(STATUS, unit=7), PLAIN))
-    assert line.heard[-1][0].reply == STATUS
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply == STATUS
+    assert not ended.is_ordinary
+    line.link.account()
     assert line.roster[1].statistics.counts.foreign == 1
-    assert len(line.written) == 2
-    assert not line.link.busy
 
 
-def test_nothing_follows_a_leftover_a_silence_or_second_thoughts() -> None:
-    line = _followed()
+async def test_a_response_after_noise_is_not_ordinary() -> None:
+    line = _paced()
+    line.send(ReadStatusRequest(1))
+    line.pass_time(20 * BYTE_S)
+    line.link.data_received(b"\x10\x02\x07\x06\x10\x03\x00")
+    line.pass_time(18 * BYTE_S)
+    line.link.data_received(encode_reply(STATUS, PLAIN))
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply == STATUS
+    assert not ended.is_ordinary
+
+
+async def test_neither_a_leftover_nor_a_timeout_is_ordinary() -> None:
+    line = _paced()
+    line.send(ReadStatusRequest(1))
     line.gathered = encode_reply(STATUS, PLAIN)
     line.pass_time(1.0)
-    assert len(line.written) == 2
-    assert line.heard[-1][0].reply is None
-    line.link.send(ReadStatusRequest(1))
-    line.link.prepare(ReadStatusRequest(2))
-    line.link.do_not_follow()
-    line.answer()
-    assert len(line.written) == 3
-    assert not line.link.busy
+    ended = line.exchanges[-1].result
+    assert ended.exchange.reply is None
+    assert not ended.is_ordinary
 
 
-def test_a_port_that_takes_nothing_tells_so_at_the_next_request() -> None:
-    line = _followed()
+async def test_a_port_that_takes_nothing_is_lost() -> None:
+    line = _paced()
 
-    def broken(data: bytes) -> None:
-        raise WireError(Message.of("port_partly_sent", port="p", sent=0, all=len(data)))
+    def broken(_data: bytes) -> None:
+        raise WireError(GONE)
 
     line.write = broken  # type: ignore[method-assign]
-    line.answer()
-    assert line.heard[-1][0].reply == STATUS
-    assert not line.link.busy
-    with pytest.raises(WireError):
-        line.link.send(ReadStatusRequest(2))
+    assert line.link.send(line.link.prepare(ReadStatusRequest(1))) is None
+    assert line.link.loss == GONE
 
 
-def test_an_overdue_response_of_another_unit_is_reported_once() -> None:
+async def test_a_request_that_left_in_part_may_have_been_received() -> None:
+    line = _paced()
+
+    def broken(data: bytes) -> None:
+        raise PartlySent(Message.of("port_partly_sent", port="p", sent=3, all=len(data)))
+
+    line.write = broken  # type: ignore[method-assign]
+    line.send(SetAndExecuteSpeedRequest(1, 640))
+    assert line.results[-1].reply is None
+    assert not line.link.open
+
+
+async def test_an_overdue_response_of_another_unit_is_reported_once() -> None:
     line = Wires()
-    line.link.send(ReadStatusRequest(2))
+    line.send(ReadStatusRequest(2))
     line.pass_time(1.0)
-    line.link.send(ReadStatusRequest(1))
-    line.answer(replace(STATUS, unit=2))
-    line.answer()
-    assert line.heard[-1][0].overdue == (2,)
-    line.link.send(ReadStatusRequest(1))
-    line.answer()
-    assert line.heard[-1][0].overdue == ()
+    line.send(ReadStatusRequest(1))
+    line.respond(replace(STATUS, unit=2))
+    line.respond()
+    assert line.results[-1].overdue == (2,)
+    line.send(ReadStatusRequest(1))
+    line.respond()
+    assert line.results[-1].overdue == ()

@@ -1,4 +1,4 @@
-"""What ends soon after it begins is tried and told ever more seldom; what worked is tried again at once."""
+"""Retries that fail soon slow down, and so do their events; what worked is retried at once."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_pause_doubles_up_to_its_longest() -> None:
     assert [backoff.ended(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
 
 
-def test_what_is_of_use_in_between_is_tried_again_soon() -> None:
+def test_a_useful_connection_is_retried_soon() -> None:
     backoff = ReconnectDelay(middle)
     assert [backoff.ended(1.0, useful=True) for _ in range(4)] == [0.5] * 4
 
@@ -82,24 +82,25 @@ class Port:
         """Nothing to close."""
 
 
-class Poller:
-    """What the opener needs of it. Each opening lasts as ``lasts`` says and brings ``answers``."""
+class PlayedLoop:
+    """The part of the loop that the opener needs. An opening lasts as ``lasts`` states and has
+    ``responses``.
+    """
 
     def __init__(
         self,
         lasts: Callable[[int], float | None],
-        answers: int = 0,
+        responses: int = 0,
         failure: Callable[[int], WireError] = lambda _: WireError(Message("port_missing")),
     ) -> None:
         self.lasts = lasts
         self.failure = failure
-        self.answers = answers
         self.clock = SimpleNamespace(now=lambda: asyncio.get_running_loop().time())
         self.bus = SimpleNamespace(port="socket://box:4001")
         self.baud = 9600
-        self.link = SimpleNamespace(counts=SimpleNamespace(answers=0))
-        self.lost: Callable[[Message], None] = print
+        self.link = SimpleNamespace(has_responses=responses > 0)
         self.opened: list[float] = []
+        self.lost: asyncio.Future[Message]
         self.tried = 0
 
     async def open(self, _port: str, _baud: int, receiver: Receiver) -> OpenPort:
@@ -109,26 +110,27 @@ class Poller:
             raise self.failure(self.tried)
         loop = asyncio.get_running_loop()
         self.opened.append(loop.time())
+        self.lost = loop.create_future()
         loop.call_later(lasts, receiver.connection_lost, Message("connection_closed"))
         return Port()  # type: ignore[return-value]
 
-    def port_opened(self, _port: OpenPort) -> None:
-        self.link.counts.answers += self.answers
+    async def run(self, _port: OpenPort) -> Message:
+        return await self.lost
 
-    def port_lost(self, cause: Message) -> None:
-        self.lost(cause)
+    def lose_port(self, cause: Message) -> None:
+        self.lost.set_result(cause)
 
     def still_closed(self, _cause: Message) -> None:
         """It is known."""
 
 
-def play(poller: Poller, for_s: float) -> list[str]:
+def play(line: PlayedLoop, for_s: float) -> list[str]:
     """Keep the port open for so long, in no time; the log."""
 
     async def scene() -> None:
         with suppress(TimeoutError):
             async with asyncio.timeout(for_s):
-                await Opener(poller, poller.open).run()  # type: ignore[arg-type]
+                await Opener(line, line.open).run()  # type: ignore[arg-type]
 
     with capture_logs() as logs:
         run_virtually(scene())
@@ -137,55 +139,55 @@ def play(poller: Poller, for_s: float) -> list[str]:
 
 def test_a_server_that_accepts_and_closes_is_left_in_peace_for_a_day() -> None:
     """It was opened every half second, with two lines each: 57 MB of log a day."""
-    poller = Poller(lambda _: 0.001)
-    lines = play(poller, DAY_S)
-    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < len(poller.opened) < DAY_S / LONGEST_PAUSE_S * 1.4
+    line = PlayedLoop(lambda _: 0.001)
+    lines = play(line, DAY_S)
+    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < len(line.opened) < DAY_S / LONGEST_PAUSE_S * 1.4
     assert len(lines) < 40
 
 
 @pytest.mark.parametrize("worked_s", [STABLE_S, 3600.0])
 def test_a_cable_that_is_pulled_and_put_back_is_found_within_a_second(worked_s: float) -> None:
-    poller = Poller(lambda tried: None if 1 < tried < 20 else worked_s)
-    play(poller, worked_s + 30.0)
-    ended, again = poller.opened[0] + worked_s, poller.opened[1]
+    line = PlayedLoop(lambda tried: None if 1 < tried < 20 else worked_s)
+    play(line, worked_s + 30.0)
+    ended, again = line.opened[0] + worked_s, line.opened[1]
     assert 18 * 0.5 <= again - ended <= 19 * 0.5 + 0.6, "absent, it is looked for twice a second"
 
 
 def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
-    poller = Poller(lambda _: 4.0, answers=1)
-    play(poller, 600.0)
-    gaps = [later - earlier - 4.0 for earlier, later in zip(poller.opened, poller.opened[1:], strict=False)]
+    line = PlayedLoop(lambda _: 4.0, responses=1)
+    play(line, 600.0)
+    gaps = [later - earlier - 4.0 for earlier, later in zip(line.opened, line.opened[1:], strict=False)]
     assert max(gaps) <= LONGEST_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
 
 
 def test_one_that_is_absent_is_one_line() -> None:
-    assert play(Poller(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
+    assert play(PlayedLoop(lambda _: None), DAY_S / 24) == ["port closed; retrying"]
 
 
 def test_a_server_that_accepts_and_ends_its_negotiation_is_left_in_peace_too() -> None:
     """With RFC 2217 a port opens only after that; it was opened every half second."""
-    poller = Poller(lambda _: None, failure=lambda n: EndedWhileOpening(Message(CAUSES[n % 2])))
-    lines = play(poller, DAY_S)
-    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < poller.tried < DAY_S / LONGEST_PAUSE_S * 1.4
+    line = PlayedLoop(lambda _: None, failure=lambda n: EndedWhileOpening(Message(CAUSES[n % 2])))
+    lines = play(line, DAY_S)
+    assert DAY_S / (LONGEST_PAUSE_S * (1 + JITTER)) < line.tried < DAY_S / LONGEST_PAUSE_S * 1.4
     assert len(lines) < 40
 
 
 def test_causes_that_take_turns_are_few_lines() -> None:
-    poller = Poller(lambda _: None, failure=lambda n: WireError(Message(CAUSES[n % 2])))
-    assert len(play(poller, DAY_S / 24)) < 20
-    assert poller.tried > DAY_S / 24
+    line = PlayedLoop(lambda _: None, failure=lambda n: WireError(Message(CAUSES[n % 2])))
+    assert len(play(line, DAY_S / 24)) < 20
+    assert line.tried > DAY_S / 24
 
 
 def test_the_opening_that_lasts_at_last_is_a_line() -> None:
-    poller = Poller(lambda tried: 0.001 if tried <= 5 else 1e9)
-    assert play(poller, 600.0)[-1] == "port open"
+    line = PlayedLoop(lambda tried: 0.001 if tried <= 5 else 1e9)
+    assert play(line, 600.0)[-1] == "port open"
 
 
 # --- the app -------------------------------------------------------------------------------------
 
 
 class Flapping(Uplink):
-    """An app that accepts and then does as it is told."""
+    """An app that accepts and then does as scripted."""
 
     def __init__(self, end: Callable[[], Exception], lasts_s: float) -> None:
         super().__init__("http://app", "t", Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
@@ -227,7 +229,7 @@ def test_an_app_that_ran_well_is_looked_for_at_once() -> None:
     assert uplink.accepted[1] - uplink.accepted[0] < 3600.2
 
 
-def test_a_refusal_is_asked_about_again_without_backoff() -> None:
+def test_a_refusal_is_retried_without_backoff() -> None:
     uplink = Flapping(lambda: Refused("no"), -0.01)
     lines = play_uplink(uplink, 600.0)
     assert len(uplink.accepted) > 600 / (REFUSED_PAUSE_S * (1 + JITTER)) - 1

@@ -198,7 +198,7 @@ def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
     site: Site, browser_page: OpensPages, axe: Axe
 ) -> None:
     page = opened(browser_page(viewport=PANEL), "/units/line/1")
-    notice = page.locator(".setting__silent")
+    notice = page.locator(".setting__offline")
     expect(notice).to_be_hidden()
     site.line.remote.do("fault", kind="dead", rate=1, unit=1)
     try:

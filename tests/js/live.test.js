@@ -1,4 +1,4 @@
-// The link is lost when the server says nothing for two seconds, and not because the page itself stood still.
+// The link is lost when the server sends nothing for two seconds, and not because the page itself was suspended.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";

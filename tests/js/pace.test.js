@@ -41,10 +41,10 @@ async function drawings(write, frame, every) {
     const due = timers.filter(({ at }) => at <= clock.ms);
     timers = timers.filter(({ at }) => at > clock.ms);
     for (const { act } of due) act();
-    const asked = frames;
+    const requested = frames;
     frames = [];
-    for (const act of asked) act();
-    if (asked.length) clock.ms += frame;
+    for (const act of requested) act();
+    if (requested.length) clock.ms += frame;
     for (const message of messages.splice(0)) message();
   }
   return drawn;

@@ -1,4 +1,4 @@
-// What modules of static/js read of a page when they are loaded, and time that passes only when a test says so.
+// The parts of a page that modules of static/js read when they are loaded, and a clock that the test advances.
 // Open a page first, then `await import()` the module: an import statement would come before it.
 
 /** Replace the page of this process; `clock.ms` is what performance.now() returns. */

@@ -1,4 +1,4 @@
-// Values grow old by themselves: what the server says of a unit can be made worse here, never better.
+// Values age on the page: the quality that the server reports can become worse here, never better.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { openPage } from "./page.js";

@@ -1,4 +1,4 @@
-// What the history answers, as the chart and its table read it: a hole stays a hole.
+// The history's response, as the chart and its table read it: a gap stays a gap.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import uPlot from "uplot";
@@ -10,11 +10,11 @@ const { exportAddress, fetchMarks, fetchSeries, joined, summary, valueAt } = awa
   "../../static/js/trends-data.js"
 );
 
-const answer = (t, avg, more = {}) => ({ t, avg, min: avg, max: avg, bucket_s: 1, ...more });
+const response = (t, avg, more = {}) => ({ t, avg, min: avg, max: avg, bucket_s: 1, ...more });
 const columns = (table) => table.map((column) => [...column]);
 
 test("values of different times share one axis, and only what was null is a hole", () => {
-  const table = joined([answer([1, 2, 4], [10, null, 30]), answer([1, 3], [7, 8])]);
+  const table = joined([response([1, 2, 4], [10, null, 30]), response([1, 3], [7, 8])]);
   assert.deepEqual(columns([table[0], table[1], table[4]]), [
     [1, 2, 3, 4],
     [10, null, undefined, 30],
@@ -24,7 +24,7 @@ test("values of different times share one axis, and only what was null is a hole
 });
 
 test("average, least and greatest are each shifted, holes are not", () => {
-  const one = { ...answer([1, 2], [5, null]), min: [4, null], max: [6, null] };
+  const one = { ...response([1, 2], [5, null]), min: [4, null], max: [6, null] };
   assert.deepEqual(columns(joined([one], (value, place) => value + 100 + place)), [
     [1, 2],
     [105, null],
@@ -35,51 +35,51 @@ test("average, least and greatest are each shifted, holes are not", () => {
 });
 
 test("a value holds from its time to the next one", () => {
-  const one = answer([10, 20, 30], [1, null, 3]);
+  const one = response([10, 20, 30], [1, null, 3]);
   assert.deepEqual([9, 10, 19.9, 20, 30].map((time) => valueAt(one, time)), [null, 1, 1, null, 3]);
 });
 
 test("the last value holds for two of its intervals and 15 s", () => {
-  const one = answer([10], [1], { bucket_s: 5 });
+  const one = response([10], [1], { bucket_s: 5 });
   assert.deepEqual([valueAt(one, 35), valueAt(one, 35.1)], [1, null]);
-  assert.equal(valueAt(answer([], []), 5), null);
+  assert.equal(valueAt(response([], []), 5), null);
 });
 
 test("a summary leaves holes out and counts them", () => {
   const one = { t: [1, 2, 3], avg: [4, null, 8], min: [2, null, 7], max: [5, null, 9] };
   assert.deepEqual(summary(one), { least: 2, greatest: 9, average: 6, holes: 1 });
-  assert.equal(summary(answer([1, 2], [null, null])), null);
+  assert.equal(summary(response([1, 2], [null, null])), null);
 });
 
 const RANGE = [1_700_000_000, 1_700_000_060];
 const FROM = "2023-11-14T22%3A13%3A20.000Z";
 const TO = "2023-11-14T22%3A14%3A20.000Z";
 
-/** Answers every request so, and keeps what was asked for. */
+/** Respond to every request so, and return the list of requested addresses. */
 function serve(found, ok = true, status = 200) {
-  const asked = [];
+  const requested = [];
   globalThis.fetch = async (address) => {
-    asked.push(String(address));
+    requested.push(String(address));
     return { ok, status, json: async () => found };
   };
-  return asked;
+  return requested;
 }
 
-test("a series is asked for by its span, its points and its names", async () => {
-  const asked = serve([{ t: [] }]);
+test("a series is requested by its span, its points and its names", async () => {
+  const requested = serve([{ t: [] }]);
   assert.deepEqual(await fetchSeries(["line/1/actual", "line/2/run"], RANGE, 500), [{ t: [] }]);
   const names = "series=line%2F1%2Factual&series=line%2F2%2Frun";
-  assert.deepEqual(asked, [`/api/v1/history/series?from=${FROM}&to=${TO}&points=500&format=epoch&${names}`]);
+  assert.deepEqual(requested, [`/api/v1/history/series?from=${FROM}&to=${TO}&points=500&format=epoch&${names}`]);
 });
 
-test("without a name nothing is asked for", async () => {
-  const asked = serve([]);
+test("without a name nothing is requested", async () => {
+  const requested = serve([]);
   assert.deepEqual(await fetchSeries([], RANGE, 500), []);
-  assert.deepEqual(asked, []);
+  assert.deepEqual(requested, []);
 });
 
-/** The page has asked already, for these names from this time. */
-function askedEarly(names, from) {
+/** A request that the page has already sent, for these names from this time. */
+function requestedEarly(names, from) {
   const query = new URLSearchParams({ from: new Date(from * 1000).toISOString(), to: new Date(RANGE[1] * 1000).toISOString() });
   for (const name of names) query.append("series", name);
   const link = { href: `http://site/early?${query}`, remove: () => delete link.href };
@@ -87,22 +87,22 @@ function askedEarly(names, from) {
   return link.href;
 }
 
-test("what the page asked for already is taken, once", async () => {
-  const early = askedEarly(["line/1/actual"], RANGE[0] + 9);
-  const asked = serve([]);
+test("a series that the page requested already is taken, once", async () => {
+  const early = requestedEarly(["line/1/actual"], RANGE[0] + 9);
+  const requested = serve([]);
   await fetchSeries(["line/1/actual"], RANGE, 500);
   await fetchSeries(["line/1/actual"], RANGE, 500);
-  assert.equal(asked[0], early);
-  assert.match(asked[1], /^\/api\/v1\/history\/series/);
+  assert.equal(requested[0], early);
+  assert.match(requested[1], /^\/api\/v1\/history\/series/);
 });
 
-test("what the page asked for already is left where it is of another value or time", async () => {
-  const asked = serve([]);
-  askedEarly(["line/2/actual"], RANGE[0]);
+test("a series that the page requested already is left where it is of another value or time", async () => {
+  const requested = serve([]);
+  requestedEarly(["line/2/actual"], RANGE[0]);
   await fetchSeries(["line/1/actual"], RANGE, 500);
-  askedEarly(["line/1/actual"], RANGE[0] - 11);
+  requestedEarly(["line/1/actual"], RANGE[0] - 11);
   await fetchSeries(["line/1/actual"], RANGE, 500);
-  for (const address of asked) assert.match(address, /^\/api\/v1\/history\/series/);
+  for (const address of requested) assert.match(address, /^\/api\/v1\/history\/series/);
 });
 
 test("a refusal is an error in the server's words, else its status", async () => {
@@ -112,10 +112,10 @@ test("a refusal is an error in the server's words, else its status", async () =>
   await assert.rejects(fetchSeries(["a/1/b"], RANGE, 1), { message: "502" });
 });
 
-test("events are asked for once for each unit", async () => {
-  const asked = serve({ marks: [], more: false });
+test("events are requested once for each unit", async () => {
+  const requested = serve({ marks: [], more: false });
   await fetchMarks(["line/1/actual", "line/1/run", "wet/2/actual"], RANGE);
-  assert.deepEqual(asked, [`/api/v1/history/marks?from=${FROM}&to=${TO}&unit=line%2F1&unit=wet%2F2`]);
+  assert.deepEqual(requested, [`/api/v1/history/marks?from=${FROM}&to=${TO}&unit=line%2F1&unit=wet%2F2`]);
 });
 
 test("an export is of what is shown, and never of an empty span", () => {

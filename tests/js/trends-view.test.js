@@ -1,4 +1,4 @@
-// The address of the trends page says what is shown, and reopens it.
+// The address of the trends page has what is shown, and reopens it.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { at, openPage } from "./page.js";

@@ -21,64 +21,65 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.contract.durations import stage_s
+from bus.instants import Monotonic
 from bus.line.commands import change_baud, reads, scan_bus, staging, writes
 from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
-from bus.line.poller import Poller
+from bus.line.line_loop import LineLoop
 
 A = TypeVar("A", bound=Action)
 
 
 @dataclass(frozen=True, slots=True)
 class LineCommand(Generic[A]):
-    """``procedure`` carries it out and proves it; it is made when its turn has come."""
+    """``procedure`` carries it out and reads it back; it is made when its turn has come."""
 
-    procedure: Callable[[Poller, A, CommandContext], Procedure]
+    procedure: Callable[[LineLoop, A, CommandContext], Procedure]
     priority: Callable[[A], Priority] = lambda _: Priority.WRITE
 
 
-def _set_speed(poller: Poller, action: SetSpeed, command: CommandContext) -> Procedure:
-    record = poller.roster[action.unit]
+def _set_speed(line: LineLoop, action: SetSpeed, command: CommandContext) -> Procedure:
+    record = line.roster[action.unit]
     if action.execute:
         return writes.set_and_execute(record, action.raw, command)
     return writes.stage(record, action.raw)
 
 
-def _execute_speed(poller: Poller, action: ExecuteSpeed, command: CommandContext) -> Procedure:
-    return writes.execute(poller.roster[action.unit], command)
+def _execute_speed(line: LineLoop, action: ExecuteSpeed, command: CommandContext) -> Procedure:
+    return writes.execute(line.roster[action.unit], command)
 
 
-def _execute_all(poller: Poller, _: ExecuteAll, command: CommandContext) -> Procedure:
-    return staging.execute_all(poller.roster, command)
+def _execute_all(line: LineLoop, _: ExecuteAll, command: CommandContext) -> Procedure:
+    return staging.execute_all(line.roster, command)
 
 
-def _set_line(poller: Poller, action: SetLine, command: CommandContext) -> Procedure:
-    return staging.set_line(poller.roster, action.setpoints, command)
+def _set_line(line: LineLoop, action: SetLine, command: CommandContext) -> Procedure:
+    return staging.set_line(line.roster, action.setpoints, command)
 
 
-def _write_output(_: Poller, action: WriteOutput, _command: CommandContext) -> Procedure:
+def _write_output(_: LineLoop, action: WriteOutput, _command: CommandContext) -> Procedure:
     return writes.write_output(action.unit, action.number, action.on)
 
 
-def _write_analog_output(_: Poller, action: WriteAnalogOutput, _command: CommandContext) -> Procedure:
+def _write_analog_output(_: LineLoop, action: WriteAnalogOutput, _command: CommandContext) -> Procedure:
     return writes.write_analog_output(action.unit, action.raw)
 
 
-def _write_parameter(_: Poller, action: WriteParameter, _command: CommandContext) -> Procedure:
+def _write_parameter(_: LineLoop, action: WriteParameter, _command: CommandContext) -> Procedure:
     return writes.write_parameter(action.unit, action.number, action.raw)
 
 
-def _read_parameters(poller: Poller, action: ReadParameters, command: CommandContext) -> Procedure:
-    return reads.read_parameters(poller.roster[action.unit], action.numbers, command)
+def _read_parameters(line: LineLoop, action: ReadParameters, command: CommandContext) -> Procedure:
+    return reads.read_parameters(line.roster[action.unit], action.numbers, command)
 
 
-def _change_baud(poller: Poller, action: ChangeBaud, command: CommandContext) -> Procedure:
-    own_rate = "://" not in poller.bus.port
-    return change_baud.change_baud(poller.roster, poller.baud, action.baud, command, own_rate=own_rate)
+def _change_baud(line: LineLoop, action: ChangeBaud, command: CommandContext) -> Procedure:
+    own_rate = "://" not in line.bus.port
+    return change_baud.change_baud(line.roster, line.baud, action.baud, command, own_rate=own_rate)
 
 
-def _scan_bus(poller: Poller, action: ScanBus, command: CommandContext) -> Procedure:
-    pace = scan_bus.ScanPace(poller.baud, poller.bus.turnaround_s)
+def _scan_bus(line: LineLoop, action: ScanBus, command: CommandContext) -> Procedure:
+    pace = scan_bus.ScanPace(line.baud, line.bus.turnaround_s)
     return scan_bus.survey(action.first, action.last, pace, command)
 
 
@@ -98,16 +99,16 @@ COMMANDS: dict[type[Action], LineCommand[Any]] = {
 }
 
 
-def command_run_of(poller: Poller, command_id: str, action: Action, deadline: float) -> CommandRun | None:
+def command_run_of(line: LineLoop, command_id: str, action: Action, deadline: Monotonic) -> CommandRun | None:
     """A command with its claim on the wire and its procedure; None for an action that is not for the wire.
     ``deadline`` on the line's clock."""
     row = COMMANDS.get(type(action))
     if row is None:
         return None
     command = CommandContext(
-        poller.bus.dialect,
-        time_left_s=deadline - poller.clock.now(),
-        exchange_s=stage_s(poller.baud),
+        line.bus.dialect,
+        time_left_s=deadline - line.clock.now(),
+        exchange_s=stage_s(line.baud),
     )
     return CommandRun(
         command_id,
@@ -115,13 +116,13 @@ def command_run_of(poller: Poller, command_id: str, action: Action, deadline: fl
         _units_claimed(action),
         deadline,
         command,
-        lambda: row.procedure(poller, action, command),
-        lambda step: poller.apply(command_id, step),
+        lambda: row.procedure(line, action, command),
+        lambda step: line.apply(command_id, step),
     )
 
 
 def _units_claimed(action: Action) -> frozenset[int]:
-    """Those that nobody else may write to meanwhile; a broadcast reaches every unit."""
+    """Return the units that no other command may write to meanwhile; a broadcast reaches every unit."""
     if not action.writes:
         return NO_UNIT
     return frozenset(action.units) if isinstance(action, UnitAction) else EVERY_UNIT

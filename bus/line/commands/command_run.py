@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from bus.instants import Monotonic
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, Wait
 from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult
@@ -35,14 +36,14 @@ class CommandRun:
     id: str
     priority: Priority
     units: frozenset[int]
-    deadline: float
+    deadline: Monotonic
     """On the line's clock."""
     context: CommandContext
     begin: Callable[[], Procedure]
     on_effect: Callable[[LineEffect], None]
     """Called with what the procedure does beside its requests."""
     frames: list[TracedFrame] = field(default_factory=list)
-    resume_at: float = 0.0
+    resume_at: Monotonic = Monotonic(0.0)
     result: ProcedureResult | None = None
     attempts: SendAttempts | None = None
     _procedure: Procedure | None = None
@@ -56,7 +57,7 @@ class CommandRun:
         """Whether the two must not be mixed."""
         return not self.units.isdisjoint(other.units)
 
-    def next_request(self, now: float, pending_of: Callable[[int], PendingResponses]) -> Request | None:
+    def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
         """What it wants sent now; None while it waits, and once ``result`` is there."""
         if self._procedure is None:
             self._procedure = self.begin()
@@ -73,7 +74,7 @@ class CommandRun:
             self._advance(self._take_result(), now)
         return None
 
-    def settle(self, exchange: ExchangeResult, now: float) -> bool:
+    def settle(self, exchange: ExchangeResult, now: Monotonic) -> bool:
         """Its exchange is over; whether it is tried again, as nothing responded."""
         assert self.attempts is not None
         again = self.attempts.settle(exchange)
@@ -81,7 +82,7 @@ class CommandRun:
             self._advance(self._take_result(), now)
         return again
 
-    def close(self, now: float) -> None:
+    def close(self, now: Monotonic) -> None:
         """The port is gone: every request of it ends so."""
         while self.result is None:
             if self._procedure is None:
@@ -105,7 +106,7 @@ class CommandRun:
         result, self.attempts = self.attempts.result, None
         return result
 
-    def _advance(self, result: SendResult | None, now: float) -> None:
+    def _advance(self, result: SendResult | None, now: Monotonic) -> None:
         """Run the procedure to its next request, its next pause or its end."""
         assert self._procedure is not None
         try:

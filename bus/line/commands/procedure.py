@@ -1,8 +1,8 @@
 """What a procedure may do: send, wait, report. A procedure is a generator, so it knows no clock and no port.
 
 ``sent = yield Send(...)`` has one request carried out with all its attempts; ``yield Wait(...)`` lets others
-use the wire; ``yield ReportProgress(...)`` reports how far it is. The poller runs it; a test runs it with
-made-up responses.
+use the wire; ``yield ReportProgress(...)`` reports how far it is. The line's loop runs it; a test runs it
+with made-up responses.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The exchange under way: its times, and what came in beside its answer."""
+"""The exchange under way: its times, and what came in beside its response."""
 
 from __future__ import annotations
 
 import msgspec
 
+from bus.instants import Monotonic
 from bus.line.clock import LineClock
 from bus.line.exchange.send import NO_NOISE, LineNoise
 from bus.line.exchange.send_attempts import ExchangeResult
@@ -14,25 +15,35 @@ class CurrentExchange(msgspec.Struct):
     """Times are the line's own, in seconds."""
 
     exchange: Exchange
-    began: float
-    ends_sending: float
+    began: Monotonic
+    ends_sending: Monotonic
     """When the request's last byte has left."""
-    last_moment: float
-    """No answer can come later, whenever this process gets to hear it."""
+    last_moment: Monotonic
+    """No response can come later, whenever this process receives it."""
+    ended: Monotonic = Monotonic(0.0)
     frame: bytes = b""
-    """The answer, as it was on the wire."""
+    """The response, as it was on the wire."""
+    is_ordinary: bool = False
+    """Whether the response came alone, at a time at which it is expected."""
     garbled: bool = False
     unexpected: bool = False
     late: int = 0
     overdue: tuple[int, ...] = ()
 
-    def result(self, clock: LineClock, now: float) -> ExchangeResult:
-        """How it ended, at ``now``."""
+    @property
+    def has_noise(self) -> bool:
+        """Whether anything came in beside the response."""
+        return self.garbled or self.unexpected or self.late > 0
+
+    def result(self, clock: LineClock) -> ExchangeResult:
+        """How it ended."""
         exchange = self.exchange
-        responded_at = clock.epoch(min(now, self.last_moment)) if exchange.reply is not None else None
+        responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
         return ExchangeResult(
             exchange.request,
             exchange.reply,
+            self.began,
+            self.ended,
             clock.epoch(self.ends_sending),
             responded_at,
             b"" if exchange.prepared.secret else self.frame,
@@ -45,6 +56,6 @@ class CurrentExchange(msgspec.Struct):
         """Bytes that never became a frame are noise too: two units at one address may sound like that."""
         exchange = self.exchange
         garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
-        if not (garbled or self.unexpected or self.late):
+        if not (garbled or self.has_noise):
             return NO_NOISE
         return LineNoise(garbled, self.unexpected, self.late)

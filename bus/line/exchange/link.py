@@ -1,50 +1,48 @@
 """One exchange at a time over an open port: deadlines, windows, and what else comes in.
 
-The window of an answer (``bus.line.exchange.window``) begins when the request's last byte has left the wire,
+The window of a response (``bus.line.exchange.window``) begins when the request's last byte has left the wire,
 which is computed, not waited for.
 
-On a port that is as slow as its baud rate says (``port_pace``), a frame that is complete before the
-answer can be is a leftover of an earlier exchange. On such a port nothing can be done before the answer
+On a port that is as slow as its baud rate (``port_pace``), a frame that is complete before the
+response can be is a leftover of an earlier exchange. On such a port nothing can be done before the response
 can be complete, so until shortly before that moment bytes are left to gather. What has gathered by then is
 still seen to be early.
-
-While an answer is under way the request that follows can be prepared: it leaves as soon as the answer is
-there, and all else that is to be done about that answer is done after.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from bus.contract import Direction
 from bus.errors import WireError
+from bus.instants import Monotonic
 from bus.line.clock import LineClock
+from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.port_pace import PortPace
-from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, Window
-from bus.line.port.port import OpenPort
+from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
 from bus.line.statistics.trace import Trace, TracedFrame
 from bus.line.statistics.wire_statistics import StrayFrame, WireCounts, WireStatistics
+from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
-from bus.wire.exchange import Answered, Doubled, Exchange, ExchangeEvent, Foreign, Late, Unexpected
+from bus.wire.exchange import Duplicate, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
 LISTEN_FRACTION = 0.93
-"""So long a part of the least time bytes are left to gather, as each few that are heard alone cost as much as
-an answer; less than ``port_pace.EARLY``."""
+"""For this part of the least time bytes are left to gather, because each few that are received alone cost as
+much as a response; less than ``port_pace.EARLY``."""
 SECRET_LINGERS_S = 5.0
-"""For so long after an exchange with a secret (#21) whatever is no answer may be a piece of it, or a copy."""
+"""For so long after an exchange with a secret (#21) what is no response may be a piece of it, or a copy."""
 AHEAD_S = 0.002
-"""So long before an answer can be complete they are heard in any case: a loop's timers count milliseconds."""
+"""This long before a response can be complete they are received: a loop's timers count milliseconds."""
 
 
 class Link:
-    """Sends one request, gives one ``ExchangeResult``. ``done`` may send the next in the same breath."""
+    """``prepare`` an exchange, ``send`` it, await how it ended and ``account`` for that."""
 
     def __init__(
         self, dialect: Dialect, baud: int, turnaround_s: float, clock: LineClock, roster: Roster, trace: Trace
@@ -56,24 +54,27 @@ class Link:
         self._trace = trace
         self._statistics = WireStatistics(roster)
         self._port: OpenPort | None = None
-        self._window = Window(clock, self._nothing_came)
+        self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
-        self._idle: Exchange | None = None
-        self._next: Exchange | None = None
-        """What leaves as soon as the answer to ``_current`` is there."""
+        self._ending: Completion[CurrentExchange] = Completion()
+        self._last: Exchange | None = None
+        """The exchange before, for what comes in while none is under way."""
+        self._unaccounted: CurrentExchange | None = None
         self._pace = PortPace()
-        self._overdue: list[int] = []
-        self._secret_until = -math.inf
+        self._secret_until = Monotonic(-math.inf)
+        self.loss: Message | None = None
+        """Why the last port was lost."""
+        self.has_responses = False
+        """Whether any unit has responded since the port was opened."""
         self._forget()
-        self.done: Callable[[ExchangeResult, float, float], None] = _ignore
-        """Called with what was heard and when the exchange began and ended."""
 
     # --- the port ------------------------------------------------------------------------------
 
     def attach(self, port: OpenPort, baud: int) -> None:
         """The port is open: nothing that was under way before can still arrive."""
         self._port = port
-        self._idle = None
+        self._last = None
+        self.loss, self.has_responses = None, False
         self._go_at(baud)
         self._pace = PortPace()
 
@@ -83,14 +84,16 @@ class Link:
             self._port.retune(baud)
         self._go_at(baud)
 
-    def detach(self) -> ExchangeResult | None:
-        """The port is gone; gives the exchange under way, which has no answer."""
-        current, self._current, self._next = self._current, None, None
-        self._port = None
+    def lose(self, cause: Message) -> None:
+        """The port is gone; the exchange under way ends without a response."""
+        if self._port is None:
+            return
+        self._port, self.loss = None, cause
         self._window.attach(None, self._byte_s)
-        if current is None:
-            return None
-        return ExchangeResult(current.exchange.request, None, self._clock.epoch(current.ends_sending))
+        current, self._current = self._current, None
+        if current is not None:
+            current.ended = self._clock.now()
+            self._ending.set(current)
 
     @property
     def open(self) -> bool:
@@ -98,12 +101,7 @@ class Link:
         return self._port is not None
 
     @property
-    def busy(self) -> bool:
-        """Whether an exchange is under way."""
-        return self._current is not None
-
-    @property
-    def paced(self) -> bool:
+    def is_paced(self) -> bool:
         """Whether the port is known to be as slow as its baud rate."""
         return self._pace.paced is True
 
@@ -113,10 +111,10 @@ class Link:
         return self._statistics.wire
 
     def pending(self, unit: int) -> PendingResponses:
-        """What ``unit`` may still answer late or twice.
+        """Which responses of ``unit`` may still come late or twice.
 
         However slow the port: this process may have been kept from running, and what came meanwhile
-        looks as if it came just now. So the order of frames is trusted, their moment is not.
+        looks as if it came just now. Therefore the order of frames is trusted, their time is not.
         """
         return self._pending.about(unit)
 
@@ -126,115 +124,132 @@ class Link:
         self._forget()
 
     def _forget(self) -> None:
-        """Nothing of what was said before matters any more."""
+        """Nothing that came in before matters any more."""
+        self._overdue: list[int] = []
         self._decoder = FrameDecoder(self._dialect)
         self._pending = PendingByUnit(self._dialect)
-        self._next = None
 
     # --- one exchange --------------------------------------------------------------------------
 
-    def send(self, request: Request, dialect: Dialect | None = None) -> None:
-        """Begin an exchange, ``dialect`` where it is not the bus's own.
+    def prepare(self, request: Request, dialect: Dialect | None = None) -> Exchange:
+        """An exchange to ``send``, in ``dialect`` where it is not the bus's own.
 
-        Raises CallerError for a request that no frame can carry, WireError when the port does not take it.
+        While another one is under way, with another unit, it is the one after that. Raises CallerError for a
+        request that no frame can carry.
         """
-        assert self._port is not None
+        pending = self.pending(request.unit)
+        if self._current is not None:
+            assert self._current.exchange.request.unit != request.unit
+            pending = pending.moved_on()
+        return self._exchange(request, dialect, pending)
+
+    def send(self, exchange: Exchange) -> Completion[CurrentExchange] | None:
+        """Begin ``exchange``; how it ended is awaited. None where nothing was sent, as the port is lost.
+
+        A port that is lost later, or that took only a part, ends the exchange without a response.
+        """
         assert self._current is None
-        exchange = self._exchange(request, self.pending(request.unit), dialect)
-        began = self._clock.now()
-        self._port.write(exchange.sent)
+        if self._port is None:
+            return None
+        began, loss = self._clock.now(), None
+        try:
+            self._port.write(exchange.sent)
+        except PartlySent as error:
+            loss = error.message
+        except WireError as error:
+            self.lose(error.message)
+            return None
+        self.account()
         self._begin(exchange, began)
+        ending = self._ending = Completion()
+        if loss is not None:
+            self.lose(loss)
+        return ending
 
-    def prepare(self, request: Request) -> None:
-        """Have ``request`` leave as soon as the answer under way, another unit's, is there.
+    def account(self) -> None:
+        """Count and keep the exchange that has ended, unless that is done.
 
-        It does not where anything is strange about that answer, and never on a port faster than its rate:
-        then ``done`` finds the link free. Raises CallerError for a request that no frame can carry.
+        Its last byte calls for the next request, so what can wait until that has left waits for it.
         """
-        assert self._current is not None
-        assert request.unit != self._current.exchange.request.unit
-        self._next = self._exchange(request, self.pending(request.unit).moved_on(), None)
-
-    def do_not_follow(self) -> None:
-        """Something else is more urgent than what was prepared."""
-        self._next = None
+        if self._unaccounted is None:
+            return
+        ended, self._unaccounted = self._unaccounted, None
+        self._window.close()
+        if ended.is_ordinary:
+            self._pace.believes(ended.ended - ended.began, self._least_s(ended, ended.frame))
+            self._note(ended.ended, "in", ended.frame, ended.exchange)
+        ended.overdue, self._overdue = tuple(self._overdue), []
+        self.has_responses = self.has_responses or ended.exchange.reply is not None
+        self._pending.after(ended.exchange.pending)
+        self._statistics.ended(ended, self._byte_s)
 
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
         now = self._clock.now()
         current = self._current
-        exchange = current.exchange if current is not None else self._idle
+        exchange = current.exchange if current is not None else self._last
         if exchange is None:
             self._statistics.wire.noise_bytes += len(data)
             self._note_stray(now, data, None, valid=False)
             return
         events = exchange.receive(data, now)
-        followed_at = self._follow(current, events, now) if current is not None and self._next else None
+        if current is not None and self._is_ordinary(current, events, now):
+            self._end(current, now)
+            return
         self._window.received(now, inside_frame=self._decoder.pending > 0)
         for event in events:
             self._take(event, exchange, now)
         if current is not None and current.exchange.reply is not None:
-            self._finish(current, now, followed_at)
+            self._end(current, now)
 
-    def _exchange(self, request: Request, pending: PendingResponses, dialect: Dialect | None) -> Exchange:
+    def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
+        """Whether ``events`` are the response, when it is expected, and nothing else has come."""
+        if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
+            return False
+        current.frame = events[0].frame.wire
+        current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current, current.frame))
+        return current.is_ordinary
+
+    def _least_s(self, current: CurrentExchange, response: bytes) -> float:
+        return (len(current.exchange.sent) + len(response)) * self._byte_s
+
+    def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:
         return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
 
-    def _follow(self, current: CurrentExchange, events: list[ExchangeEvent], now: float) -> float | None:
-        """Send what was prepared, if ``events`` are the answer and nothing else; when it was sent."""
-        if len(events) != 1 or not isinstance(events[0], Answered):
-            return None
-        least_s = (len(current.exchange.sent) + len(events[0].frame.wire)) * self._byte_s
-        if not self._pace.on_time(now - current.began, least_s):
-            return None
-        assert self._next is not None
-        assert self._port is not None
-        began = self._clock.now()
-        try:
-            self._port.write(self._next.sent)
-        except WireError:
-            # The port is lost, and tells so at the next request.
-            return None
-        return began
-
-    def _begin(self, exchange: Exchange, began: float) -> None:
+    def _begin(self, exchange: Exchange, began: Monotonic) -> None:
         """``exchange`` was handed to the port at ``began``."""
-        asks = exchange.request.unit != 0
+        has_response = exchange.request.unit != 0
         ends_sending = began + len(exchange.sent) * self._byte_s
-        window_ends = ends_sending + (self._turnaround_s + MARGIN_S if asks else 0.0)
+        window_ends = ends_sending + (self._turnaround_s + MARGIN_S if has_response else 0.0)
         longest_s = exchange.prepared.longest_reply_bytes * self._byte_s
-        last_moment = window_ends + (longest_s + MARGIN_S if asks else 0.0)
+        last_moment = window_ends + (longest_s + MARGIN_S if has_response else 0.0)
         self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
         self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
 
-    def _finish(self, current: CurrentExchange, now: float, followed_at: float | None = None) -> None:
-        self._current, self._idle = None, current.exchange
-        following, self._next = self._next, None
-        self._window.close()
-        self._pending.after(current.exchange.pending)
-        if following is not None and followed_at is not None:
-            self._begin(following, followed_at)
-        current.overdue, self._overdue = tuple(self._overdue), []
-        self.done(current.result(self._clock, now), current.began, now)
-        self._statistics.ended(current, now, self._byte_s)
+    def _end(self, current: CurrentExchange, now: Monotonic) -> None:
+        """It ends as it is; the last thing that is done here, as the next exchange begins meanwhile."""
+        self._current, self._last, self._unaccounted = None, current.exchange, current
+        current.ended = now
+        self._ending.set(current)
 
     # --- what came in --------------------------------------------------------------------------
 
-    def _take(self, event: ExchangeEvent, exchange: Exchange, now: float) -> None:
+    def _take(self, event: ExchangeEvent, exchange: Exchange, now: Monotonic) -> None:
         if isinstance(event, Noise | DoubledChecksum):
             if isinstance(event, Noise):
                 self._take_noise(event, exchange.request.unit, now)
             self._note_stray(now, event.data, exchange, valid=False)
             return
-        if isinstance(event, Answered):
+        if isinstance(event, Responded):
             self._take_response(event.frame.wire, now)
         else:
             self._take_stray_frame(event, exchange.request.unit)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
-        if self._current is not None and isinstance(event, Doubled | Late):
+        if self._current is not None and isinstance(event, Duplicate | Late):
             self._current.late += 1
-        if isinstance(event, Answered):
+        if isinstance(event, Responded):
             self._note(now, "in", event.frame.wire, exchange)
         else:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
@@ -247,8 +262,8 @@ class Link:
             self._overdue.append(event.frame.body[0])
         self._statistics.stray_frame(event, addressed, is_overdue=is_overdue)
 
-    def _take_noise(self, noise: Noise, unit: int, now: float) -> None:
-        """After an answer with a wrong checksum no other will come, so only quiet is waited for."""
+    def _take_noise(self, noise: Noise, unit: int, now: Monotonic) -> None:
+        """After a response with a wrong checksum no other will come, so only quiet is waited for."""
         self._statistics.noise(noise, unit)
         if self._current is None:
             return
@@ -256,30 +271,30 @@ class Link:
         if noise.reason is Fault.CHECKSUM and noise.body[0] == unit:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
-    def _take_response(self, wire: bytes, now: float) -> None:
+    def _take_response(self, wire: bytes, now: Monotonic) -> None:
         current = self._current
         if current is None:
             return
-        least_s = (len(current.exchange.sent) + len(wire)) * self._byte_s
-        if self._pace.believes(now - current.began, least_s):
+        if self._pace.believes(now - current.began, self._least_s(current, wire)):
             current.frame = wire
             return
+        current.frame = b""
         request = current.exchange.request
         self._statistics.late_or_duplicate(request.unit)
         current.late += 1
-        current.exchange = self._exchange(request, self.pending(request.unit), current.exchange.dialect)
+        current.exchange = self._exchange(request, current.exchange.dialect, self.pending(request.unit))
 
     # --- waiting -------------------------------------------------------------------------------
 
-    def _listen_at(self, exchange: Exchange, began: float, window_ends: float) -> float | None:
-        """Shortly before the answer can be complete, on a port that is as slow as its baud rate."""
-        if not self.paced or exchange.request.unit == 0:
+    def _listen_at(self, exchange: Exchange, began: Monotonic, window_ends: Monotonic) -> Monotonic | None:
+        """Shortly before the response can be complete, on a port that is as slow as its baud rate."""
+        if not self.is_paced or exchange.request.unit == 0:
             return None
         least_s = (len(exchange.sent) + exchange.prepared.least_reply_bytes) * self._byte_s
-        unheard_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
-        return min(began + unheard_s, window_ends - MARGIN_S / 2)
+        gathering_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
+        return min(began + gathering_s, window_ends - MARGIN_S / 2)
 
-    def _nothing_came(self, now: float) -> None:
+    def _timed_out(self, now: Monotonic) -> None:
         current = self._current
         if current is None:
             return
@@ -287,9 +302,9 @@ class Link:
         if current.exchange.awaiting and self._port is not None:
             self._port.drop_output()
         current.exchange.give_up()
-        self._finish(current, now)
+        self._end(current, now)
 
-    def _note(self, now: float, way: Direction, data: bytes, exchange: Exchange) -> None:
+    def _note(self, now: Monotonic, way: Direction, data: bytes, exchange: Exchange) -> None:
         """Keep what is known to belong to ``exchange``."""
         hidden = exchange.prepared.secret
         if hidden:
@@ -297,13 +312,9 @@ class Link:
         self._trace.add(TracedFrame(self._clock.epoch(now), way, data, hidden=hidden))
 
     def _note_stray(
-        self, now: float, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
+        self, now: Monotonic, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
-        """Keep what is no answer, but not its bytes while it may be a late answer with a secret (#21)."""
+        """Keep what is no response, but not its bytes while it may be a late response with a secret (#21)."""
         secret = exchange is not None and exchange.prepared.secret
         hidden = secret or now < self._secret_until or self._pending.may_hold_secret(unit)
         self._trace.add(TracedFrame(self._clock.epoch(now), "in", data, valid, hidden))
-
-
-def _ignore(_result: ExchangeResult, _began: float, _ended: float) -> None:
-    """Until the poller listens."""

@@ -1,26 +1,28 @@
-"""When one exchange ends without an answer, and from when on its port is heard.
+"""When one exchange ends without a response, and from when on its port is read.
 
-The window ends when a unit's turnaround is over and nothing is coming in any more, or at the latest when
-the longest answer would be through; so bytes without end cannot hold it open.
+The window ends when a unit's turnaround is over and nothing is coming in any more, or at the latest when the
+longest response would be through; so endless bytes cannot hold it open.
 
-Before the answer can be complete bytes may be left to gather: one awakening instead of one for every few
-bytes. And a process that was kept from running looks once more before it calls a unit silent, for the
-answer may be waiting.
+Before the response can be complete bytes may be left to gather: one wake-up instead of one for every few
+bytes. And a process that was kept from running reads the port before it reports a timeout, because the
+response may be waiting.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from bus.instants import Monotonic
 from bus.line.clock import LineClock, Timer
 from bus.line.port.port import OpenPort
 
 QUIET_BYTES = 4
-"""An answer that pauses for so many byte times is over."""
+"""A response that pauses for so many byte times is over."""
 LEAST_QUIET_S = 0.005
 LEAST_FRAME_GAP_S = 0.020
-"""Inside a frame. An FTDI adapter hands over what it received every 16 ms where its latency timer cannot be
-set (FTDI AN232B-04, 3.3)."""
+"""Inside a frame. An FTDI adapter delivers what it received every 16 ms where its latency timer cannot be set
+(FTDI AN232B-04, 3.3).
+"""
 MARGIN_S = 0.010
 """What the machine and the adapter may add to a unit's turnaround."""
 TIMER_SLACK_S = 0.0005
@@ -35,18 +37,18 @@ class Window:
     Times in seconds on the line's own clock.
     """
 
-    def __init__(self, clock: LineClock, over: Callable[[float], None]) -> None:
+    def __init__(self, clock: LineClock, over: Callable[[Monotonic], None]) -> None:
         self._clock = clock
         self._over = over
         self._port: OpenPort | None = None
         self._alarm: Timer | None = None
-        self._alarm_at = 0.0
-        self._ends: float | None = None
-        self._last_moment = 0.0
-        self._listen_at: float | None = None
+        self._alarm_at = Monotonic(0.0)
+        self._ends: Monotonic | None = None
+        self._last_moment = Monotonic(0.0)
+        self._listen_at: Monotonic | None = None
         self._looked = False
         self._quiet_s = LEAST_QUIET_S
-        self._quiet_at = 0.0
+        self._quiet_at = Monotonic(0.0)
 
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
         """Another port, or none; ``byte_s``: what a byte takes on it."""
@@ -54,17 +56,17 @@ class Window:
         self._ends = self._listen_at = None
         self._quiet_s = max(QUIET_BYTES * byte_s, LEAST_QUIET_S)
 
-    def open(self, ends: float, last_moment: float, listen_at: float | None = None) -> None:
+    def open(self, ends: Monotonic, last_moment: Monotonic, listen_at: Monotonic | None = None) -> None:
         """An exchange began. Until ``listen_at`` bytes may gather."""
         self._ends, self._last_moment, self._looked = ends, last_moment, False
         self._listen_from(listen_at)
         self._ring_at(ends if listen_at is None else listen_at)
 
-    def received(self, now: float, *, inside_frame: bool) -> None:
+    def received(self, now: Monotonic, *, inside_frame: bool) -> None:
         """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
         self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
-    def shorten(self, ends: float) -> None:
+    def shorten(self, ends: Monotonic) -> None:
         """Only quiet is waited for any more."""
         if self._ends is not None and ends < self._ends:
             self._ends = ends
@@ -75,12 +77,12 @@ class Window:
         self._ends = None
         self._listen_from(None)
 
-    def _listen_from(self, when: float | None) -> None:
+    def _listen_from(self, when: Monotonic | None) -> None:
         if self._port is not None and (when is None) != (self._listen_at is None):
             self._port.listen(now=when is None)
         self._listen_at = when
 
-    def _ring_at(self, when: float) -> None:
+    def _ring_at(self, when: Monotonic) -> None:
         if self._alarm is not None:
             if self._alarm_at <= when:
                 return
@@ -105,7 +107,7 @@ class Window:
         else:
             self._over(now)
 
-    def _ring_again(self, now: float, ends: float) -> None:
+    def _ring_again(self, now: Monotonic, ends: Monotonic) -> None:
         assert self._listen_at is not None
         if now < self._listen_at - TIMER_SLACK_S:
             self._ring_at(self._listen_at)

@@ -12,13 +12,14 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
 from bus.errors import WireError
+from bus.instants import Monotonic
 from bus.line.clock import LineClock, RealClock
 from bus.line.exchange.window import MARGIN_S, Window
 from bus.line.port.open_port import OpenPort, open_port
 from bus.line.scan.examination import Probe
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.exchange import Answered, Echo, Exchange, ExchangeEvent
+from bus.wire.exchange import Echo, Exchange, ExchangeEvent, Responded
 from bus.wire.fence import PendingByUnit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
@@ -46,11 +47,11 @@ class Collected:
     """One exchange and all that arrived in its window. Times in seconds of the line's clock."""
 
     exchange: Exchange
-    ends_sending: float
+    ends_sending: Monotonic
     """When the request's last byte has left."""
     byte_s: float
     events: list[ExchangeEvent] = field(default_factory=list)
-    response_ends: float | None = None
+    response_ends: Monotonic | None = None
     """When the response was complete."""
 
     @property
@@ -59,7 +60,7 @@ class Collected:
         first = self.exchange.first_byte_at
         if first is None or self.response_ends is None:
             return None
-        length = next(len(each.frame.wire) for each in self.events if isinstance(each, Answered))
+        length = next(len(each.frame.wire) for each in self.events if isinstance(each, Responded))
         begins = min(first - self.byte_s, self.response_ends - length * self.byte_s)
         return max(0.0, begins - self.ends_sending)
 
@@ -129,7 +130,7 @@ class ScanPort:
         rest = self._decoder.flush()
         collected.events += [each for each in rest if not isinstance(each, ReceivedFrame)]
 
-    def _on_window_over(self, _now: float) -> None:
+    def _on_window_over(self, _now: Monotonic) -> None:
         if self._over is not None and not self._over.done():
             self._over.set_result(None)
 

@@ -1,13 +1,11 @@
-"""Whose request is next: commands first, then the schedule. No clock, no port.
-
-What follows a poll is known before its answer is complete (``foresee``): an ordinary answer changes nothing
-about who is next. Only a command does, and then what was foreseen has its turn after it.
-"""
+"""Whose request is next: commands first, then the schedule. No clock, no port."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
+from bus.instants import Monotonic
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
@@ -21,12 +19,19 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 PACE = 0.8
-"""On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
+"""On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 
+class NextRequest(NamedTuple):
+    """The next use of the wire. ``run``: the command that sends; None: the schedule."""
+
+    request: Request
+    run: CommandRun | None = None
+
+
 class Arbiter:
-    """``next_request``, then ``settle`` with what was heard.
+    """``next_request``, then ``settle`` with how its exchange ended.
 
     ``pending_of``: what a unit may still send late. ``exchange_s``: what a read takes on the wire.
     """
@@ -39,76 +44,69 @@ class Arbiter:
     ) -> None:
         self.schedule = schedule
         self.commands = CommandQueue()
-        self.owner: CommandRun | None = None
-        """Whose request is under way; None: the schedule's."""
         self._pending_of = pending_of
         self._exchange_s = exchange_s
         self._routine: tuple[Task, SendAttempts] | None = None
         self._foreseen: tuple[Task, SendAttempts] | None = None
-        self._routine_at = 0.0
+        self._routine_at = Monotonic(0.0)
         self._read_last = False
-        self._not_before = 0.0
-        self._reserved_at = 0.0
-        self._reserved_until = 0.0
+        self._not_before = Monotonic(0.0)
+        self._reserved_at = Monotonic(0.0)
+        self._reserved_until = Monotonic(0.0)
 
-    def reserve(self, now: float) -> None:
-        """No read of the schedule leaves for a moment, because a write is about to be asked for.
+    def reserve(self, now: Monotonic) -> None:
+        """Hold back reads of the schedule for a moment, because a write is about to be requested.
 
-        For writes that never come, no more than one such moment between two reads is lost, and none while
-        the schedule has had to wait long.
+        For writes that never come, no more than one such moment between two reads is lost, and none while the
+        schedule has had to wait long.
         """
         if self._routine_at >= self._reserved_at and now - self._routine_at < COMMANDS_AT_A_STRETCH_S:
             self._reserved_at = now
             self._reserved_until = now + RESERVED_S
 
-    def next_request(self, now: float) -> Request | None:
-        """What is sent now; None: nothing before one of ``moments``."""
+    def next_request(self, now: Monotonic) -> NextRequest | None:
+        """Return the request to send now; None: nothing before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll()) is not None:
                 self._routine = _routine(poll)
             return self._routine_request(now)
         return self._command_request(now) or self._routine_request(now)
 
-    def foresee(self, under_way: Request, now: float) -> Request | None:
-        """What follows ``under_way`` if its answer is an ordinary one; None where that is not known."""
-        if len(self.commands) or now < self._reserved_until or not self._is_an_ordinary_poll(under_way):
+    def foresee(self, under_way: NextRequest, now: Monotonic) -> NextRequest | None:
+        """What follows ``under_way`` if its response is an ordinary one; None where that decides it.
+
+        An ordinary response to a poll changes nothing about whose request is next. Only a command does, and
+        then what was foreseen has its turn after it.
+        """
+        if len(self.commands) or now < self._reserved_until or not self._is_poll(under_way):
             return None
         if self._foreseen is None:
             task = self.schedule.next(now)
             self._foreseen = _routine(task) if task is not None else None
-        if self._foreseen is None or self._foreseen[0].unit == under_way.unit:
+        if self._foreseen is None or self._foreseen[0].unit == under_way.request.unit:
             return None
         task, attempts = self._foreseen
         request = attempts.next_request(now, self._pending_of(task.unit).moved_on())
-        return request if request == attempts.send.request else None
+        return NextRequest(request) if request is not None and request == attempts.send.request else None
 
-    def followed(self, now: float) -> Request:
-        """What was foreseen has left at ``now``."""
+    def follow(self, now: Monotonic) -> None:
+        """What was foreseen has left at ``now``, and the turn before it is settled."""
         assert self._foreseen is not None
-        (task, attempts), self._foreseen = self._foreseen, None
-        self._routine = task, attempts
-        self._pace(attempts.send.request, now)
-        return attempts.send.request
+        self._routine, self._foreseen = self._foreseen, None
+        self._pace(self._routine[1].send.request, now)
 
-    def settle(self, exchange: ExchangeResult, began: float, ended: float) -> bool:
-        """The exchange under way is over; whether it is tried again, as nobody answered."""
-        run, self.owner = self.owner, None
+    def settle(self, turn: NextRequest, exchange: ExchangeResult) -> bool:
+        """The exchange of ``turn`` is over; whether it is tried again, as nothing responded."""
+        run = turn.run
         if run is not None:
             self._read_last = run.priority is Priority.READ
             if run.priority is Priority.SLOW:
-                self.schedule.spent(Task(TaskKind.SLOW), began, ended, answered=True)
-            return run.settle(exchange, ended)
-        if self._routine is not None:
-            return self._settle_routine(*self._routine, exchange, began, ended)
-        return False
+                self.schedule.spent(Task(TaskKind.SLOW), exchange.began, exchange.ended, responded=True)
+            return run.settle(exchange, exchange.ended)
+        assert self._routine is not None
+        return self._settle_routine(*self._routine, exchange)
 
-    def drop_routine(self, now: float) -> None:
-        """The port is gone, and the schedule's read with it: it gets another turn."""
-        if self._routine is not None:
-            (task, _), self._routine = self._routine, None
-            self._was_not_read(task, now)
-
-    def moments(self) -> list[float]:
+    def moments(self) -> list[Monotonic]:
         """When something may become due that is not now."""
         probe = self.schedule.wake_at()
         moments = [self._not_before, self._reserved_until, *self.commands.moments()]
@@ -116,15 +114,15 @@ class Arbiter:
 
     # --- commands ------------------------------------------------------------------------------
 
-    def _command_request(self, now: float, *, slow: bool = False) -> Request | None:
+    def _command_request(self, now: Monotonic, *, slow: bool = False) -> NextRequest | None:
         chosen = self.commands.next_request(now, self._pending_of, slow=slow)
         if chosen is None:
             return None
-        self.owner, request = chosen
+        run, request = chosen
         self._reserved_until = now
-        return request
+        return NextRequest(request, run)
 
-    def _leave_a_poll(self, now: float) -> bool:
+    def _leave_a_poll(self, now: Monotonic) -> bool:
         """A look at parameters takes every second turn at most: who reads many must not blind the others."""
         if self.commands.group_changes or len(self.schedule.poll_order) == 0:
             return False
@@ -135,66 +133,63 @@ class Arbiter:
 
     # --- the schedule --------------------------------------------------------------------------
 
-    def _is_an_ordinary_poll(self, request: Request) -> bool:
-        if self.owner is not None or self._routine is None:
+    def _is_poll(self, turn: NextRequest) -> bool:
+        if turn.run is not None or self._routine is None:
             return False
         task, attempts = self._routine
         return (
             task.kind is TaskKind.POLL
-            and request == attempts.send.request
+            and turn.request == attempts.send.request
             and task.unit in self.schedule.poll_order
         )
 
-    def _routine_request(self, now: float) -> Request | None:
+    def _routine_request(self, now: Monotonic) -> NextRequest | None:
         if now < max(self._not_before, self._reserved_until):
             return None
         slow_waits = self.commands.slow_waits
+        if self._routine is None:
+            self._routine, self._foreseen = self._foreseen, None
         while self._routine is None:
-            if self._foreseen is not None:
-                self._routine, self._foreseen = self._foreseen, None
-                break
             task = self.schedule.next(now, slow_waits=slow_waits)
             if task is None:
                 return None
             if task.kind is not TaskKind.SLOW:
                 self._routine = _routine(task)
                 break
-            request = self._command_request(now, slow=True)
-            if request is not None:
-                self._pace(request, now)
-                return request
+            turn = self._command_request(now, slow=True)
+            if turn is not None:
+                self._pace(turn.request, now)
+                return turn
             slow_waits = False
         task, attempts = self._routine
         request = attempts.next_request(now, self._pending_of(task.unit))
         assert request is not None
         self._pace(request, now)
-        return request
+        return NextRequest(request)
 
-    def _settle_routine(
-        self, task: Task, attempts: SendAttempts, exchange: ExchangeResult, began: float, ended: float
-    ) -> bool:
+    def _settle_routine(self, task: Task, attempts: SendAttempts, exchange: ExchangeResult) -> bool:
         # A poll at 300 baud takes longer than commands may keep the schedule waiting: it waits from here on.
-        self._routine_at = ended
+        self._routine_at = exchange.ended
         again = attempts.settle(exchange)
-        self.schedule.spent(task, began, ended, answered=exchange.reply is not None)
+        self.schedule.spent(task, exchange.began, exchange.ended, responded=exchange.reply is not None)
         result = attempts.result
         if result is None:
             return again
         self._routine = None
         if result.reply is None:
-            self._was_not_read(task, ended)
+            self._was_not_read(task, exchange.ended)
         elif task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
             available = not isinstance(result.reply, Nak)
             self.schedule.parameters.was_read(task.unit, task.number, available=available)
         return False
 
-    def _was_not_read(self, task: Task, now: float) -> None:
+    def _was_not_read(self, task: Task, now: Monotonic) -> None:
         if task.kind is TaskKind.FIRST:
             self.schedule.stopped_responding(task.unit, now)
         if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
             self.schedule.parameters.was_not_read(task.unit, task.number)
 
-    def _pace(self, request: Request, now: float) -> None:
+    def _pace(self, request: Request, now: Monotonic) -> None:
         self._read_last = False
         self._routine_at = now
         self._not_before = now + PACE * self._exchange_s(request)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
+from bus.instants import Monotonic
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.result import ProcedureResult
 from bus.messages import Message
@@ -47,7 +48,7 @@ class CommandQueue:
                 run.context.overdue.update(units)
 
     def next_request(
-        self, now: float, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
+        self, now: Monotonic, pending_of: Callable[[int], PendingResponses], *, slow: bool = False
     ) -> tuple[CommandRun, Request] | None:
         """Who sends what now; ``slow``: of those that take the gaps only, else of all the others."""
         for run in self._all:
@@ -88,11 +89,11 @@ class CommandQueue:
         """Whether a change of many units is under way, between whose frames nothing may come."""
         return any(run.begun and len(run.units) > 1 for run in self._all)
 
-    def moments(self) -> list[float]:
+    def moments(self) -> list[Monotonic]:
         """When one of them resumes, or gives up waiting for its turn."""
         return [run.resume_at if run.begun else run.deadline for run in self._all]
 
-    def _may_run(self, run: CommandRun, now: float) -> bool:
+    def _may_run(self, run: CommandRun, now: Monotonic) -> bool:
         if run.begun:
             return True
         for earlier in self._all:

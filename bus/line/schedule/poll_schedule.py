@@ -3,14 +3,14 @@
 Order of claims on the wire, the first that may use it wins:
 
 1. the first 81h of every unit, in floor order;
-2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
+2. a unit without responses whose back-off is over, all of them within a twentieth of the wire;
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
-4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
-5. the slow circle of the other parameters, within a hundredth;
-6. the round of 81h, where watched units have more turns than the others.
+4. a requested slow read (a backup, a scan), within a tenth of the wire while watched;
+5. the slow scan of the other parameters, within a hundredth;
+6. the scan of 81h, where watched units have more turns than the others.
 
-When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
-here: they come before everything (``bus.line.poller``).
+When no unit takes part in the scan, 3 to 5 may use all of it. Operators' writes do not pass through here:
+they come before everything (``bus.line.schedule.arbiter``).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import msgspec
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
+from bus.instants import Monotonic
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.poll_order import PollOrder
 from bus.line.schedule.probe_backoff import ProbeBackoff
@@ -32,11 +33,11 @@ NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
 """With more units than this the first seconds are shared evenly, or readings would look stale."""
 SLOW_SHARE_WATCHED = 0.08
-"""With fences and the circle beside it the scan then keeps nine tenths of its rate."""
+"""With fences and the slow scan beside it the scan then keeps nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
 BACKGROUND_SHARE = 0.01
 BURST_POLLS = 2
-"""Short reads between long polls come to their share by saving up the time of so many polls."""
+"""Short reads between long polls reach their share by saving up the time of so many polls."""
 
 
 class TaskKind(StrEnum):
@@ -59,7 +60,7 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class PollSchedule:
-    """The whole claim list of one bus."""
+    """The complete claim list of one bus."""
 
     def __init__(self, units: Iterable[int], poll_s: float, seed: int = 0) -> None:
         order = tuple(units)
@@ -75,13 +76,13 @@ class PollSchedule:
 
     # --- what happened -------------------------------------------------------------------------
 
-    def watch(self, units: Collection[int], *, anybody: bool) -> None:
-        """``units`` are on an open page; ``anybody``: some page is open at all."""
+    def watch(self, units: Collection[int], *, any_page: bool) -> None:
+        """Set the ``units`` on an open page; ``any_page``: some page is open at all."""
         self.poll_order.watch(units)
-        self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
+        self._slow.fraction = SLOW_SHARE_WATCHED if any_page else SLOW_SHARE_UNWATCHED
 
-    def responded(self, unit: int, now: float) -> None:
-        """``unit`` answered for the first time, or again after a silence."""
+    def responded(self, unit: int, now: Monotonic) -> None:
+        """``unit`` responded for the first time, or after timeouts."""
         self.probes.responded(unit, now)
         if unit in self.poll_order:
             return
@@ -89,7 +90,7 @@ class PollSchedule:
         self.parameters.learn_all(unit)
         self._adapt()
 
-    def stopped_responding(self, unit: int, now: float) -> None:
+    def stopped_responding(self, unit: int, now: Monotonic) -> None:
         """``unit`` missed so often that it is out of the round."""
         self.poll_order.leave(unit)
         self.parameters.forget(unit)
@@ -97,29 +98,29 @@ class PollSchedule:
             self.probes.stopped_responding(unit, now)
         self._adapt()
 
-    def port_opened(self, now: float) -> None:
-        """The port is open again: silent units are worth a question."""
+    def port_opened(self, now: Monotonic) -> None:
+        """The port is open again: units without responses are due for a probe."""
         self.probes.forgive(now)
 
-    def spent(self, task: Task, began: float, ended: float, *, answered: bool) -> None:
+    def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""
         seconds = ended - began
         match task.kind:
-            case TaskKind.PROBE if not answered:
-                self.probes.unanswered(task.unit, ended, seconds)
+            case TaskKind.PROBE if not responded:
+                self.probes.no_response(task.unit, ended, seconds)
             case TaskKind.PARAMETER:
                 (self._needed if task.needed else self._background).spend(began, seconds)
             case TaskKind.SLOW:
                 self._slow.spend(began, seconds)
-            case TaskKind.POLL if answered:
+            case TaskKind.POLL if responded:
                 self._poll_s += (seconds - self._poll_s) * 0.05
         polled = 1.0 if task.kind is TaskKind.POLL else 0.0
         weight = min(1.0, seconds / 5.0)
         self._poll_fraction += (polled - self._poll_fraction) * weight
 
-    # --- what is next --------------------------------------------------------------------------
+    # --- the next claim ------------------------------------------------------------------------
 
-    def next(self, now: float, *, slow_waits: bool = False) -> Task | None:
+    def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
         """The next use of the wire; None: nothing before ``wake_at``."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
@@ -136,11 +137,11 @@ class PollSchedule:
         unit = self.poll_order.take()
         return Task(TaskKind.POLL, unit) if unit is not None else None
 
-    def wake_at(self) -> float | None:
+    def wake_at(self) -> Monotonic | None:
         """When something becomes due, after ``next`` had nothing; None: only when something happens."""
         return self.probes.wake_at()
 
-    def _gap(self, now: float | None, *, slow_waits: bool) -> Task | None:
+    def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
         """What may use a gap now; ``now`` None: the wire is free anyhow."""
         if (now is None or self._needed.ready(now)) and (wanted := self.parameters.next_needed()):
             return Task(TaskKind.PARAMETER, *wanted, needed=True)
@@ -158,10 +159,10 @@ class PollSchedule:
 
     @property
     def poll_s(self) -> float:
-        """Seconds that one answered poll takes, averaged, the unit's own time included."""
+        """Return the seconds that one completed poll takes, averaged, the unit's turnaround included."""
         return self._poll_s
 
     def scan_s(self, more_units: int = 0) -> float:
-        """Seconds in which every answering unit is polled once, with ``more_units`` more of them."""
+        """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""
         units = len(self.poll_order) + more_units
         return units * self._poll_s / max(self._poll_fraction, 0.05)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import AwareDatetime, Field, TypeAdapter, ValidationError
 
-from app.web.faults import fault_message
 from app.web.shape import StrictBody
+from bus.validation import fault_message
 
 
 class _Part(StrictBody):
@@ -25,8 +25,8 @@ _CASES: list[tuple[Any, Any, str]] = [
     (int, "9" * 5000, "it is too large an integer"),
     (float, "x", "it must be a finite number"),
     (Annotated[float, Field(allow_inf_nan=False)], float("nan"), "it must be a finite number"),
-    (Annotated[float, Field(gt=0)], 0, "it must be more than 0.0"),
-    (Annotated[float, Field(lt=0)], 0, "it must be less than 0.0"),
+    (Annotated[float, Field(gt=0)], 0, "it must be more than 0"),
+    (Annotated[float, Field(lt=0)], 0, "it must be less than 0"),
     (Annotated[int, Field(ge=1)], 0, "it must be at least 1"),
     (Annotated[int, Field(le=1)], 2, "it must be at most 1"),
     (str, 1, "it must be a text"),

@@ -1,4 +1,4 @@
-"""The fault of one field of a request, from pydantic's error."""
+"""The fault of one field of a request or of the configuration, from pydantic's error."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ _WITHOUT_BOUNDS = {
     "model_attributes_type": Message("fault_not_an_object"),
     "model_type": Message("fault_not_a_mapping"),
     "string_type": Message("fault_not_a_text"),
+    "tuple_type": Message("fault_not_a_list"),
     "string_unicode": Message("fault_not_a_text"),
 }
 _WITH_BOUND = {
@@ -48,7 +49,9 @@ def fault_message(error: Any) -> Message:
         case str(kind) if kind in _WITH_BOUND:
             code, bound = _WITH_BOUND[kind]
             name = "n" if bound.endswith("length") else "limit"
-            return Message(code, {name: of[bound]})
+            value = of[bound]
+            is_integer = isinstance(value, float) and value.is_integer()
+            return Message(code, {name: int(value) if is_integer else value})
         case "string_pattern_mismatch":
             return Message.of("fault_pattern", text=of["pattern"])
         case "literal_error" | "enum":

@@ -1,0 +1,320 @@
+"""The loop of one bus: next request → exchange → settle. One exchange at a time, in one coroutine.
+
+``bus.line.schedule.arbiter`` decides whose request is next, ``bus.line.exchange.link`` carries out the
+exchange.
+
+Between the last byte of a response and the first of the next request the wire is idle, and 0.1 ms of that is
+0.004 of the rate. Therefore, while the response to a poll is under way, the turn after it is chosen and its
+exchange prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the
+prepared request leaves first, and what the response led to is settled and reported while the next one is
+under way.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+
+from bus.contract import BusFigures, BusLink, BusLinkState, Watch
+from bus.errors import CallerError, WireError
+from bus.instants import Monotonic
+from bus.line.clock import NEVER, LineClock
+from bus.line.commands.command_run import CommandRun
+from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
+from bus.line.commands.result import ProcedureResult
+from bus.line.completion import Completion, run_at_once
+from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
+from bus.line.exchange.current_exchange import CurrentExchange
+from bus.line.exchange.link import Link
+from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.port.port import OpenPort
+from bus.line.roster import Roster
+from bus.line.schedule.arbiter import Arbiter, NextRequest
+from bus.line.schedule.baud_search import BaudSearch
+from bus.line.schedule.command_queue import CommandQueue
+from bus.line.schedule.poll_schedule import PollSchedule
+from bus.line.statistics.figures import Figures
+from bus.line.statistics.trace import Trace
+from bus.messages import Message
+from bus.settings import BusSettings, wire_seconds
+from bus.wire.commands import Nak, ReadStatusRequest, Request, WriteParameterRequest
+from bus.wire.exchange import Exchange
+from bus.wire.lengths import usual_reply_bytes
+
+CLOSED_TO_OFFLINE_S = 3.0
+
+
+class NextExchange(NamedTuple):
+    """A turn and its exchange, ready to be sent."""
+
+    turn: NextRequest
+    exchange: Exchange
+
+
+class LineLoop:
+    """``report`` receives every event. Times of events are Unix time, those of the loop the line's own."""
+
+    def __init__(self, bus: BusSettings, clock: LineClock, report: Report, seed: int = 0) -> None:
+        self.bus = bus
+        self.clock = clock
+        self.baud: int = bus.baud
+        self.trace = Trace()
+        self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
+        self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
+        self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
+        self.state = self._port_is("closed", Message("port_not_opened"))
+        self._send_report = report
+        self._events: list[LineUpdate] = []
+        self._figures = Figures()
+        self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
+        self._baud_search = BaudSearch(clock.now())
+        self._closed_at = clock.now()
+        self._resting: Completion[None] = Completion()
+        self._ended: tuple[NextRequest, CurrentExchange] | None = None
+        self._foreseen: NextExchange | None = None
+        """What follows the exchange under way where its response is an ordinary one."""
+
+    # --- the loop ------------------------------------------------------------------------------
+
+    async def run(self, port: OpenPort) -> Message:
+        """Use ``port`` until it is lost; why it was."""
+        return await run_at_once(self._take_turns(port))
+
+    async def _take_turns(self, port: OpenPort) -> Message:
+        self._port_opened(port)
+        while self.link.open:
+            following = self._foreseen_exchange()
+            if following is None:
+                self._settle()
+                now = self.clock.now()
+                following = self._next_exchange(now)
+                if following is None:
+                    await self._rest(now)
+                    continue
+            ending = self.link.send(following.exchange)
+            if ending is not None:
+                self._has_left(following)
+                self._ended = following.turn, await ending
+        return self._port_lost()
+
+    def _foreseen_exchange(self) -> NextExchange | None:
+        return self._foreseen if self._ended is not None and self._ended[1].is_ordinary else None
+
+    def _next_exchange(self, now: Monotonic) -> NextExchange | None:
+        other = self._baud_search.turn(self.baud, responds=self._responds)
+        if other is not None:
+            self._retune(other)
+            self.schedule.port_opened(now)
+        while (turn := self._arbiter.next_request(now)) is not None:
+            try:
+                return self._prepare(turn)
+            except CallerError as error:
+                if turn.run is None:
+                    raise
+                turn.run.end(ProcedureResult("invalid", error.message))
+        return None
+
+    def _prepare(self, turn: NextRequest) -> NextExchange:
+        """Raises CallerError for a request that no frame can carry."""
+        attempts = turn.run.attempts if turn.run is not None else None
+        dialect = attempts.dialect_of(turn.request) if attempts is not None else None
+        exchange = self.link.prepare(turn.request, dialect)
+        if turn.run is not None:
+            self.trace.witness = turn.run.frames
+        return NextExchange(turn, exchange)
+
+    def _has_left(self, sent: NextExchange) -> None:
+        """What there is to do while a response is under way."""
+        self._settle()
+        turn, run = sent.turn, sent.turn.run
+        if sent is self._foreseen:
+            self._arbiter.follow(self.clock.now())
+        if run is not None and run.attempts is not None and run.attempts.reports(turn.request):
+            self.apply(run.id, ReportProgress("sent", turn.request.unit))
+        self._report()
+        following = self._arbiter.foresee(turn, self.clock.now()) if self.link.is_paced else None
+        self._foreseen = self._prepare(following) if following is not None else None
+
+    def _settle(self) -> None:
+        """What the exchange that has ended led to."""
+        if self._ended is None:
+            return
+        self.link.account()
+        self.trace.witness = None
+        (turn, ended), self._ended = self._ended, None
+        result = ended.result(self.clock)
+        if result.reply is not None or self.link.open:
+            self._learn(result)
+        if result.overdue:
+            self.commands.note_overdue(result.overdue)
+        if self._arbiter.settle(turn, result):
+            self.roster[turn.request.unit].statistics.counts.retries += 1
+
+    def _learn(self, result: ExchangeResult) -> None:
+        request, reply, now = result.request, result.reply, result.ended
+        if request.unit == 0:
+            return
+        if reply is None:
+            self._events += self.roster.missed(request.unit, self.clock.epoch(now))
+            if self.roster[request.unit].unresponsive and request.unit in self.schedule.poll_order:
+                self.schedule.stopped_responding(request.unit, now)
+            return
+        assert result.responded_at is not None
+        is_probe = result.dialect not in (None, self.bus.dialect)
+        self._events += self.roster.take_response(
+            request, reply, result.responded_at, result.frame, is_probe=is_probe
+        )
+        if self.roster.is_configured(request.unit):
+            self.schedule.responded(request.unit, now)
+            if isinstance(request, WriteParameterRequest) and not isinstance(reply, Nak):
+                self.schedule.parameters.need(request.unit)
+
+    async def _rest(self, now: Monotonic) -> None:
+        """Until something may be due that was not at ``now``, or the loop is woken."""
+        self._report()
+        self._resting = Completion()
+        moments = [moment for moment in self._arbiter.moments() if now < moment < NEVER]
+        alarm = self.clock.call_at(min(moments), self._wake) if moments else None
+        try:
+            await self._resting
+        finally:
+            if alarm is not None:
+                alarm.cancel()
+
+    def _wake(self) -> None:
+        if not self._resting.is_set:
+            self._resting.set(None)
+
+    def _report(self) -> None:
+        """Every event since the last report, and the result of every command that has one."""
+        at = self.clock.epoch(self.clock.now())
+        for run in self.commands.take_finished():
+            assert run.result is not None
+            self._events.append(CommandFinished(run.id, at, run.result, run.frames))
+        if self._events:
+            events, self._events = self._events, []
+            self._send_report(events)
+
+    def _exchange_s(self, request: Request) -> float:
+        return wire_seconds(7 + usual_reply_bytes(request, self.bus), self.baud)
+
+    # --- the port ------------------------------------------------------------------------------
+
+    def lose_port(self, cause: Message) -> None:
+        """The port is unusable; the exchange under way ends without a response."""
+        self.link.lose(cause)
+        self._wake()
+
+    def still_closed(self, cause: Message) -> None:
+        """Another attempt to open it failed."""
+        now = self.clock.now()
+        self._port_closed(cause)
+        if now - self._closed_at > CLOSED_TO_OFFLINE_S:
+            self._events += self.roster.port_stays_closed(self.clock.epoch(now), cause)
+        self._report()
+
+    def _port_opened(self, port: OpenPort) -> None:
+        self.link.attach(port, self.baud)
+        self.schedule.port_opened(self.clock.now())
+        self.state = self._port_is("open")
+        self._events.append(self.state)
+
+    def _port_lost(self) -> Message:
+        """Whatever was under way ends as unknown; nothing is sent later. Returns the cause."""
+        assert self.link.loss is not None
+        self._foreseen = self.trace.witness = None
+        self._settle()
+        now, cause = self.clock.now(), self.link.loss
+        self._closed_at = now
+        self._port_closed(cause)
+        self._events += self.roster.port_closed(self.clock.epoch(now), cause)
+        for run in self.commands:
+            run.close(now)
+        self._report()
+        return cause
+
+    def _port_closed(self, cause: Message) -> None:
+        """An event where that is news."""
+        if self.state.link != "closed" or self.state.cause != cause:
+            self.state = self._port_is("closed", cause)
+            self._events.append(self.state)
+
+    def _port_is(self, link: BusLinkState, cause: Message | None = None) -> BusLink:
+        return BusLink(at=self.clock.epoch(self.clock.now()), link=link, cause=cause, baud=self.baud)
+
+    # --- the rate ------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """About once a second: a line that stopped responding may respond at the rate it was given."""
+        if not self.link.open or len(self.commands):
+            return
+        if self._baud_search.look(self.clock.now(), self.baud, responds=self._responds):
+            self._wake()
+
+    @property
+    def _responds(self) -> bool:
+        """Whether any unit does at the present rate."""
+        return len(self.schedule.poll_order) > 0
+
+    def _retune(self, baud: int) -> None:
+        """Everything from here on goes at ``baud``."""
+        self._baud_search.tuned(self.clock.now())
+        self.baud = baud
+        try:
+            self.link.retune(baud)
+        except WireError as error:
+            self.link.lose(error.message)
+        else:
+            self.state = msgspec.structs.replace(self.state, baud=baud)
+            self._events.append(self.state)
+
+    # --- commands ------------------------------------------------------------------------------
+
+    @property
+    def commands(self) -> CommandQueue:
+        """All commands that wait or are under way."""
+        return self._arbiter.commands
+
+    def watch(self, watch: Watch) -> None:
+        """These units are on an open page."""
+        self.schedule.watch(watch.units, any_page=bool(watch.units))
+
+    def reserve(self) -> None:
+        """A write is about to be requested: no poll leaves before it, for a moment."""
+        self._foreseen = None
+        self._arbiter.reserve(self.clock.now())
+
+    def submit(self, run: CommandRun) -> None:
+        """Carry out ``run``: its first request is the next one, if its priority allows."""
+        self._foreseen = None
+        self.commands.add(run)
+        if self.link.open:
+            self._wake()
+        else:
+            run.close(self.clock.now())
+            self._report()
+
+    def cancel(self, command_id: str) -> None:
+        """Give it up where nothing is half done."""
+        self.commands.cancel(command_id)
+        self._report()
+
+    def apply(self, command_id: str, effect: LineEffect) -> None:
+        """What a procedure does beside its requests."""
+        at = self.clock.epoch(self.clock.now())
+        match effect:
+            case ReportProgress():
+                self._events.append(CommandProgressed(command_id, at, effect))
+            case Unstage():
+                self._events += self.roster.unstage(effect.unit, at)
+            case Retune(baud=baud):
+                self._retune(baud)
+            case ExpectBaud(baud=baud):
+                self._baud_search.expect(baud, self.baud)
+
+    def figures(self) -> BusFigures:
+        """The figures of this moment."""
+        now = self.clock.now()
+        at = self.clock.epoch(now)
+        return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)

@@ -1,0 +1,114 @@
+"""A third language is one file: with its catalog alone, no page has a text in another language."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import httpx
+import pytest
+from babel.messages.catalog import Catalog
+
+from app.messages import Languages
+from app.messages.languages import DEFAULT, catalogs
+from app.web.access import Role
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import ParameterValue
+from tests.app.complete_app import House, complete_app
+from tests.app.stage import snapshot
+from tests.catalogs import wanted, write
+
+PAGES = [
+    *("/", "/?view=rows", "/?view=matrix", "/setpoints", "/line/zero", "/units/dry-end/1"),
+    *("/units/dry-end/1/outputs/1", "/units/dry-end/1/parameters", "/units/dry-end/1/execute"),
+    *("/units/dry-end/1/restore", "/units/dry-end/1/drift", "/units/dry-end/99", "/bus/dry-end"),
+    *("/bus/dry-end/units", "/bus/dry-end/control", "/bus/dry-end/baud", "/trends", "/sets"),
+    *("/sets/compare", "/batch/dry-end?parameter=6", "/swap/dry-end/1", "/recipes", "/users", "/account"),
+    *("/users/the-admin/remove", "/events", "/login", "/offline", "/nowhere"),
+]
+SHOWN = {"aria-label", "title", "placeholder", "alt"}
+NO_TEXT = {"data-live-var", "data-catalogue", "data-value-words"}
+"""Names of fields, and JSON."""
+AS_THEY_ARE = {
+    *(parameter.name for parameter in PARAMETERS.values()),
+    *(re.escape(name) for name in ("Mill 7", "Unwind", "Nip", "dry-end", "/dev/null", "m/min", "the-admin")),
+    *("REMOTE", "CSV", "Parquet", "Etc/UTC", "Deutsch", "English", "français", r"\d+ \w+\.? \d{4}", "test"),
+}
+"""What the manual or the site calls something, and what has one name in every language."""
+NAMES = re.compile("|".join(sorted(AS_THEY_ARE, key=len, reverse=True)))
+MARKED = re.compile("⟦[^⟦⟧]*⟧")
+WORD = re.compile(r"[^\W\d_]{3,}")
+
+
+class Texts(HTMLParser):
+    """What a person reads of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self._hidden = 0
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._hidden += tag in ("script", "style")
+        for name, value in attrs:
+            if name in SHOWN or (name.startswith("data-") and name not in NO_TEXT and " " in (value or "")):
+                self.found.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._hidden -= tag in ("script", "style")
+
+    def handle_data(self, data: str) -> None:
+        if not self._hidden:
+            self.found.append(data)
+
+
+def not_of_the_catalog(page: str) -> Iterator[str]:
+    """Texts with words outside of the marks that the catalog has put around each of its texts."""
+    for text in Texts(page).found:
+        left = text
+        while MARKED.search(left):
+            left = MARKED.sub("", left)
+        if WORD.search(NAMES.sub("", left)):
+            yield " ".join(text.split())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The catalogs, and one more file."""
+    there = tmp_path_factory.mktemp("messages")
+    english = catalogs()[DEFAULT]
+    (there / english.name).write_bytes(english.read_bytes())
+    marked = Catalog(locale="fr")
+    for (code, _), text in wanted().items():
+        plural = tuple(f"⟦{each}⟧" for each in text) if isinstance(text, tuple) else f"⟦{text}⟧"
+        marked.add(text, plural, context=code)
+    write(there / "fr.po", marked)
+    return there
+
+
+async def french(house: House) -> httpx.AsyncClient:
+    bus = house.services.live.buses["dry-end"]
+    bus.take_snapshot(snapshot(), "1.0")
+    lowest = [ParameterValue(unit=1, number=n, at=1.7e9, raw=p.minimum) for n, p in PARAMETERS.items()]
+    bus.apply([each for each in lowest if each.number % 2])
+    client = await house.signed_in(Role.ADMIN)
+    client.headers.update({"Accept-Language": "fr", "Accept": "text/html"})
+    return client
+
+
+async def test_no_page_has_a_text_outside_of_the_catalog(tmp_path: Path, folder: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        house.services.templates.languages = Languages(folder)
+        reader = await french(house)
+        pages = {path: (await reader.get(path, follow_redirects=True)).text for path in PAGES}
+    assert [path for path, page in pages.items() if "⟦" not in page] == []
+    found = {path: list(not_of_the_catalog(page)) for path, page in pages.items()}
+    assert {path: texts for path, texts in found.items() if texts} == {}
+
+
+def test_a_text_outside_of_the_catalog_is_found() -> None:
+    page = '<p title="Not translated">⟦Unit {⟦x⟧}⟧ 12 raw <b>Unwind</b></p>'
+    assert list(not_of_the_catalog(page)) == ["Not translated", "⟦Unit {⟦x⟧}⟧ 12 raw"]
