@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import gc
 import sqlite3
+import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import CodeType
 
@@ -18,6 +20,7 @@ from jinja2 import Environment
 import app.auth.passwords
 import app.database.connection
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
+from app.web.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("lineside")
@@ -39,7 +42,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def templates_compiled_once() -> Iterator[None]:
-    """Hundreds of tests make an app of their own; to compile its templates is most of what each costs."""
+    """Hundreds of tests make an app; compiling its templates is most of the cost of each."""
     compile_template = Environment.compile
     compiled: dict[tuple[str, str | None, str | None], CodeType] = {}
 
@@ -73,6 +76,16 @@ def stores_made_once() -> Iterator[None]:
         patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
         yield
     model.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def assets_read_once() -> Iterator[None]:
+    """To read and hash every static file is a quarter of what it takes to make an app. Tests that make none
+    have not imported what makes it, which takes a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        if wiring := sys.modules.get("app.wiring"):
+            patch.setattr(wiring, "Assets", cache(Assets))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -22,7 +22,7 @@ from bus.instants import UnixTime
 from bus.messages import listed
 
 Groups = dict[str, Fields]
-LINE_GROUP = "whole_line"
+LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause"}
