@@ -1,6 +1,6 @@
 """A second model of one alarm, written from ISA-18.2-2016, clause 5.6, in another style than the app's.
 
-It keeps nothing. Each question goes over the complete history: when was it detected, what hid it then, which
+It keeps nothing. Each look-up goes over the complete history: when was it detected, what hid it then, which
 was the last reason to annunciate it and which the last to see it as settled.
 """
 
