@@ -77,8 +77,8 @@ class _Line:
     def polls(self) -> int:
         """The number of polls with a response."""
         self._pipe.send("polls")
-        answered: int = self._pipe.recv()
-        return answered
+        polls: int = self._pipe.recv()
+        return polls
 
     def close(self) -> None:
         """Power off."""

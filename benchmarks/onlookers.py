@@ -23,7 +23,7 @@ SPEAK_S = 10.0
 
 @contextmanager
 def onlookers(url: str, token: str, number: int, *, trace: str = "") -> Iterator[None]:
-    """So many of them in a process of their own, until the end; all are let in when it begins."""
+    """Run ``number`` of them in a separate process until the end; all are connected when it begins."""
     command = [
         sys.executable,
         "-m",

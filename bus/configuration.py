@@ -199,7 +199,7 @@ def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> Message:
 
 
 def _keys(annotation: Any, place: tuple[KeyStep, ...]) -> list[str]:
-    """The keys that may stand at a place of a model."""
+    """The keys that are valid at a place of a model."""
     if get_origin(annotation) is Annotated:
         return _keys(get_args(annotation)[0], place)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

@@ -42,7 +42,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def templates_compiled_once() -> Iterator[None]:
-    """Hundreds of tests make an app of their own; to compile its templates is most of what each costs."""
+    """Hundreds of tests make an app; compiling its templates is most of the cost of each."""
     compile_template = Environment.compile
     compiled: dict[tuple[str, str | None, str | None], CodeType] = {}
 

@@ -33,7 +33,7 @@ def link_parts(connection: sqlite3.Connection, count: int) -> None:
     """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
     [last] = connection.execute("SELECT max(id) FROM events").fetchone()
     rows = [(number, last - count) for number in range(last - count + 1, last + 1)]
-    connection.executemany("INSERT INTO event_parts (event, whole) VALUES (?, ?)", rows)
+    connection.executemany("INSERT INTO event_parts (event, change) VALUES (?, ?)", rows)
 
 
 async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[EventRow], int | None]:

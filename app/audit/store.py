@@ -40,8 +40,8 @@ SCANNED_ROWS = 20_000
 """Events that a search reads without the index: some 20 ms."""
 _SEARCHED = ("what", "who", "old", "new", "message")
 _IN_GROUP = """
-SELECT 1 FROM event_parts JOIN events whole ON whole.id = event_parts.whole
-LEFT JOIN events whole_fate ON whole_fate.about = whole.id
+SELECT 1 FROM event_parts JOIN events change ON change.id = event_parts.change
+LEFT JOIN events change_result ON change_result.about = change.id
 WHERE event_parts.event = e.id
 """
 
@@ -101,12 +101,12 @@ class Filter:
     def _grouping(self) -> Iterator[tuple[str, list[Any]]]:
         if self.folded:
             group, values = replace(self, before=None, folded=False, parts_of=None).conditions(
-                "whole", "whole_fate"
+                "change", "change_result"
             )
             yield f"AND NOT EXISTS ({_IN_GROUP} {group})", values
         if self.parts_of is not None:
             marks = ", ".join("?" * len(self.parts_of))
-            yield f"AND e.id IN (SELECT event FROM event_parts WHERE whole IN ({marks}))", [*self.parts_of]
+            yield f"AND e.id IN (SELECT event FROM event_parts WHERE change IN ({marks}))", [*self.parts_of]
 
 
 def _pattern(text: str) -> str:

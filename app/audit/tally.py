@@ -10,7 +10,7 @@ from bus.instants import UnixTime
 
 WINDOW_S = 60.0
 MOST_KEYS = 20
-"""How many of a group have events of their own in a minute."""
+"""How many of a group have separate events in a minute."""
 
 Item = TypeVar("Item", bound=Hashable)
 

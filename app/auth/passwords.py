@@ -1,4 +1,4 @@
-"""Passwords and PINs by Argon2id, in threads of their own so that the line never waits for a login."""
+"""Passwords and PINs by Argon2id, in separate threads so that the line never waits for a login."""
 
 from __future__ import annotations
 

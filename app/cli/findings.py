@@ -1,4 +1,4 @@
-"""Whether this machine can run a configuration. Nothing is changed and no port is opened."""
+"""Whether this machine can run a configuration. What is tried is undone, and no port is opened."""
 
 from __future__ import annotations
 

@@ -173,8 +173,8 @@ def _line(one: Found) -> Message:
         traits.append(Message.of("found_parameters_to", last=one.parameters[-1]))
     if one.remote is not None:
         traits.append(Message("found_remote" if one.remote else "found_not_remote"))
-    if one.answered_within_s is not None:
-        traits.append(Message.of("found_responds_within", time=number(f"{1000 * one.answered_within_s:.1f}")))
+    if one.responds_within_s is not None:
+        traits.append(Message.of("found_responds_within", time=number(f"{1000 * one.responds_within_s:.1f}")))
     return Message.of("unit_found", unit=one.unit, baud=one.baud, traits=listed(traits))
 
 
@@ -190,7 +190,7 @@ def _json(
 
 
 def _unit_json(one: Found) -> dict[str, Any]:
-    answered = one.answered_within_s
+    responded = one.responds_within_s
     return {
         "id": one.unit,
         "baud": one.baud,
@@ -202,7 +202,7 @@ def _unit_json(one: Found) -> dict[str, Any]:
         "checksum_10h": one.checksum_10h,
         "parameter_reply_bytes": list(one.reply_bytes),
         "estop_healthy": one.estop_healthy,
-        "turnaround_ms": None if answered is None else round(1000 * answered, 1),
+        "turnaround_ms": None if responded is None else round(1000 * responded, 1),
         **_remarks(one.remarks),
     }
 

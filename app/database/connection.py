@@ -25,7 +25,7 @@ COSTLY_READERS = 2
 COSTLY_S = 3.0
 """Of a thread, for which one costly read may compute: the load of the machine does not count."""
 STEPS = 20_000
-"""Of SQLite between two looks at the clock: a few milliseconds."""
+"""Of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
 
 

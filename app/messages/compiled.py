@@ -22,7 +22,7 @@ def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
             data = kept.read_bytes()
             if data[:_DIGEST_BYTES] == digest:
                 return gettext.GNUTranslations(BytesIO(data[_DIGEST_BYTES:]))
-    data = _parsed(source)
+    data = _parsed(source, path.stem)
     if kept is not None:
         with suppress(OSError):
             kept.parent.mkdir(0o700, parents=True, exist_ok=True)
@@ -32,11 +32,12 @@ def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
     return gettext.GNUTranslations(BytesIO(data))
 
 
-def _parsed(source: bytes) -> bytes:
+def _parsed(source: bytes, locale: str) -> bytes:
     # Only here, because importing it takes as long as half a catalog.
     from babel.messages.mofile import write_mo
     from babel.messages.pofile import read_po
 
     target = BytesIO()
-    write_mo(target, read_po(BytesIO(source)))
+    # Of a catalog without a locale, Babel leaves the rule for plurals out.
+    write_mo(target, read_po(BytesIO(source), locale=locale))
     return target.getvalue()

@@ -154,12 +154,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     # --- how it stands -------------------------------------------------------------------------------
 
-    def _is_answering(self) -> bool:
+    def _is_responding(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
 
     def _is_servers_turn(self) -> bool:
         """Whether the client waits for the server: what it owes besides that costs no time."""
-        begun = self._pace.awaited is Awaited.HEAD and self._is_answering()
+        begun = self._pace.awaited is Awaited.HEAD and self._is_responding()
         return begun or bool(self.pipeline) or self.flow.read_paused
 
     def _is_clients_turn(self) -> bool:
@@ -179,7 +179,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def _give_way(self) -> None:
         """Make room at once."""
-        if self._is_answering() and (
+        if self._is_responding() and (
             self.pipeline or self.cycle.response_started or not self.cycle.more_body
         ):
             self.transport.abort()
@@ -191,9 +191,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         """End the connection. Complete requests get their responses first, and nothing is read after them;
         otherwise the refusal is the response where one is awaited and none has begun.
         """
-        if self._is_answering() and not self.cycle.more_body:
+        if self._is_responding() and not self.cycle.more_body:
             self.cycle.keep_alive = False
-        elif self._is_answering() and (self.pipeline or self.cycle.response_started):
+        elif self._is_responding() and (self.pipeline or self.cycle.response_started):
             self.transport.abort()
         elif self._respond(refusal) and self.transport.can_write_eof():
             # To close with bytes unread resets the connection, and the client may never see the response

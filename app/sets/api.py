@@ -164,7 +164,7 @@ async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str
         {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
         for unit, each in schedule.overdue().items()
     ]
-    return {"minute_of_day": (await sets.schedule()).get(bus), "owed": overdue}
+    return {"minute_of_day": (await sets.schedule()).get(bus), "overdue": overdue}
 
 
 @router.put("/buses/{bus}/set-schedule")
@@ -173,7 +173,7 @@ async def write_schedule(
 ) -> ScheduleShown:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
-    return {"minute_of_day": wanted.minute_of_day, "owed": []}
+    return {"minute_of_day": wanted.minute_of_day, "overdue": []}
 
 
 async def _record_secret_access(person: Person, events: EventLog, stored: ParameterSet) -> None:

@@ -117,4 +117,4 @@ class ScheduleShown(TypedDict):
     """When the sets of a bus are saved."""
 
     minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
-    owed: list[OverdueShown]
+    overdue: list[OverdueShown]

@@ -24,7 +24,7 @@ class Poller(asyncio.Protocol):
 
     def __init__(self) -> None:
         self.open = asyncio.Event()
-        self.answered = asyncio.Event()
+        self.responded = asyncio.Event()
         self._decoder = FrameDecoder(DIALECT)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -33,7 +33,7 @@ class Poller(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if any(isinstance(event, ReceivedFrame) for event in self._decoder.feed(data)):
-            self.answered.set()
+            self.responded.set()
 
 
 async def poll(port: str, units: int) -> None:
@@ -45,10 +45,10 @@ async def poll(port: str, units: int) -> None:
     for request in itertools.cycle(requests):
         frame = encode_request(request, DIALECT)
         on_the_wire = wire_seconds(len(frame) + longest_reply_bytes(request, DIALECT), 9600)
-        poller.answered.clear()
+        poller.responded.clear()
         poller.transport.write(frame)
         try:
-            await asyncio.wait_for(poller.answered.wait(), on_the_wire + TURNAROUND_S)
+            await asyncio.wait_for(poller.responded.wait(), on_the_wire + TURNAROUND_S)
         except TimeoutError:
             continue
 

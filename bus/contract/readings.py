@@ -103,7 +103,7 @@ class UnitCounts(Struct, omit_defaults=True):
 
     unit: UnitId
     polls: Total = 0
-    answers: Total = 0
+    responses: Total = 0
     timeouts: Total = 0
     retries: Total = 0
     checksum_errors: Total = 0
@@ -116,10 +116,10 @@ class UnitCounts(Struct, omit_defaults=True):
 class UnitFigures(UnitCounts, TaggedStruct, frozen=True, tag="unit_figures"):  # type: ignore[misc]
     """The counters of one unit, and its response times in seconds (first byte after request)."""
 
-    answer_s_min: DurationSeconds | None = None
-    answer_s_median: DurationSeconds | None = None
-    answer_s_p99: DurationSeconds | None = None
-    answer_s_max: DurationSeconds | None = None
+    response_s_min: DurationSeconds | None = None
+    response_s_median: DurationSeconds | None = None
+    response_s_p99: DurationSeconds | None = None
+    response_s_max: DurationSeconds | None = None
 
 
 class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
@@ -136,7 +136,7 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
     updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
-    answers_for_all: Byte = 0
+    responds_for_all: Byte = 0
     """The unit that seems to respond to every address beside the others, so that each of their responses is
     duplicated and cannot be attributed; 0: none.
     """

@@ -42,7 +42,7 @@ class LineClock(Protocol):
 class RealClock:
     """The machine's clocks and the running event loop.
 
-    The offset between the two is kept, so that frames stay in order when somebody sets the wall clock.
+    The offset between the two is fixed, so that frames stay in order when the wall clock is set.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:

@@ -1,11 +1,13 @@
 """The loop of one bus: next request → exchange → settle. One exchange at a time, in one coroutine.
 
-``bus.line.schedule.arbiter`` says whose request is next, ``bus.line.exchange.link`` carries out the exchange.
+``bus.line.schedule.arbiter`` decides whose request is next, ``bus.line.exchange.link`` carries out the
+exchange.
 
 Between the last byte of a response and the first of the next request the wire is idle, and 0.1 ms of that is
-0.004 of the rate. So while the response to a poll is under way, the turn after it is chosen and its exchange
-prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the prepared
-request leaves first, and what the response led to is settled and reported while the next one is under way.
+0.004 of the rate. Therefore, while the response to a poll is under way, the turn after it is chosen and its
+exchange prepared. Where that response is an ordinary one, which changes nothing about whose turn is next, the
+prepared request leaves first, and what the response led to is settled and reported while the next one is
+under way.
 """
 
 from __future__ import annotations
@@ -200,7 +202,7 @@ class LineLoop:
     # --- the port ------------------------------------------------------------------------------
 
     def lose_port(self, cause: Message) -> None:
-        """The port proved unusable; the exchange under way ends without a response."""
+        """The port is unusable; the exchange under way ends without a response."""
         self.link.lose(cause)
         self._wake()
 
@@ -276,7 +278,7 @@ class LineLoop:
 
     def watch(self, watch: Watch) -> None:
         """These units are on an open page."""
-        self.schedule.watch(watch.units, anybody=bool(watch.units))
+        self.schedule.watch(watch.units, any_page=bool(watch.units))
 
     def reserve(self) -> None:
         """A write is about to be requested: no poll leaves before it, for a moment."""

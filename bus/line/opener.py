@@ -17,7 +17,7 @@ from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5
-"""A lost port that nobody reported is noticed after so long."""
+"""A lost port without a report is detected after this time."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 

@@ -1,7 +1,7 @@
-"""What is known of each unit: its link, its newest words, what it holds staged. Pure.
+"""The state of each unit: its link, its newest values, its staged value. Pure.
 
-Nothing here is ever guessed: a value comes from an answer, and a silent unit keeps its last one with
-its age. Methods give the updates that the app must hear. Times: seconds since the epoch.
+Nothing here is guessed: a value comes from a response, and an offline unit keeps its last one with its age.
+Methods return the updates for the app. Times: seconds since the epoch.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from bus.wire.commands import (
 UnitUpdate = Reading | ParameterValue | UnitLink | Staged
 MISSES_TO_STALE = 2
 MISSES_TO_OFFLINE = 3
-"""One lost answer is asked for again at once and is nobody's business."""
+"""One lost response is retried at once and not reported."""
 LOST_AFTER_S = 1.0
-"""Three questions pass in a tenth of a second on a short line: a burst of noise that long loses no unit."""
+"""Three requests pass in a tenth of a second on a short line: a burst of noise that long loses no unit."""
 
 
 @dataclass(slots=True)
 class UnitRecord:
-    """One unit. ``misses``: questions in a row that it did not answer since ``answered_at``."""
+    """One unit. ``misses``: requests in a row without a response since ``responded_at``."""
 
     unit: int
     link: UnitLink
@@ -61,7 +61,7 @@ class UnitRecord:
 
     @property
     def unresponsive(self) -> bool:
-        """Whether it need not be asked in every round any more."""
+        """Return whether it need not be polled in every scan any more."""
         return self.misses >= MISSES_TO_OFFLINE
 
     def lost(self, at: UnixTime) -> bool:
@@ -115,15 +115,16 @@ class Roster:
             for record in map(self._records.__getitem__, self._configured)
         ]
 
-    # --- what a unit said ----------------------------------------------------------------------
+    # --- responses of a unit -------------------------------------------------------------------
 
     def take_response(
         self, request: Request, reply: Reply, at: UnixTime, frame: bytes, *, is_probe: bool = False
     ) -> list[UnitUpdate]:
-        """``reply`` is the answer to ``request``. A probe is not written in the unit's own dialect: that the
-        unit answers is true of it, and a parameter's number and value need not be."""
+        """Take ``reply``, the response to ``request``. A probe is not encoded in the unit's dialect: it shows
+        that the unit responds, but its parameter number and value are not certain.
+        """
         record = self[request.unit]
-        updates = self._answered(record, at)
+        updates = self._responded(record, at)
         match request, reply:
             case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
@@ -143,7 +144,7 @@ class Roster:
         return self._stage(self[unit], None, at)
 
     def missed(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
-        """``unit`` did not answer one question."""
+        """Count a request without a response."""
         record = self[unit]
         record.misses += 1
         if record.lost(at):
@@ -153,11 +154,11 @@ class Roster:
         return []
 
     def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """No unit can be asked: whoever was online is stale from now on."""
+        """No unit can be polled: units that were online are stale from now on."""
         return self._all("online", "stale", at, cause)
 
     def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """It has lasted: whoever was stale counts as lost."""
+        """It has lasted: units that were stale count as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(
@@ -166,7 +167,7 @@ class Roster:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def _answered(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
+    def _responded(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
         record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
@@ -210,7 +211,7 @@ def _reading(reply: StatusReply, at: UnixTime) -> Reading:
 def parameter_value(
     unit: int, number: int, reply: Reply | None, at: UnixTime, frame: bytes
 ) -> ParameterValue | None:
-    """What a response to 85h says of parameter ``number``; None where it says nothing of it.
+    """Return the value of parameter ``number`` in a response to 85h; None where it has none.
 
     A unit that does not have the parameter responds with NAK 82h.
     """

@@ -32,7 +32,7 @@ class FaultKind(StrEnum):
     """The request is not received: power off, or the drop cut."""
     NAK = "nak"
     """The unit refuses, truly: it does not act."""
-    EVERYBODY = "everybody"
+    ALL_ADDRESSES = "all_addresses"
     """The unit takes every address for its own."""
     ECHO = "echo"
     """Line only: the adapter returns the host's bytes to it."""

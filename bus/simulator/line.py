@@ -136,7 +136,7 @@ class SimulatedLine:
             return False
         address = arriving.body[0]
         if address not in (ALL_UNITS, unit.address) and not self.faults.strikes(
-            FaultKind.EVERYBODY, unit.address
+            FaultKind.ALL_ADDRESSES, unit.address
         ):
             return False
         return not self.faults.strikes(FaultKind.DEAD, unit.address)

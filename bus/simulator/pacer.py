@@ -29,7 +29,7 @@ class RequestLine:
     free_at: float = 0.0
 
     def carry(self, now: float, count: int, byte_s: float) -> list[float]:
-        """The times at which ``count`` bytes, written at ``now``, have wholly arrived."""
+        """The times at which ``count`` bytes, written at ``now``, have completely arrived."""
         start = max(now, self.free_at)
         self.free_at = start + count * byte_s
         return [start + place * byte_s for place in range(1, count + 1)]

@@ -7,8 +7,8 @@ at any time       equal to our own request       Echo (a half-duplex adapter ech
 at any time       another address                Foreign
 awaiting          right address, wrong shape     Unexpected
 awaiting          fits, but may be a late one    Late (see ``fence``)
-awaiting          fits                           Answered; nothing is awaited any more
-responded         the same bytes a second time   Doubled
+awaiting          fits                           Responded; nothing is awaited any more
+responded         the same bytes a second time   Duplicate
 responded or      right address                  Late
 timed out
 ================  =============================  ==========================================
@@ -30,7 +30,7 @@ from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
 from bus.wire.prepared import prepare
 
 
-class Answered(msgspec.Struct, frozen=True):
+class Responded(msgspec.Struct, frozen=True):
     """The response to the request."""
 
     reply: Reply
@@ -62,13 +62,13 @@ class Late(msgspec.Struct, frozen=True):
     frame: ReceivedFrame
 
 
-class Doubled(msgspec.Struct, frozen=True):
+class Duplicate(msgspec.Struct, frozen=True):
     """A duplicate of the response already taken."""
 
     frame: ReceivedFrame
 
 
-ExchangeEvent = Answered | Foreign | Echo | Unexpected | Late | Doubled | Noise | DoubledChecksum
+ExchangeEvent = Responded | Foreign | Echo | Unexpected | Late | Duplicate | Noise | DoubledChecksum
 
 
 class Exchange:
@@ -136,7 +136,7 @@ class Exchange:
             return Foreign(unit, frame)
         # A duplicate response is not evidence of a second request.
         if not self.awaiting and frame.body == self._response:
-            return Doubled(frame)
+            return Duplicate(frame)
         # Resolved on demand: the next request is more urgent.
         self._pending, self._unresolved = self.pending, frame.body
         return self._judge(frame) if self.awaiting else Late(frame)
@@ -151,4 +151,4 @@ class Exchange:
         self.awaiting = False
         self.reply = reply
         self._response = frame.body
-        return Answered(reply, frame)
+        return Responded(reply, frame)

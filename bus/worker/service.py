@@ -43,12 +43,12 @@ from bus.worker.uplink import Uplink
 
 RESULTS_KEPT = 2_000
 MOST_COMMANDS, MOST_TRACES = 300, 8
-"""At once, far more than people and programs ask for: an app gone wrong must not fill the memory."""
+"""At once, far more than people and programs request: a faulty app must not fill the memory."""
 TOO_MANY = Message("too_many_commands")
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
-"""What a change in flight may take once the worker is told to go."""
-SAY_WITHIN_S = 0.3
+"""What a change in flight may take once the worker has to leave."""
+DELIVER_WITHIN_S = 0.3
 LOOK_S = 0.01
 FRAMES_AT_A_STRETCH = 25
 
@@ -92,9 +92,9 @@ class BusWorker:
         for run in self.line.commands:
             self.line.cancel(run.id)
         await _wait_while(lambda: len(self.line.commands) > 0, FINISH_WITHIN_S)
-        await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, SAY_WITHIN_S)
+        await _wait_while(lambda: self.outbox.connected and len(self.outbox) > 0, DELIVER_WITHIN_S)
 
-    # --- what the uplink asks ------------------------------------------------------------------
+    # --- calls of the uplink -------------------------------------------------------------------
 
     def hello(self) -> Hello:
         """Who speaks."""
@@ -124,7 +124,7 @@ class BusWorker:
         self.line.trace.follower = self._follow if watch.trace else None
 
     def reserve(self) -> None:
-        """A write is about to be asked for: the next turn is left to it."""
+        """Keep the next turn of the wire free: a write is about to be requested."""
         self.line.reserve()
 
     def cancel(self, command_id: str) -> None:
@@ -132,7 +132,9 @@ class BusWorker:
         self.line.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once; asked again, repeat its fate. A piece of the trace is read again."""
+        """Carry it out once; a second request with its id returns the same result. A piece of the trace is
+        read again.
+        """
         if isinstance(command.action, ReadTrace):
             self._begin_trace(command.id, command.action)
             return
@@ -258,7 +260,7 @@ def _version() -> str:
 async def run_worker(
     bus: BusSettings, app_url: str, token: str, *, leave: asyncio.Event | None = None
 ) -> None:
-    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (or for ever).
+    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (by default indefinitely).
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """

@@ -42,7 +42,9 @@ from bus.worker.outbox import Outbox
 SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
-"""So long after the start, or after a link was lost, the pause stays short: the app is probably starting."""
+"""For this time after the start, or after a lost link, the pause stays short: the app is probably
+starting.
+"""
 REFUSED_PAUSE_S = 5.0
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
 """Limits what is taken from the app; more waits in the socket, and polling continues."""

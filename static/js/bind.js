@@ -5,7 +5,7 @@
 //   data-live-is="dry-end/1.state"        data-is, for CSS; "dry-end/1.inputs@2" takes one place of the text
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
-//   data-live-href="whole_line.at"        where a link leads; no link while the text is empty
+//   data-live-href="line_summary.at"        where a link leads; no link while the text is empty
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
 import { soon } from "./pace.js";
 import { mayWait } from "./visibility.js";

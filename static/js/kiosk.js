@@ -138,7 +138,7 @@ export function start() {
     item.hidden = !document.fullscreenEnabled;
   if (home === undefined) return;
   arrive();
-  listen("whole_line", (fields) => {
+  listen("line_summary", (fields) => {
     verdict = fields.verdict ?? "";
     level = fields.level ?? "";
     if (!isDark()) return;

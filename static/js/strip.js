@@ -47,7 +47,7 @@ function announce(verdict) {
 
 export function start() {
   let known = null;
-  listen("whole_line", (fields, changed) => {
+  listen("line_summary", (fields, changed) => {
     if ("strip" in changed) draw(fields.strip, Number(fields.abnormal));
     if (known !== null && fields.abnormal !== known) announce([fields.verdict, fields.counts].filter(Boolean).join(" · "));
     known = fields.abnormal ?? known;

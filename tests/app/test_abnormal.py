@@ -62,9 +62,9 @@ def test_a_broken_rung_comes_before_what_else_is_abnormal(
         (ParameterValue(1, 17, NOW, 1), None),
         (ParameterValue(1, 17, NOW, None, available=False), None),
         (ParameterValue(1, 17, NOW, 3), None),
-        (BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=1), None),
+        (BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, responds_for_all=1), None),
         (
-            BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, answers_for_all=2),
+            BusFigures(NOW, 1.0, 1.0, 1.0, 1.0, responds_for_all=2),
             "unit 2 may respond in its place (each response comes twice)",
         ),
     ],

@@ -86,7 +86,7 @@ def test_one_of_another_user_is_refused(path: Path, store: Path) -> None:
 def test_a_folder_in_which_all_users_can_replace_it_is_refused(path: Path, store: Path) -> None:
     opened(path, store)
     path.parent.chmod(0o777)
-    with pytest.raises(KeyFileError, match="everybody can replace the audit key"):
+    with pytest.raises(KeyFileError, match="every user can replace the audit key"):
         opened(path, store)
     path.parent.chmod(0o1777)
     opened(path, store)

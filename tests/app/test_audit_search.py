@@ -35,7 +35,7 @@ def database(folder: Path) -> Iterator[Database]:
 
 
 def add(database: Database, count: int, entry: Callable[[int], dict[str, Any]]) -> None:
-    """So many entries; each second one is the result of the one before."""
+    """Add ``count`` entries; each second one is the result of the one before."""
     nothing: dict[str, Any] = dict.fromkeys(store.FIELDS)
     keys = passing_keys()
     blank = {"who": "", "origin": "", "what": "", "message": "", "frames": "[]", "kind": "command"}

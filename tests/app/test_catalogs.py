@@ -36,7 +36,7 @@ def test_every_text_is_translated(path: Path) -> None:
     assert sorted(wanted().keys() - there, key=str) == []
 
 
-@pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
+@pytest.mark.parametrize("path", catalogs().values(), ids=catalogs())
 def test_nothing_is_left_over(path: Path) -> None:
     assert leftovers(path) == []
 
@@ -48,6 +48,14 @@ def test_a_translation_has_the_names_of_its_text(path: Path) -> None:
             names = {frozenset(BRACES.findall(text)) for text in each_text(message.id)[-1:]}
             used = {frozenset(BRACES.findall(text)) for text in each_text(message.string)[-1:]}
             assert names == used, message.id
+
+
+@pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
+def test_a_plural_has_the_forms_of_its_language(path: Path) -> None:
+    catalog = catalog_at(path)
+    plurals = [message for message in catalog if isinstance(message.id, tuple | list)]
+    assert len(plurals) > 40
+    assert [message.id for message in plurals if len(message.string) != catalog.num_plurals] == []
 
 
 def test_a_code_stands_in_one_group_only() -> None:
@@ -149,6 +157,19 @@ def test_one_file_adds_a_language(tmp_path: Path) -> None:
     assert norwegian.t("not translated yet {x}") == "not translated yet {x}"
     assert [norwegian.tn("{n} row", "{n} rows", n) for n in (1, 2)] == ["1 rad", "2 rader"]
     assert (str(norwegian), norwegian.name) == ("nb", "norsk bokmål")
+
+
+def test_a_language_has_the_plurals_of_its_file(tmp_path: Path) -> None:
+    rule = "nplurals=3; plural=(n==1 ? 0 : n%10>=2 && n%10<=4 && (n%100<10 || n%100>=20) ? 1 : 2);"
+    header = f'msgid ""\nmsgstr "Content-Type: text/plain; charset=utf-8\\n"\n"Plural-Forms: {rule}\\n"\n'
+    forms = ("{n} wiersz", "{n} wiersze", "{n} wierszy")
+    written = "".join(f'msgstr[{index}] "{form}"\n' for index, form in enumerate(forms))
+    text = f'\nmsgid "{{n}} row"\nmsgid_plural "{{n}} rows"\n{written}'
+    (tmp_path / "pl.po").write_text(header + text)
+    polish = Languages(tmp_path)["pl"]
+    assert [polish.tn("{n} row", "{n} rows", n) for n in (1, 2, 5, 22)] == [
+        *("1 wiersz", "2 wiersze", "5 wierszy", "22 wiersze")
+    ]
 
 
 def test_a_message_is_rendered_in_each_language() -> None:

@@ -110,7 +110,7 @@ def test_a_device_that_is_no_digimax() -> None:
 
 def test_a_scan_finds_a_unit_that_responds_to_every_address() -> None:
     faults = Faults(1)
-    faults.set(FaultKind.EVERYBODY, 1.0, unit=3)
+    faults.set(FaultKind.ALL_ADDRESSES, 1.0, unit=3)
     with line(unit(3), faults=faults) as port:
         response = scanned(port, "--baud", "9600", last=6)
     assert response["remarks"] == ["unit 3 responds to addresses that are not its own (5 of them)"]
@@ -182,7 +182,7 @@ def test_units_found_before_an_early_end_are_printed(
     assert "the scan is not complete" in result.stderr
 
 
-def test_a_line_that_talks_unasked_is_not_scanned() -> None:
+def test_a_line_with_unrequested_bytes_is_not_scanned() -> None:
     faults = Faults(1)
     faults.set(FaultKind.FLOOD, 1.0)
     with line(unit(2), faults=faults) as port:

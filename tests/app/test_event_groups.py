@@ -196,7 +196,7 @@ def test_a_store_of_an_earlier_version_has_its_changes_grouped(tmp_path: Path) -
             row,
         )
     bring_up_to_date(connection, path, MIGRATIONS)
-    assert connection.execute("SELECT event, whole FROM event_parts ORDER BY event").fetchall() == [
+    assert connection.execute("SELECT event, change FROM event_parts ORDER BY event").fetchall() == [
         (2, 1),
         (3, 1),
         (6, 5),

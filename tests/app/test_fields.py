@@ -109,7 +109,7 @@ def test_without_a_response_there_is_no_scan_time() -> None:
 
 def test_health_names_each_refusal() -> None:
     figures = UnitFigures(
-        unit=1, polls=10, answers=8, naks={0x80: 2}, answer_s_median=0.003, answer_s_max=0.04
+        unit=1, polls=10, responses=8, naks={0x80: 2}, response_s_median=0.003, response_s_max=0.04
     )
     shown = health_fields(figures, translator("de"))
     assert shown["naks"] == "2 x Regler ist nicht in REMOTE"

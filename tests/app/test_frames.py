@@ -1,4 +1,4 @@
-"""The short way out of a WebSocket, on real sockets: uvicorn, its protocol of our own, and a client."""
+"""The fast path out of a WebSocket, on real sockets: uvicorn with our protocol, and a client."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
     browser = world.join()
     world.hub.follow(browser, frozenset({("dry", 2)}), "")
     await sent(browser)
-    units = [UnitFigures(unit=n, polls=5, answers=5) for n in (1, 2)]
+    units = [UnitFigures(unit=n, polls=5, responses=5) for n in (1, 2)]
     world.live.buses["dry"].apply(
         [
             BusFigures(
@@ -184,7 +184,7 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
         ],
     )
     (diff,) = await sent(browser)
-    assert diff["f"]["health/dry/2"]["answers"] == "5"
+    assert diff["f"]["health/dry/2"]["responses"] == "5"
     assert "health/dry/1" not in diff["f"]
 
 
@@ -193,4 +193,4 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
     browser = world.join()
     await sent(browser)
     world.hub.tick()
-    assert (await sent(browser))[-1]["f"]["whole_line"] == {"holder": "anna"}
+    assert (await sent(browser))[-1]["f"]["line_summary"] == {"holder": "anna"}

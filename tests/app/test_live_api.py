@@ -39,7 +39,7 @@ async def test_an_anonymous_client_sees_nothing(stage: Stage) -> None:
 async def test_a_text_stands_beside_its_code(stage: Stage) -> None:
     worker = await stage.worker()
     late = Message("diagnosis_no_response")
-    await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, answers_for_all=2, diagnosis=[late]))
+    await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, responds_for_all=2, diagnosis=[late]))
     await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
     await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
     bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()

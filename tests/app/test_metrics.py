@@ -41,7 +41,7 @@ async def test_before_anything_is_known(house: House) -> None:
 
 async def test_figures_of_the_workers(house: House) -> None:
     now = time.time()
-    unit = UnitFigures(unit=2, polls=50, answers=48, timeouts=2, checksum_errors=1, naks={128: 3})
+    unit = UnitFigures(unit=2, polls=50, responses=48, timeouts=2, checksum_errors=1, naks={128: 3})
     figures = BusFigures(
         at=now, scan_hz=4.5, scan_s=0.2, wire_utilisation=0.97, scan_s_with_one_more=0.3, units=[unit]
     )

@@ -74,7 +74,7 @@ def test_a_newer_store_is_refused_in_words(tmp_path: Path) -> None:
     assert rows(path) == [(1, 7)]
 
 
-def test_our_own_steps_have_numbers_of_their_own() -> None:
+def test_every_migration_has_a_different_number() -> None:
     numbers = [step.number for step in migrations_in(MIGRATIONS)]
     assert numbers[:2] == [1, 2]
     assert len(set(numbers)) == len(numbers)

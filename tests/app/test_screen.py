@@ -25,10 +25,10 @@ def test_only_what_changed_is_given() -> None:
 def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     live = line()
     shown = screen(live)
-    assert shown.shown["whole_line"]["at"] == ""
+    assert shown.shown["line_summary"]["at"] == ""
     live.buses["dry"].apply([reading(2, at=100.2, inputs=1)])
     changed = shown.see("dry", [2], 100.2, include_bus=False)
-    assert {name: changed["whole_line"][name] for name in ("at", "level", "verdict", "counts")} == {
+    assert {name: changed["line_summary"][name] for name in ("at", "level", "verdict", "counts")} == {
         "at": "/units/dry/2",
         "level": "urgent",
         "verdict": "Unit 2 · Still turning: emergency stop active since 00:01",
@@ -36,7 +36,7 @@ def test_the_worst_cause_is_the_verdict_and_goes() -> None:
     }
     assert changed["dry/2"]["status"] == "Still turning: emergency stop active since 00:01"
     live.buses["dry"].apply([reading(2, at=100.4)])
-    well = shown.see("dry", [2], 100.4, include_bus=False)["whole_line"]
+    well = shown.see("dry", [2], 100.4, include_bus=False)["line_summary"]
     assert (well["verdict"], well["at"], well["counts"]) == ("All 2 units at speed", "", "")
 
 
@@ -48,7 +48,7 @@ def test_the_strip_has_abnormal_units_beside_the_worst() -> None:
     live.buses["dry"].apply(
         [reading(unit, at=150.2, inputs=inputs, actual=0) for unit, inputs in ((1, 2), (2, 1))]
     )
-    changed = shown.see("dry", [1, 2, 3], 150.2, include_bus=False)["whole_line"]
+    changed = shown.see("dry", [1, 2, 3], 150.2, include_bus=False)["line_summary"]
     assert changed["verdict"] == "Unit 2 · Stopped: emergency stop active since 00:02"
     assert changed["strip"] == [
         ["dry/1", "high", "Unit 1", "Stopped: run input off", "since 00:01"],
@@ -79,7 +79,7 @@ def test_a_closed_port_is_one_entry_and_not_one_for_each_unit() -> None:
     shown = screen(live)
     live.buses["dry"].apply([BusLink(at=101.0, link="closed", cause=term("unplugged"))])
     changed = shown.see("dry", [1, 2], 101.0, include_bus=True)
-    shown_fields = {name: changed["whole_line"][name] for name in ("verdict", "at", "abnormal")}
+    shown_fields = {name: changed["line_summary"][name] for name in ("verdict", "at", "abnormal")}
     assert shown_fields == {
         "verdict": "dry · Port closed since 00:01: unplugged",
         "at": "/bus/dry",
@@ -92,7 +92,7 @@ def test_the_line_s_figures_are_the_worst_of_all_buses() -> None:
     live = line()
     shown = screen(live)
     live.buses["dry"].apply([figures()])
-    assert shown.see("dry", [], 100.1, include_bus=True)["whole_line"] == {"scan": "0.30 s", "wire": "90 %"}
+    assert shown.see("dry", [], 100.1, include_bus=True)["line_summary"] == {"scan": "0.30 s", "wire": "90 %"}
 
 
 def test_a_block_is_shown_with_its_reason() -> None:
@@ -103,7 +103,7 @@ def test_a_block_is_shown_with_its_reason() -> None:
 def test_the_first_paint_has_the_same_texts() -> None:
     shown = screen(line(), "de")
     assert shown.flat()["dry/1.actual"] == "120,0"
-    assert shown.flat()["whole_line.verdict"] == "Alle 2 Regler auf Drehzahl"
+    assert shown.flat()["line_summary.verdict"] == "Alle 2 Regler auf Drehzahl"
 
 
 def test_the_strip_has_an_end() -> None:
@@ -111,15 +111,15 @@ def test_the_strip_has_an_end() -> None:
     shown = screen(live)
     live.buses["dry"].apply([reading(n, at=100.2, inputs=1) for n in range(1, 61)])
     changed = shown.see("dry", list(range(1, 61)), 100.2, include_bus=False)
-    assert len(changed["whole_line"]["strip"]) == 30
-    assert changed["whole_line"]["abnormal"] == "60"
+    assert len(changed["line_summary"]["strip"]) == 30
+    assert changed["line_summary"]["abnormal"] == "60"
 
 
 def test_a_bus_without_any_response_is_one_entry() -> None:
     shown = screen(line())
     shown.settle(111.0)
-    assert shown.shown["whole_line"]["verdict"] == "dry · No unit responds since 00:01"
-    assert shown.shown["whole_line"]["level"] == "urgent"
+    assert shown.shown["line_summary"]["verdict"] == "dry · No unit responds since 00:01"
+    assert shown.shown["line_summary"]["level"] == "urgent"
     assert shown.shown["dry/1"]["status"] == "Offline since 00:01"
 
 
@@ -142,7 +142,7 @@ def test_the_verdict_of_a_normal_line_is_one_text(
     live = line()
     live.buses["dry"].apply([reading(unit, **changes) for unit, changes in enumerate(readings, 1)])
     for tag, text in (("en", verdict), ("de", german)):
-        shown = screen(live, tag).shown["whole_line"]
+        shown = screen(live, tag).shown["line_summary"]
         assert (shown["verdict"], shown["counts"], shown["level"]) == (text, "", "")
 
 
@@ -156,12 +156,12 @@ def test_the_verdict_of_a_normal_line_is_one_text(
 def test_the_verdict_of_one_unit(changes: dict[str, int], verdict: str, german: str) -> None:
     live = line(1)
     live.buses["dry"].apply([reading(1, **changes)])
-    assert screen(live).shown["whole_line"]["verdict"] == verdict
-    assert screen(live, "de").shown["whole_line"]["verdict"] == german
+    assert screen(live).shown["line_summary"]["verdict"] == verdict
+    assert screen(live, "de").shown["line_summary"]["verdict"] == german
 
 
 def test_without_units_the_verdict_reports_it() -> None:
-    assert screen(line(0)).shown["whole_line"]["verdict"] == "No unit is configured"
+    assert screen(line(0)).shown["line_summary"]["verdict"] == "No unit is configured"
 
 
 def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
@@ -177,7 +177,7 @@ def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:
     live.buses["dry"].apply([reading(1, at=103.0, outputs=0x40, actual=500)])
     changed = shown.see("dry", [1], 103.0, include_bus=False)
     assert changed["dry/1"]["status"] == "Ramping to 120.0, about 4 s left"
-    assert "whole_line" not in changed
+    assert "line_summary" not in changed
 
 
 def test_checks_are_shown_with_the_cause() -> None:

@@ -28,7 +28,7 @@ def test_a_ramp_explains_what_the_machine_will_do() -> None:
     assert Languages()["de"].t(row.meaning) == "beschleunigt in 3,0 s statt 5,0 s"
 
 
-def test_speeds_are_shown_with_the_decimals_of_their_own_side() -> None:
+def test_each_side_shows_speeds_with_its_decimals() -> None:
     row = next(row for row in differences(unit({3: 1, 9: 1000}), unit({3: 2, 9: 2000})) if row.number == 9)
     assert (row.old, row.new) == (number("100.0"), number("20.00"))
 

@@ -1,4 +1,4 @@
-"""What the tokens promise to who prints or has colours of their own."""
+"""The color tokens in print and with forced colors."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def attack(function: Attack) -> Attack:
 
 
 async def many(target: Target, count: int, one: Callable[[int], Awaitable[None]]) -> None:
-    """So many at a time, each again and again until the end."""
+    """Run ``count`` at a time, each repeatedly until the end."""
 
     async def again(number: int) -> None:
         while target.goes_on:

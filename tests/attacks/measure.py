@@ -195,7 +195,7 @@ def links_lost(target: Site) -> int:
 
 
 def fill_the_log(target: Site, events: int) -> None:
-    """So many events, as of years, while the server is stopped."""
+    """Add the events of years while the server is stopped."""
     target.stop()
     database = Database(target.folder / "data" / "lineside.db", synchronous="NORMAL")
     # With an outcome: the server closes each open one on the disk, one by one, when it starts.

@@ -221,7 +221,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
         frame = Frame(time.time(), "in", b"\x10\x02", [])
         values = [ParameterValue(1, 20, time.time(), 4711)]
 
-        class Answering(HostileSocket):
+        class Responding(HostileSocket):
             async def send(self, message: AppMessage) -> None:
                 if isinstance(message, Command):
                     forged = Result(message.id, 0.0, "verified", values=values, frames=[frame] * 2_000)
@@ -235,7 +235,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
                 return await super().receive()
 
         received, opened = asyncio.Event(), asyncio.Event()
-        socket = Answering([encode(hello(uuid4().hex)), encode(snapshot())])
+        socket = Responding([encode(hello(uuid4().hex)), encode(snapshot())])
         serving = asyncio.create_task(scene.serve(socket))
         async with asyncio.timeout(20):
             await opened.wait()

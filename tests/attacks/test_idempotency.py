@@ -1,4 +1,4 @@
-"""A program repeats a used key: it must never be answered with a write that did not happen."""
+"""A program repeats a used key: the result must never name a write that did not happen."""
 
 from __future__ import annotations
 

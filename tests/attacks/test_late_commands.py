@@ -14,7 +14,7 @@ from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
 from tests.app.complete_app import House, complete_app
 from tests.app.played_commands import ANNA
-from tests.app.played_commands import responding as answering_units
+from tests.app.played_commands import responding as responding_units
 from tests.app.stage import PlayedWorker, Stage, responding, staged
 
 WRITES = [
@@ -199,7 +199,7 @@ PUBLIC = {"/login", "/login/panel"}
 async def test_of_every_route_that_writes(house: House) -> None:
     """A program that sends the time of its request, and a page that sends the time of the click."""
     browser = await house.signed_in(Role.ADMIN)
-    answering_units(house.services.live)
+    responding_units(house.services.live)
     recipe = await house.services.recipes.save(ANNA, "dry-end", "Kraft 80", "", {1: 1100})
     routes = {(method, route.path) for route in house.app.routes for method in getattr(route, "methods", ())}
     writes = {(method, path) for method, path in routes if method not in SAFE_METHODS and path not in PUBLIC}

@@ -162,7 +162,7 @@ def _shown(action: Action, unit_at: Callable[[int], Unit]) -> dict[int, bool]:
     return {}
 
 
-def unasked(cases: list[Case], record: WireRecord) -> list[str]:
+def unrequested(cases: list[Case], record: WireRecord) -> list[str]:
     """Return writes that a unit carried out without a command at that time.
 
     A change of all units may also write a unit's present speed back into its memory.
@@ -173,7 +173,7 @@ def unasked(cases: list[Case], record: WireRecord) -> list[str]:
         case = next((case for case in cases if case.requested_at <= entry.at <= case.reported_at), None)
         back = isinstance(case and case.action, SetLine) and _puts_back(entry, present)
         if case is None or not (entry.data in case.wanted() or back):
-            complaints.append(f"unit {entry.unit} did {entry.data.hex(' ')} at {entry.at:.3f}, unasked")
+            complaints.append(f"unit {entry.unit} did {entry.data.hex(' ')} at {entry.at:.3f}, unrequested")
         _follow(entry, present)
     return complaints
 
@@ -232,7 +232,7 @@ def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, W
 
 
 def half_done(case: Case, before: Speeds, record: WireRecord, unit_at: Callable[[int], Unit]) -> list[str]:
-    """A whole-line change without a broadcast must leave every speed as it was, and nothing staged unsaid.
+    """A change of all units without a broadcast must leave every speed as it was, and nothing staged unsaid.
 
     What an operator had staged before may stay, or give way to the present speed.
     """

@@ -20,7 +20,7 @@ POLL_S = 0.026
 
 
 class Line:
-    """Turns of a line whose units all answer; time goes on by a poll for each."""
+    """Turns of a line whose units all respond; time advances by a poll for each."""
 
     def __init__(self, units: int) -> None:
         self.time = 100.0
@@ -57,7 +57,7 @@ class Line:
         return self.turns.settle(turn, result)
 
 
-def _answer(request: Request) -> StatusReply:
+def _response(request: Request) -> StatusReply:
     return StatusReply(request.unit, 1, 1, 0, 0, 0)
 
 
@@ -77,7 +77,7 @@ def test_every_unit_keeps_its_own_turn() -> None:
     for _ in range(200):
         turn = line.poll()
         polled.append(turn.request.unit)
-        line.settle(turn, _answer(turn.request))
+        line.settle(turn, _response(turn.request))
     counts = [polled.count(unit) for unit in range(1, 5)]
     assert max(counts) - min(counts) <= 4
 
@@ -86,7 +86,7 @@ def _foreseen(line: Line, times: int) -> Iterator[NextRequest]:
     turn = line.poll()
     for _ in range(times):
         following = line.turns.foresee(turn, line.time)
-        line.settle(turn, _answer(turn.request))
+        line.settle(turn, _response(turn.request))
         if following is None:
             turn = line.poll()
             continue
@@ -112,7 +112,7 @@ def test_a_command_goes_first_and_what_was_foreseen_after_it() -> None:
     assert following is not None
     run = _write(turn.request.unit)
     line.turns.commands.add(run)
-    line.settle(turn, _answer(turn.request))
+    line.settle(turn, _response(turn.request))
     write = line.next()
     assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
     assert line.turns.foresee(write, line.time) is None
@@ -128,7 +128,7 @@ def test_a_poll_without_a_response_is_tried_again_before_what_was_foreseen() -> 
     assert following is not None
     assert line.settle(turn, None), "it is tried again"
     assert line.next() == turn
-    line.settle(turn, _answer(turn.request))
+    line.settle(turn, _response(turn.request))
     assert line.next() == following
 
 
@@ -145,7 +145,7 @@ def test_of_a_line_with_one_unit_nothing_is_foreseen() -> None:
     for _ in range(20):
         turn = line.poll()
         assert line.turns.foresee(turn, line.time) is None
-        line.settle(turn, _answer(turn.request))
+        line.settle(turn, _response(turn.request))
 
 
 def test_a_command_goes_before_the_next_poll() -> None:
@@ -153,7 +153,7 @@ def test_a_command_goes_before_the_next_poll() -> None:
     turn = line.poll()
     run = _write(turn.request.unit)
     line.turns.commands.add(run)
-    line.settle(turn, _answer(turn.request))
+    line.settle(turn, _response(turn.request))
     write = line.next()
     assert write == (SetAndExecuteSpeedRequest(turn.request.unit, 500), run)
     line.settle(write, Ack(turn.request.unit))
@@ -165,7 +165,7 @@ def test_a_poll_without_a_response_is_tried_again_before_the_next() -> None:
     turn = line.poll()
     assert line.settle(turn, None), "it is tried again"
     assert line.next() == turn
-    assert not line.settle(turn, _answer(turn.request))
+    assert not line.settle(turn, _response(turn.request))
     assert line.next() != turn
 
 
@@ -174,7 +174,7 @@ def test_a_write_without_a_response_is_tried_again_too() -> None:
     polled = line.poll()
     run = _write(2)
     line.turns.commands.add(run)
-    line.settle(polled, _answer(polled.request))
+    line.settle(polled, _response(polled.request))
     write = NextRequest(SetAndExecuteSpeedRequest(2, 500), run)
     assert line.next() == write
     assert line.settle(write, None), "it is tried again"

@@ -28,7 +28,7 @@ async def test_what_awaits_it_has_run_when_set_returns() -> None:
     assert await running == "over"
 
 
-async def test_what_is_set_before_it_is_awaited_is_no_wait() -> None:
+async def test_a_result_set_before_it_is_awaited_is_no_wait() -> None:
     completion: Completion[int] = Completion()
 
     async def steps() -> int:

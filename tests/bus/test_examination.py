@@ -34,7 +34,7 @@ def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = F
     def respond(probe: Probe) -> ProbeOutcome:
         request = probe.request
         if isinstance(request, ReadStatusRequest):
-            return ProbeOutcome(StatusReply(address, 0, 0, 0, 0x40, 2), answered_after_s=0.002)
+            return ProbeOutcome(StatusReply(address, 0, 0, 0, 0x40, 2), responded_after_s=0.002)
         assert isinstance(request, ReadParameterRequest)
         if encode_request(request, Dialect())[-1] == 0x10 and probe.doubled is not twice:
             return NO_RESPONSE
@@ -77,7 +77,7 @@ def test_a_unit() -> None:
     assert (one.kind, one.parameters, one.remarks) == ("digimax", tuple(range(1, 41)), ())
     assert (one.own_address, one.counts_in_bcd, one.remote, one.reply_bytes) == (5, False, True, (4,))
     assert one.checksum_10h == "once"
-    assert one.answered_within_s == 0.002
+    assert one.responds_within_s == 0.002
 
 
 @pytest.mark.parametrize("last", [1, 16, 19, 20, 22, 33, 39, 40])

@@ -22,7 +22,7 @@ from bus.wire.commands import (
     StatusReply,
     WriteOutputRequest,
 )
-from bus.wire.exchange import Answered, Doubled, Echo, Exchange, ExchangeEvent, Foreign, Late, Unexpected
+from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, Noise
 
@@ -50,7 +50,7 @@ def test_a_bad_request_makes_no_exchange() -> None:
 def test_the_response() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     (event,) = exchange.receive(frame(STATUS), 1.5)
-    assert isinstance(event, Answered)
+    assert isinstance(event, Responded)
     assert event.reply == STATUS == exchange.reply
     assert not exchange.awaiting
     assert exchange.first_byte_at == 1.5
@@ -60,7 +60,7 @@ def test_the_response() -> None:
 def test_a_refusal_is_a_response() -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 99_999), PLAIN)
     (event,) = exchange.receive(frame(Nak(4, 0x81)), 0.0)
-    assert isinstance(event, Answered)
+    assert isinstance(event, Responded)
     assert event.reply == Nak(4, 0x81)
 
 
@@ -69,7 +69,7 @@ def test_a_response_byte_by_byte_is_timed_by_its_first_byte() -> None:
     events = [
         event for at, byte in enumerate(frame(STATUS)) for event in exchange.receive(bytes((byte,)), at)
     ]
-    assert kinds(events) == [Answered]
+    assert kinds(events) == [Responded]
     assert exchange.first_byte_at == 0
 
 
@@ -97,7 +97,7 @@ def test_an_echo_is_not_a_response_and_does_not_time_it() -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 5), PLAIN)
     assert kinds(exchange.receive(exchange.sent, 1.0)) == [Echo]
     assert exchange.first_byte_at is None
-    assert kinds(exchange.receive(frame(Ack(4)), 2.0)) == [Answered]
+    assert kinds(exchange.receive(frame(Ack(4)), 2.0)) == [Responded]
     assert exchange.first_byte_at == 2.0
 
 
@@ -107,18 +107,18 @@ def test_an_echo_and_its_response_in_one_piece(cut: int) -> None:
     together = exchange.sent + frame(Ack(4))
     at = len(exchange.sent) + cut
     events = exchange.receive(together[:at], 1.0) + exchange.receive(together[at:], 2.0)
-    assert kinds(events) == [Echo, Answered]
+    assert kinds(events) == [Echo, Responded]
     assert exchange.first_byte_at == (1.0 if cut else 2.0)
 
 
 def test_a_second_copy_of_the_response_is_a_duplicate() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
-    assert kinds(exchange.receive(frame(STATUS) * 2, 0.0)) == [Answered, Doubled]
+    assert kinds(exchange.receive(frame(STATUS) * 2, 0.0)) == [Responded, Duplicate]
 
 
 def test_another_frame_after_the_response_is_late() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
-    assert kinds(exchange.receive(frame(STATUS) + frame(Ack(4)), 0.0)) == [Answered, Late]
+    assert kinds(exchange.receive(frame(STATUS) + frame(Ack(4)), 0.0)) == [Responded, Late]
 
 
 def test_a_response_after_the_timeout_is_late_and_ends_the_pending_one() -> None:
@@ -151,7 +151,7 @@ def test_a_damaged_response_is_noise_with_a_checksum_fault() -> None:
 def test_the_response_between_noise() -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
     events = exchange.receive(b"\xff\x00" + frame(STATUS) + b"\x55\x10\x02", 0.0)
-    assert kinds(events) == [Noise, Answered, Noise]
+    assert kinds(events) == [Noise, Responded, Noise]
 
 
 def test_a_doubled_checksum_byte_passes_into_the_next_exchange_without_noise() -> None:
@@ -160,7 +160,7 @@ def test_a_doubled_checksum_byte_passes_into_the_next_exchange_without_noise() -
     assert response[-1] == 0x10
     first.receive(response, 0.0)
     second = Exchange(ReadStatusRequest(4), PLAIN, decoder=first.decoder)
-    assert kinds(second.receive(b"\x10" + frame(STATUS), 1.0)) == [DoubledChecksum, Answered]
+    assert kinds(second.receive(b"\x10" + frame(STATUS), 1.0)) == [DoubledChecksum, Responded]
 
 
 def test_a_response_that_may_be_late_is_not_believed() -> None:
@@ -168,13 +168,13 @@ def test_a_response_that_may_be_late_is_not_believed() -> None:
     exchange = Exchange(ReadParameterRequest(4, 6), PLAIN, pending=pending)
     assert kinds(exchange.receive(frame(ParameterReply(4, 500, 2)), 0.0)) == [Late]
     assert exchange.awaiting
-    assert kinds(exchange.receive(frame(Nak(4, 0x82)), 0.1)) == [Answered]
+    assert kinds(exchange.receive(frame(Nak(4, 0x82)), 0.1)) == [Responded]
 
 
 @given(st.lists(st.sampled_from([0x10, 0x02, 0x03, 0x04, 0x06, 0x15, 0x81, 0x80]), max_size=60).map(bytes))
 def test_any_bytes_give_at_most_one_response_and_it_is_of_the_unit(data: bytes) -> None:
     exchange = Exchange(ReadStatusRequest(4), PLAIN)
-    responses = [event for event in exchange.receive(data, 0.0) if isinstance(event, Answered)]
+    responses = [event for event in exchange.receive(data, 0.0) if isinstance(event, Responded)]
     assert len(responses) <= 1
     assert all(response.frame.body[0] == 4 for response in responses)
     assert exchange.awaiting == (not responses)

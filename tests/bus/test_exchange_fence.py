@@ -27,7 +27,7 @@ from bus.wire.commands import (
     WriteParameterRequest,
     is_write,
 )
-from bus.wire.exchange import Answered, Exchange
+from bus.wire.exchange import Exchange, Responded
 from bus.wire.fence import (
     LONG_RUN,
     MOST_OUTSTANDING,
@@ -114,11 +114,11 @@ class TestPendingResponses:
         assert PendingResponses(1, PLAIN).believes(SPEED, b"\x01\x15\x89")
 
     def test_a_parameter_response_may_come_twice(self) -> None:
-        answered = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
-        assert answered.fence_before(ReadParameterRequest(1, 4)) == POLL
-        assert answered.fence_before(READ) is None
-        assert answered.fence_before(SPEED) is None
-        assert answered.sent(POLL).fence_before(ReadParameterRequest(1, 4)) is None
+        responded = PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02")
+        assert responded.fence_before(ReadParameterRequest(1, 4)) == POLL
+        assert responded.fence_before(READ) is None
+        assert responded.fence_before(SPEED) is None
+        assert responded.sent(POLL).fence_before(ReadParameterRequest(1, 4)) is None
 
     def test_the_longest_memory(self) -> None:
         pending = PendingResponses(1, PLAIN)
@@ -238,7 +238,7 @@ def test_no_late_or_duplicate_response_is_ever_taken_for_another(
             unit.send(sent)
             for origin, frame in unit.deliver():
                 for event in exchange.receive(frame, 0.0):
-                    if isinstance(event, Answered):
+                    if isinstance(event, Responded):
                         assert origin.request == request
                         assert origin is sent or origin.writes_before == sent.writes_before
                         assert origin is sent or not is_write(request)

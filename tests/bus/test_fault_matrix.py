@@ -40,7 +40,7 @@ from bus.simulator.unit import Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
-from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unasked, untrue_result
+from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unrequested, untrue_result
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
 UNITS = 4
@@ -51,10 +51,10 @@ JAM = 0.002
 LARGE = (FaultKind.FLOOD, FaultKind.HUGE)
 STRANGER = 99
 """Among other faults a foreign response carries an address that no unit here has. A unit that sends in the
-name of another at the very moment of its poll cannot be told from it.
+name of another at the very moment of its poll cannot be distinguished from it.
 """
 ALL_AT_ONCE = {
-    kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.EVERYBODY
+    kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.ALL_ADDRESSES
 }
 SPEEDUP = 10.0
 CLOCK_SLACK_S = 0.5
@@ -108,7 +108,7 @@ class Trial:
         for action in commands(seed, count):
             await asyncio.sleep(dice.uniform(0.0, 0.1))
             await self._judge(action, dice.choice((0.03, 0.2, 2.0)))
-        self.complaints += unasked(self.cases, self._record)
+        self.complaints += unrequested(self.cases, self._record)
         self.complaints += rash_broadcasts(self.cases, self._record)
 
     async def _judge(self, action: Action, timeout_s: float) -> None:
@@ -179,7 +179,7 @@ def test_on_a_good_line_every_write_in_time_is_verified() -> None:
         assert case.result.outcome in ("verified", "acknowledged") or case.deadline - case.requested_at < 0.1
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.EVERYBODY])
+@pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.ALL_ADDRESSES])
 def test_each_fault_alone(kind: FaultKind) -> None:
     trial = virtual_trial({kind: JAM if kind in LARGE else ALONE}, seed=7, count=100)
     assert trial.complaints == []
@@ -188,7 +188,7 @@ def test_each_fault_alone(kind: FaultKind) -> None:
 
 def test_a_unit_that_takes_every_address_for_its_own() -> None:
     """It carries out the requests of others, so the host does not control what it holds staged."""
-    trial = virtual_trial({FaultKind.EVERYBODY: TOGETHER}, seed=7, count=100)
+    trial = virtual_trial({FaultKind.ALL_ADDRESSES: TOGETHER}, seed=7, count=100)
     assert [complaint for complaint in trial.complaints if "still holds" not in complaint] == []
     assert trial.outcomes()["verified"] > 10
 

@@ -1,4 +1,4 @@
-"""Every kind of command has one row that says how a worker carries it out, and how it claims the wire."""
+"""Every kind of command has one row that states how a worker carries it out, and how it claims the wire."""
 
 from __future__ import annotations
 

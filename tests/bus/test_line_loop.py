@@ -1,4 +1,4 @@
-"""The master at work on a virtual line: who is asked when, what silence costs, what a cable does."""
+"""The loop on a virtual line: which unit is polled when, the cost of a timeout, the effect of a cable."""
 
 from __future__ import annotations
 
@@ -115,11 +115,11 @@ def test_who_reads_parameters_without_end_leaves_every_second_turn_to_the_scan()
         polled = polls(line, began)
         assert len(polled) > 0.45 * 10 / POLL_S
         assert {polled.count(unit) for unit in line.units} <= {len(polled) // 8, len(polled) // 8 + 1}
-        asked = line.loop.time()
+        requested_at = line.loop.time()
         line.command(SetSpeed(unit=3, raw=700))
         await asyncio.sleep(0.1)
-        left = next(at for at, data in line.written if at >= asked and data[3] == 0x84)
-        assert left - asked <= POLL_S + 0.001, "a write is the next frame all the same"
+        left = next(at for at, data in line.written if at >= requested_at and data[3] == 0x84)
+        assert left - requested_at <= POLL_S + 0.001, "a write is the next frame all the same"
 
     run(scene, 8)
 
@@ -154,7 +154,7 @@ def test_a_turn_kept_for_a_write_that_never_comes_costs_a_moment_and_the_units_n
     ],
     ids=lambda action: type(action).__name__,
 )
-def test_what_an_operator_asks_is_the_very_next_frame(action: Action) -> None:
+def test_an_operators_command_is_the_very_next_frame(action: Action) -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         for _ in range(20):
@@ -182,7 +182,7 @@ def test_a_read_back_follows_its_write_at_once() -> None:
     run(scene, 8)
 
 
-def test_writes_without_end_do_not_starve_the_round() -> None:
+def test_endless_writes_do_not_starve_the_scan() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.loop.time()
@@ -287,12 +287,12 @@ def test_a_port_that_opens_and_is_gone_at_once_is_not_hammered() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         opened = 0
-        whole = line._open
+        open_port = line._open
 
         async def and_gone(port: str, baud: int, receiver: Receiver) -> OpenPort:
             nonlocal opened
             opened += 1
-            there = await whole(port, baud, receiver)
+            there = await open_port(port, baud, receiver)
             line.loop.call_later(0.001, receiver.connection_lost, Message("connection_closed"))
             return there
 
@@ -355,7 +355,7 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
 
 @pytest.mark.parametrize(
     "kind",
-    [FaultKind.HUGE, FaultKind.ECHO, FaultKind.EVERYBODY, FaultKind.DOUBLED, FaultKind.FOREIGN],
+    [FaultKind.HUGE, FaultKind.ECHO, FaultKind.ALL_ADDRESSES, FaultKind.DOUBLED, FaultKind.FOREIGN],
     ids=str,
 )
 def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None:
@@ -373,7 +373,7 @@ def test_strange_lines_are_bounded_and_named_in_figures(kind: FaultKind) -> None
     run(scene, 3)
 
 
-def test_late_answers_are_never_taken_for_others() -> None:
+def test_late_responses_are_never_taken_for_others() -> None:
     async def scene(line: VirtualLine) -> None:
         line.faults.set(FaultKind.LATE, 0.3)
         for _ in range(10):
@@ -385,7 +385,7 @@ def test_late_answers_are_never_taken_for_others() -> None:
     run(scene, 2)
 
 
-def test_a_full_read_of_a_bus_nobody_watches_costs_hardly_more_than_its_frames() -> None:
+def test_a_full_read_of_an_unwatched_bus_costs_hardly_more_than_its_frames() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(20)
         began = line.loop.time()
@@ -429,7 +429,7 @@ def test_reading_what_a_short_list_does_not_have() -> None:
     run(scene, 2)
 
 
-def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
+def test_a_short_timeout_does_not_cost_a_complete_list() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         command = line.command(ReadParameters(1))
@@ -446,7 +446,7 @@ def test_a_moment_of_silence_does_not_cost_a_whole_list() -> None:
     run(scene, 2)
 
 
-def test_a_unit_that_stays_silent_ends_its_reading() -> None:
+def test_a_unit_that_stops_responding_ends_its_reading() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(FaultKind.DEAD, 1, 1)
@@ -475,7 +475,7 @@ def test_a_secret_is_read_but_its_frames_are_not_kept() -> None:
 # --- scan and baud -------------------------------------------------------------------------------
 
 
-def test_a_scan_between_the_polls_finds_whoever_is_there() -> None:
+def test_a_scan_between_the_polls_finds_every_unit() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         result = await line.perform(ScanBus(1, 8), within_s=300)
@@ -487,7 +487,7 @@ def test_a_scan_between_the_polls_finds_whoever_is_there() -> None:
 
 
 @pytest.mark.parametrize("at_once", [True, False], ids=["at once", "at power-up"])
-def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
+def test_the_complete_line_goes_to_another_baud_rate(at_once: bool) -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [at_once] * 4)
         await settled(line)
@@ -503,25 +503,25 @@ def test_the_whole_line_goes_to_another_baud_rate(at_once: bool) -> None:
     run(scene, 4)
 
 
-def test_the_new_rate_is_told_before_any_reading_at_it() -> None:
+def test_the_new_rate_is_reported_before_any_reading_at_it() -> None:
     async def scene(line: VirtualLine) -> None:
         _decide(line, [True] * 3)
         await settled(line)
         assert (await line.perform(ChangeBaud(4800), timeout_s=10)).outcome == "verified"
         await asyncio.sleep(1)
-        told = [update for update in line.updates if isinstance(update, BusLink)]
-        assert [(each.link, each.baud) for each in told] == [("open", 9600), ("open", 4800)]
-        assert told[0].at == told[1].at, "the port was not opened anew"
-        assert line.worker.snapshot(0).bus == told[-1]
+        reported = [update for update in line.updates if isinstance(update, BusLink)]
+        assert [(each.link, each.baud) for each in reported] == [("open", 9600), ("open", 4800)]
+        assert reported[0].at == reported[1].at, "the port was not opened anew"
+        assert line.worker.snapshot(0).bus == reported[-1]
         last_acted = max(at for at, _, _ in line.acted()) + EPOCH
         at_new_rate = [u for u in line.updates if isinstance(u, Reading) and u.at > last_acted]
-        assert line.updates.index(told[-1]) < line.updates.index(at_new_rate[0])
+        assert line.updates.index(reported[-1]) < line.updates.index(at_new_rate[0])
 
     run(scene, 3)
 
 
-def test_a_line_that_has_come_to_its_new_rate_is_asked_there_only() -> None:
-    """From then on a cable pulled for long is a silence like any other, and ends where it began."""
+def test_a_line_found_at_its_new_rate_is_polled_there_only() -> None:
+    """From then on a cable pulled for long is an ordinary timeout, and ends where it began."""
 
     async def scene(line: VirtualLine) -> None:
         _decide(line, [False] * 3)
@@ -543,7 +543,9 @@ def test_a_line_that_has_come_to_its_new_rate_is_asked_there_only() -> None:
 
 
 def test_a_slow_line_with_its_first_unit_off_is_found_at_its_new_rate() -> None:
-    """Each look at a silent line costs a long turnaround; both rates must still get theirs in turn."""
+    """Each try on a line without responses costs a long turnaround; both rates must still get theirs in
+    turn.
+    """
 
     async def scene(line: VirtualLine) -> None:
         _decide(line, [False] * 3)
@@ -588,8 +590,9 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
 
 
 def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
-    """Somebody turns the unit to LOCAL between its lost ACK and the retry: it holds the new #18 all the same,
-    takes no other over the link, and would leave the line at its next power-up."""
+    """The unit is switched to LOCAL between its lost ACK and the retry: it has the new #18 all the same,
+    takes no other over the link, and would leave the line at its next power-up.
+    """
 
     async def scene(line: VirtualLine) -> None:
         command = await _its_ack_lost_and_then_local(line, 2)

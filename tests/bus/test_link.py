@@ -1,4 +1,4 @@
-"""One exchange at a time: windows, deadlines, leftovers, floods. A port and a clock of its own."""
+"""One exchange at a time: windows, deadlines, leftovers, floods, on a fake port and clock."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Wires(PlayedClock):
                 self.gathered += bytes((value,))
         self.link.account()
 
-    def answer(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
+    def respond(self, reply: Reply = STATUS, after_s: float = 0.005) -> None:
         """As a unit would: after the request has left."""
         self.pass_time(len(self.written[-1]) * BYTE_S + after_s)
         self.receive(encode_reply(reply, PLAIN))
@@ -117,10 +117,10 @@ async def wires() -> Wires:
     return Wires()
 
 
-async def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
+async def test_a_response_is_taken_with_its_times(wires: Wires) -> None:
     began = wires.time
     wires.send(ReadStatusRequest(1))
-    wires.answer(after_s=0.005)
+    wires.respond(after_s=0.005)
     result = wires.results[0]
     assert result.reply == STATUS
     assert result.sent_at == pytest.approx(began + 7 * BYTE_S)
@@ -129,7 +129,7 @@ async def test_an_answer_is_taken_with_its_times(wires: Wires) -> None:
     assert times.largest == pytest.approx(0.005, abs=1e-6)
 
 
-async def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
+async def test_a_timeout_ends_with_the_turnaround(wires: Wires) -> None:
     began = wires.time
     wires.send(ReadStatusRequest(1))
     wires.pass_time(1.0)
@@ -140,36 +140,36 @@ async def test_silence_ends_with_the_turnaround(wires: Wires) -> None:
     assert wires.roster[1].statistics.counts.timeouts == 1
 
 
-async def test_an_answer_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
+async def test_a_response_that_begins_at_the_last_moment_is_waited_for(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
-    wires.answer(after_s=TURNAROUND_S)
+    wires.respond(after_s=TURNAROUND_S)
     assert wires.results[0].reply == STATUS
 
 
-async def test_an_answer_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
+async def test_a_response_after_its_window_is_late_and_not_taken_by_the_next(wires: Wires) -> None:
     wires.send(ReadParameterRequest(1, 6))
     wires.pass_time(0.1)
     wires.send(ReadStatusRequest(1))
     wires.receive(encode_reply(ParameterReply(1, 55), PLAIN))
     assert len(wires.results) == 1
-    wires.answer(after_s=0.0)
+    wires.respond(after_s=0.0)
     assert wires.results[1].reply == STATUS
     assert wires.roster[1].statistics.counts.foreign + wires.roster[1].statistics.counts.late == 1
 
 
-async def test_a_second_copy_comes_too_early_to_be_the_next_answer(wires: Wires) -> None:
+async def test_a_duplicate_comes_too_early_to_be_the_next_response(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
-    wires.answer()
+    wires.respond()
     wires.send(ReadStatusRequest(1))
     wires.receive(encode_reply(STATUS, PLAIN))
     assert len(wires.results) == 1, "it is there before the request has left"
     newer = StatusReply(1, 600, 600, 77, 0xC0, 0x03)
-    wires.answer(newer, after_s=0.0)
+    wires.respond(newer, after_s=0.0)
     assert wires.results[1].reply == newer
     assert wires.roster[1].statistics.counts.late == 1
 
 
-async def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer(wires: Wires) -> None:
+async def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_response(wires: Wires) -> None:
     for _ in range(5):
         wires.send(ReadStatusRequest(1))
         wires.pass_time(0.0005)
@@ -179,7 +179,7 @@ async def test_a_port_faster_than_its_baud_rate_is_learned_from_its_first_answer
 
 @given(st.lists(st.booleans(), max_size=300))
 def test_pace_is_never_stuck(history: list[bool]) -> None:
-    """Whatever came before: early answers alone, or answers on time alone, are soon believed."""
+    """After any history, early responses alone, or responses on time alone, are soon believed."""
     pace = PortPace()
     for early in history:
         pace.believes(0.5 if early else 1.0, 1.0)
@@ -197,7 +197,7 @@ async def test_a_broadcast_is_over_once_it_has_left(wires: Wires) -> None:
     assert wires.link.counts.broadcasts == 1
 
 
-async def test_a_spoilt_answer_ends_the_wait_at_once(wires: Wires) -> None:
+async def test_a_damaged_response_ends_the_wait_at_once(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
     spoilt = bytearray(encode_reply(STATUS, PLAIN))
     spoilt[5] ^= 1
@@ -217,12 +217,12 @@ async def test_bytes_without_end_do_not_hold_the_window_open(wires: Wires) -> No
     assert wires.link.counts.noise_bytes > 0
 
 
-async def test_bytes_that_nobody_asked_for_are_counted(wires: Wires) -> None:
+async def test_unrequested_bytes_are_counted(wires: Wires) -> None:
     wires.link.data_received(b"hello")
     assert wires.link.counts.noise_bytes == 5
 
 
-async def test_an_echo_is_counted_and_is_no_answer(wires: Wires) -> None:
+async def test_an_echo_is_counted_and_is_no_response(wires: Wires) -> None:
     wires.send(SetAndExecuteSpeedRequest(1, 640))
     wires.receive(wires.written[0])
     wires.pass_time(0.005)
@@ -257,7 +257,7 @@ async def test_a_lost_port_gives_back_what_was_under_way(wires: Wires) -> None:
 
 async def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
     wires.send(ReadStatusRequest(1))
-    wires.answer()
+    wires.respond()
     first, second = wires.trace.since(0.0)
     assert (first.direction, second.direction) == ("out", "in")
     assert second.at > first.at
@@ -269,7 +269,7 @@ async def test_the_trace_gives_back_what_passed_in_order(wires: Wires) -> None:
 
 async def test_a_secret_passes_without_its_bytes(wires: Wires) -> None:
     wires.send(ReadParameterRequest(1, 21))
-    wires.answer(ParameterReply(1, 4242))
+    wires.respond(ParameterReply(1, 4242))
     for passed in wires.trace.since(0.0):
         assert passed.data == b""
         assert Interpreter(PLAIN).frame(passed).meaning == str(HIDDEN)
@@ -287,7 +287,7 @@ def kept(wires: Wires) -> bytes:
 
 
 def timed_out(wires: Wires, request: Request) -> None:
-    """Nothing answers in time."""
+    """Let the exchange end without a response."""
     wires.send(request)
     wires.pass_time(1.0)
     assert wires.results[-1].reply is None
@@ -301,21 +301,21 @@ async def test_a_secret_that_comes_late_is_kept_without_its_bytes(
     timed_out(wires, request_)
     wires.pass_time(later_s)
     wires.send(ReadStatusRequest(1))
-    wires.answer(SECRET)
-    wires.answer()
+    wires.respond(SECRET)
+    wires.respond()
     assert wires.results[-1].reply == STATUS
     assert SECRET_BYTES not in kept(wires)
-    assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "an answer that is none is kept as ever"
+    assert kept(wires).endswith(encode_reply(STATUS, PLAIN)), "bytes that are no response are kept"
 
 
-@pytest.mark.parametrize("asked", [1, 2])
-async def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, asked: int) -> None:
+@pytest.mark.parametrize("polled_unit", [1, 2])
+async def test_a_secret_that_comes_twice_is_kept_without_its_bytes(wires: Wires, polled_unit: int) -> None:
     wires.send(ReadParameterRequest(1, 21))
-    wires.answer(SECRET)
+    wires.respond(SECRET)
     wires.receive(encode_reply(SECRET, PLAIN))
-    wires.send(ReadStatusRequest(asked))
-    wires.answer(SECRET)
-    wires.answer(replace(STATUS, unit=asked))
+    wires.send(ReadStatusRequest(polled_unit))
+    wires.respond(SECRET)
+    wires.respond(replace(STATUS, unit=polled_unit))
     assert SECRET_BYTES not in kept(wires)
 
 
@@ -333,14 +333,14 @@ async def test_a_piece_of_a_secret_is_kept_without_its_bytes(wires: Wires) -> No
     assert SECRET_BYTES not in kept(wires)
 
 
-async def test_what_is_no_answer_is_kept_as_ever_while_no_secret_can_come(wires: Wires) -> None:
+async def test_bytes_that_are_no_response_are_kept_while_no_secret_can_come(wires: Wires) -> None:
     wires.send(ReadParameterRequest(1, 21))
-    wires.answer(SECRET)
+    wires.respond(SECRET)
     wires.send(ReadStatusRequest(1))
-    wires.answer()
+    wires.respond()
     wires.pass_time(SECRET_LINGERS_S)
     wires.send(ReadStatusRequest(1))
-    wires.answer(ParameterReply(1, 777))
+    wires.respond(ParameterReply(1, 777))
     wires.pass_time(1.0)
     assert (777).to_bytes(4, "big") in kept(wires)
 
@@ -383,14 +383,14 @@ async def test_a_broadcast_is_left_to_leave() -> None:
     assert line.dropped == 1
 
 
-async def test_bytes_gather_until_an_answer_can_be_complete() -> None:
+async def test_bytes_gather_until_a_response_can_be_complete() -> None:
     line = Wires()
     line.send(ReadStatusRequest(1))
     assert line.listens, "how fast the port is shows at its first answer"
-    line.answer(after_s=0.0)
+    line.respond(after_s=0.0)
     line.send(ReadStatusRequest(2))
     assert not line.listens
-    line.answer(replace(STATUS, unit=2), after_s=0.0)
+    line.respond(replace(STATUS, unit=2), after_s=0.0)
     result = line.results[-1]
     assert result.reply == replace(STATUS, unit=2)
     assert result.ended == pytest.approx(100.0 + 2 * 25 * BYTE_S)
@@ -401,14 +401,14 @@ async def test_a_leftover_that_gathered_is_still_too_early() -> None:
     line = Wires()
     for _ in range(2):
         line.send(ReadStatusRequest(1))
-        line.answer()
+        line.respond()
     line.send(ReadStatusRequest(2))
     line.gathered = encode_reply(replace(STATUS, unit=2, actual=77), PLAIN)
-    line.answer(replace(STATUS, unit=2, actual=78))
+    line.respond(replace(STATUS, unit=2, actual=78))
     assert line.results[-1].reply == replace(STATUS, unit=2, actual=78)
 
 
-async def test_an_answer_that_a_stalled_process_finds_waiting_is_as_old_as_its_window() -> None:
+async def test_a_response_found_after_a_stall_is_as_old_as_its_window() -> None:
     line = Wires()
     line.send(ReadStatusRequest(1))
     line.time += 3600.0
@@ -423,14 +423,14 @@ def _paced() -> Wires:
     """A port that is known to be as slow as its baud rate."""
     line = Wires()
     line.send(ReadStatusRequest(2))
-    line.answer(replace(STATUS, unit=2))
+    line.respond(replace(STATUS, unit=2))
     return line
 
 
 async def test_a_response_that_comes_alone_and_in_time_is_ordinary() -> None:
     line = _paced()
     line.send(ReadStatusRequest(1))
-    line.answer()
+    line.respond()
     assert line.exchanges[-1].result.is_ordinary
 
 
@@ -443,7 +443,7 @@ async def test_what_follows_is_after_the_response_in_the_trace() -> None:
     line.link.send(following)
     ways = [passed.direction for passed in line.trace.since(0.0)]
     assert ways == ["out", "in", "out", "in", "out"]
-    line.answer(replace(STATUS, unit=2))
+    line.respond(replace(STATUS, unit=2))
     assert following.reply == replace(STATUS, unit=2)
 
 
@@ -509,9 +509,9 @@ async def test_an_overdue_response_of_another_unit_is_reported_once() -> None:
     line.send(ReadStatusRequest(2))
     line.pass_time(1.0)
     line.send(ReadStatusRequest(1))
-    line.answer(replace(STATUS, unit=2))
-    line.answer()
+    line.respond(replace(STATUS, unit=2))
+    line.respond()
     assert line.results[-1].overdue == (2,)
     line.send(ReadStatusRequest(1))
-    line.answer()
+    line.respond()
     assert line.results[-1].overdue == ()

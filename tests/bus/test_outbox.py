@@ -1,4 +1,4 @@
-"""What is buffered while the app is away: in order, numbered without a gap, bounded."""
+"""Updates buffered while the app is away: in order, numbered without a gap, bounded."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def requested(addresses: range, responses: dict[int, int]) -> tuple[list[int], l
             passes.no_response()
         settled.append(passes.settled)
     assert settled == sorted(settled)
-    assert settled[-1] == passes.questions
+    assert settled[-1] == passes.requests
     assert passes.done == len(addresses)
     return seen, settled
 

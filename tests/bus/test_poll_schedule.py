@@ -25,7 +25,7 @@ TIMEOUT_S = 0.068
 
 @dataclass
 class Line:
-    """Plays a schedule against units that respond, except for the dead ones."""
+    """Plays a schedule against units that respond, except for those in ``dead``."""
 
     schedule: PollSchedule
     dead: set[int] = field(default_factory=set)
@@ -46,15 +46,15 @@ class Line:
         return self
 
     def _carry_out(self, task: Task) -> None:
-        answered = task.unit not in self.dead
+        responded = task.unit not in self.dead
         seconds = POLL_S if task.kind is not TaskKind.PARAMETER else PARAMETER_S
-        seconds = seconds if answered else TIMEOUT_S
+        seconds = seconds if responded else TIMEOUT_S
         began, self.now = self.now, self.now + seconds
-        self.schedule.spent(task, began, self.now, answered=answered)
+        self.schedule.spent(task, began, self.now, responded=responded)
         self.tasks.append((began, task, seconds))
         if task.kind is TaskKind.SLOW:
             return
-        if not answered:
+        if not responded:
             self.schedule.stopped_responding(task.unit, self.now)
         else:
             self.schedule.responded(task.unit, self.now)
@@ -166,7 +166,7 @@ def test_units_added_and_removed_take_no_other_turn() -> None:
 
 def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> None:
     line = line_of(8)
-    line.schedule.watch({3}, anybody=True)
+    line.schedule.watch({3}, any_page=True)
     line.play(40.0)
     counts = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=20.0))
     assert 8.5 < counts[3] / 20.0 <= WATCHED_HZ
@@ -258,10 +258,10 @@ def test_a_parameter_that_a_unit_does_not_have_is_not_read_again() -> None:
     assert schedule.parameters.next_background() == (1, 39)
 
 
-@pytest.mark.parametrize(("anybody", "low", "high"), [(True, 0.08, 0.11), (False, 0.9, 0.96)])
-def test_a_slow_read_takes_the_gaps(anybody: bool, low: float, high: float) -> None:
+@pytest.mark.parametrize(("any_page", "low", "high"), [(True, 0.08, 0.11), (False, 0.9, 0.96)])
+def test_a_slow_read_takes_the_gaps(any_page: bool, low: float, high: float) -> None:
     line = line_of(8)
-    line.schedule.watch(range(1, 9) if anybody else (), anybody=anybody)
+    line.schedule.watch(range(1, 9) if any_page else (), any_page=any_page)
     line.play(10.0).play(40.0, slow=True)
     assert low < line.share(TaskKind.SLOW, since=10.0) < high
 
@@ -302,7 +302,7 @@ def test_a_back_off_never_exceeds_ten_seconds(seed: int) -> None:
         assert due - now <= STEPS_S[-1]
         now = due
         assert backoff.due(now) == 1
-        backoff.unanswered(1, now, 0.01)
+        backoff.no_response(1, now, 0.01)
     assert backoff.back_off_s(1) == STEPS_S[-1]
 
 

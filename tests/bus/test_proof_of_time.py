@@ -13,7 +13,7 @@ from tests.bus.virtual_line import VirtualLine, run
 
 UNITS = 4
 RATE = 0.05
-BLOCKING = (FaultKind.EVERYBODY, FaultKind.HUGE, FaultKind.FLOOD)
+BLOCKING = (FaultKind.ALL_ADDRESSES, FaultKind.HUGE, FaultKind.FLOOD)
 """Each of these blocks all traffic on the line."""
 SET_AND_EXECUTE = 0x84
 

@@ -1,4 +1,4 @@
-"""Procedures played with made-up answers: when a write is verified, and what is said when it is not."""
+"""Procedures with scripted responses: when a write is verified, and the message when it is not."""
 
 from __future__ import annotations
 
@@ -35,26 +35,28 @@ Brain = Callable[[Request], Reply | SendStatus]
 
 
 def play(procedure: Procedure, brain: Brain) -> tuple[Result, list[Request]]:
-    """Run it against ``brain``; the result and what was asked."""
-    asked: list[Request] = []
-    answer: SendResult | None = None
+    """Run it against ``brain``; return the result and the requests."""
+    requests: list[Request] = []
+    sent: SendResult | None = None
     try:
         while True:
-            step = procedure.send(answer)
-            answer = None
+            step = procedure.send(sent)
+            sent = None
             if isinstance(step, Send):
-                asked.append(step.request)
-                answer = answer_of(brain(step.request), float(len(asked)))
+                requests.append(step.request)
+                sent = send_result_of(brain(step.request), float(len(requests)))
     except StopIteration as end:
-        return end.value, asked
+        return end.value, requests
 
 
-def answer_of(said: Reply | SendStatus, at: float) -> SendResult:
-    if isinstance(said, SendStatus):
+def send_result_of(response: Reply | SendStatus, at: float) -> SendResult:
+    if isinstance(response, SendStatus):
         return SendResult(
-            said, attempts=0 if said in (SendStatus.TOO_LATE, SendStatus.PORT_CLOSED) else 1, sent_at=at
+            response,
+            attempts=0 if response in (SendStatus.TOO_LATE, SendStatus.PORT_CLOSED) else 1,
+            sent_at=at,
         )
-    return SendResult(SendStatus.RESPONDED, said, attempts=1, sent_at=at, responded_at=at + 0.5)
+    return SendResult(SendStatus.RESPONDED, response, attempts=1, sent_at=at, responded_at=at + 0.5)
 
 
 def status(commanded: int, inputs: int = MASTER, outputs: int = REMOTE) -> StatusReply:
@@ -101,16 +103,16 @@ def brain_of(
 
 
 def test_verified_only_by_a_later_exchange_that_shows_it(record: UnitRecord) -> None:
-    result, asked = play(set_speed(record), brain_of(reads=[status(640)]))
-    assert asked == [SetAndExecuteSpeedRequest(1, 640), ReadStatusRequest(1)]
+    result, requests = play(set_speed(record), brain_of(reads=[status(640)]))
+    assert requests == [SetAndExecuteSpeedRequest(1, 640), ReadStatusRequest(1)]
     assert (result.outcome, result.read_back) == ("verified", 640)
     unit = result.units[0]
     assert (unit.sent_at, unit.acknowledged_at, unit.proven_at) == (1.0, 1.5, 2.5)
 
 
 def test_a_refusal_is_not_read_back(record: UnitRecord) -> None:
-    result, asked = play(set_speed(record), brain_of(write=Nak(1, 0x80), reads=[status(640)]))
-    assert len(asked) == 1
+    result, requests = play(set_speed(record), brain_of(write=Nak(1, 0x80), reads=[status(640)]))
+    assert len(requests) == 1
     assert (result.outcome, result.unit_error) == ("refused", 0x80)
 
 
@@ -121,25 +123,25 @@ def test_a_lost_acknowledgement_is_made_good_by_the_read_back(record: UnitRecord
 
 
 def test_a_unit_that_takes_a_moment_is_looked_at_again(record: UnitRecord) -> None:
-    result, asked = play(set_speed(record), brain_of(reads=[status(100), status(100), status(640)]))
+    result, requests = play(set_speed(record), brain_of(reads=[status(100), status(100), status(640)]))
     assert result.outcome == "verified"
-    assert asked.count(ReadStatusRequest(1)) == 3
+    assert requests.count(ReadStatusRequest(1)) == 3
 
 
 def test_it_waits_between_its_looks_so_that_others_may_go(record: UnitRecord) -> None:
     procedure = set_speed(record)
-    steps, answer = [], None
-    for said in (None, TAKEN, None, None, status(100)):
-        answer = answer_of(said, 1.0) if said is not None else None
-        steps.append(procedure.send(answer))
+    steps, sent = [], None
+    for response in (None, TAKEN, None, None, status(100)):
+        sent = send_result_of(response, 1.0) if response is not None else None
+        steps.append(procedure.send(sent))
     assert isinstance(steps[-1], Wait)
 
 
 def test_a_read_back_that_differs_is_unverified_with_what_was_read(record: UnitRecord) -> None:
-    result, asked = play(set_speed(record), brain_of(reads=[status(100)]))
+    result, requests = play(set_speed(record), brain_of(reads=[status(100)]))
     assert (result.outcome, result.read_back) == ("unverified", 100)
     assert "reads 100" in str(result.message)
-    assert len(asked) == 4, "and the looking ends"
+    assert len(requests) == 4, "and the looking ends"
 
 
 def test_what_stands_above_the_setpoint_is_named(record: UnitRecord) -> None:
@@ -155,19 +157,19 @@ def test_no_read_back_is_unverified(record: UnitRecord) -> None:
 
 def test_nothing_sent_is_never_more_than_not_sent(record: UnitRecord) -> None:
     for end, outcome in ((SendStatus.TOO_LATE, "not_sent"), (SendStatus.PORT_CLOSED, "bus_closed")):
-        result, asked = play(set_speed(record), brain_of(write=end, reads=[status(640)]))
+        result, requests = play(set_speed(record), brain_of(write=end, reads=[status(640)]))
         assert result.outcome == outcome
-        assert len(asked) == 1, "a read-back by chance would prove nothing"
+        assert len(requests) == 1, "a read-back by chance would prove nothing"
 
 
 # --- followers -----------------------------------------------------------------------------------
 
 
-def test_a_follower_is_proven_by_its_ratio(record: UnitRecord) -> None:
+def test_a_follower_is_verified_by_its_ratio(record: UnitRecord) -> None:
     brain = brain_of(reads=[status(1200, FOLLOWER)], ratio=ParameterReply(1, 640))
-    result, asked = play(set_speed(follower(record)), brain)
+    result, requests = play(set_speed(follower(record)), brain)
     assert result.outcome == "verified"
-    assert asked[-1] == ReadParameterRequest(1, 37)
+    assert requests[-1] == ReadParameterRequest(1, 37)
 
 
 def test_a_followers_speed_that_happens_to_be_the_number_is_no_proof(record: UnitRecord) -> None:
@@ -184,9 +186,9 @@ def test_a_followers_speed_that_became_the_number_is_proof_where_it_has_no_ratio
 
 def test_where_a_followers_cs_is_the_ratio_it_is_compared(record: UnitRecord) -> None:
     dialect = Dialect(follower_speed="ratio")
-    result, asked = play(set_speed(follower(record), dialect), brain_of(reads=[status(640, FOLLOWER)]))
+    result, requests = play(set_speed(follower(record), dialect), brain_of(reads=[status(640, FOLLOWER)]))
     assert result.outcome == "verified"
-    assert len(asked) == 2
+    assert len(requests) == 2
 
 
 def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
@@ -209,13 +211,13 @@ def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
 
 
 def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, asked = play(writes.stage(record, 640), brain_of(reads=[]))
-    assert (result.outcome, len(asked)) == ("acknowledged", 1)
+    result, requests = play(writes.stage(record, 640), brain_of(reads=[]))
+    assert (result.outcome, len(requests)) == ("acknowledged", 1)
 
 
 def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:
-    result, asked = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
-    assert (result.outcome, len(asked)) == ("acknowledged", 1)
+    result, requests = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
+    assert (result.outcome, len(requests)) == ("acknowledged", 1)
     record.staged = 640
     result, _ = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
     assert (result.outcome, result.read_back) == ("verified", 640)
@@ -224,17 +226,17 @@ def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: Unit
 
 
 @pytest.mark.parametrize(("bits", "outcome"), [(0x44, "verified"), (0x40, "unverified"), (0x04, "verified")])
-def test_an_output_is_proven_by_its_bit(bits: int, outcome: str) -> None:
+def test_an_output_is_verified_by_its_bit(bits: int, outcome: str) -> None:
     brain = brain_of(reads=[status(0, outputs=bits)])
     assert play(writes.write_output(1, 3, True), brain)[0].outcome == outcome
 
 
-def test_a_parameter_is_proven_by_its_value() -> None:
+def test_a_parameter_is_verified_by_its_value() -> None:
     brain = brain_of(reads=[], ratio=ParameterReply(1, 77))
     assert play(writes.write_parameter(1, 6, 77), brain)[0].outcome == "verified"
-    result, asked = play(writes.write_parameter(1, 6, 78), brain)
+    result, requests = play(writes.write_parameter(1, 6, 78), brain)
     assert (result.outcome, result.read_back) == ("unverified", 77)
-    assert len(asked) == 4
+    assert len(requests) == 4
 
 
 def test_an_analog_output_is_acknowledged_at_best() -> None:
@@ -242,22 +244,24 @@ def test_an_analog_output_is_acknowledged_at_best() -> None:
     assert result.outcome == "acknowledged"
 
 
-# --- one question through its tries --------------------------------------------------------------
+# --- one request through its tries ---------------------------------------------------------------
 
 
 def miss(request: Request) -> ExchangeResult:
     return ExchangeResult(request, None, 1.0, 1.5, 1.0)
 
 
-def ask_until_over(
-    attempts: SendAttempts, answers: Callable[[Request], bool], now: float = 0.0
+def send_until_over(
+    attempts: SendAttempts, responds: Callable[[Request], bool], now: float = 0.0
 ) -> list[Request]:
-    """Play it; ``answers`` says whether a request is answered. Every timeout leaves its doubt."""
+    """Play it; ``responds`` decides whether a request gets a response. A timeout leaves a possible late
+    response.
+    """
     pending, sent = PendingResponses(1, PLAIN), []
     while (request := attempts.next_request(now, pending)) is not None:
         sent.append(request)
         pending = pending.sent(request)
-        if answers(request):
+        if responds(request):
             reply = status(1) if request == ReadStatusRequest(1) else Ack(1)
             attempts.settle(ExchangeResult(request, reply, 1.0, 1.5, 1.0, 1.5))
             pending = PendingResponses(1, PLAIN)
@@ -268,7 +272,7 @@ def ask_until_over(
 
 def test_a_read_is_tried_three_times() -> None:
     attempts = SendAttempts(Send(ReadStatusRequest(1)))
-    assert ask_until_over(attempts, lambda _: False) == [ReadStatusRequest(1)] * 3
+    assert send_until_over(attempts, lambda _: False) == [ReadStatusRequest(1)] * 3
     assert attempts.result is not None
     assert (attempts.result.status, attempts.result.attempts) == (SendStatus.TIMED_OUT, 3)
 
@@ -276,7 +280,7 @@ def test_a_read_is_tried_three_times() -> None:
 def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
     write = SetAndExecuteSpeedRequest(1, 640)
     attempts = SendAttempts(Send(write))
-    sent = ask_until_over(attempts, lambda request: request != write)
+    sent = send_until_over(attempts, lambda request: request != write)
     assert sent == [write, ReadStatusRequest(1)] * 3 + [write]
     assert attempts.result is not None
     assert attempts.result.attempts == 4
@@ -285,7 +289,7 @@ def test_a_write_is_tried_four_times_with_a_fence_before_each_try() -> None:
 def test_a_dead_unit_gets_the_write_once_and_then_only_reads() -> None:
     write = SetAndExecuteSpeedRequest(1, 640)
     attempts = SendAttempts(Send(write))
-    sent = ask_until_over(attempts, lambda _: False)
+    sent = send_until_over(attempts, lambda _: False)
     assert sent.count(write) == 1
     assert len(sent) == 4
 
@@ -312,7 +316,7 @@ def test_a_read_back_may_follow_the_deadline() -> None:
     assert attempts.next_request(9.0, PendingResponses(1, PLAIN)) == ReadStatusRequest(1)
 
 
-def test_a_proof_is_fenced_from_an_older_answer_of_its_own_kind() -> None:
+def test_a_readback_is_fenced_from_an_older_response_of_its_kind() -> None:
     pending = PendingResponses(1, PLAIN).sent(ReadStatusRequest(1))
     fence = SendAttempts(Send(ReadStatusRequest(1), fresh=True)).next_request(0.0, pending)
     assert isinstance(fence, ReadParameterRequest)

@@ -1,4 +1,4 @@
-"""What ends soon after it begins is tried and told ever more seldom; what worked is tried again at once."""
+"""Retries that fail soon slow down, and so do their events; what worked is retried at once."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_pause_doubles_up_to_its_longest() -> None:
     assert [backoff.ended(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
 
 
-def test_what_is_of_use_in_between_is_tried_again_soon() -> None:
+def test_a_useful_connection_is_retried_soon() -> None:
     backoff = ReconnectDelay(middle)
     assert [backoff.ended(1.0, useful=True) for _ in range(4)] == [0.5] * 4
 
@@ -83,12 +83,14 @@ class Port:
 
 
 class PlayedLoop:
-    """What the opener needs of it. Each opening lasts as ``lasts`` says and brings ``answers``."""
+    """The part of the loop that the opener needs. An opening lasts as ``lasts`` states and has
+    ``responses``.
+    """
 
     def __init__(
         self,
         lasts: Callable[[int], float | None],
-        answers: int = 0,
+        responses: int = 0,
         failure: Callable[[int], WireError] = lambda _: WireError(Message("port_missing")),
     ) -> None:
         self.lasts = lasts
@@ -96,7 +98,7 @@ class PlayedLoop:
         self.clock = SimpleNamespace(now=lambda: asyncio.get_running_loop().time())
         self.bus = SimpleNamespace(port="socket://box:4001")
         self.baud = 9600
-        self.link = SimpleNamespace(has_responses=answers > 0)
+        self.link = SimpleNamespace(has_responses=responses > 0)
         self.opened: list[float] = []
         self.lost: asyncio.Future[Message]
         self.tried = 0
@@ -152,7 +154,7 @@ def test_a_cable_that_is_pulled_and_put_back_is_found_within_a_second(worked_s: 
 
 
 def test_a_bad_contact_is_never_waited_for_longer_than_a_second() -> None:
-    line = PlayedLoop(lambda _: 4.0, answers=1)
+    line = PlayedLoop(lambda _: 4.0, responses=1)
     play(line, 600.0)
     gaps = [later - earlier - 4.0 for earlier, later in zip(line.opened, line.opened[1:], strict=False)]
     assert max(gaps) <= LONGEST_USEFUL_PAUSE_S * (1 + JITTER) + 0.001 < 1.0
@@ -185,7 +187,7 @@ def test_the_opening_that_lasts_at_last_is_a_line() -> None:
 
 
 class Flapping(Uplink):
-    """An app that accepts and then does as it is told."""
+    """An app that accepts and then does as scripted."""
 
     def __init__(self, end: Callable[[], Exception], lasts_s: float) -> None:
         super().__init__("http://app", "t", Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
@@ -227,7 +229,7 @@ def test_an_app_that_ran_well_is_looked_for_at_once() -> None:
     assert uplink.accepted[1] - uplink.accepted[0] < 3600.2
 
 
-def test_a_refusal_is_asked_about_again_without_backoff() -> None:
+def test_a_refusal_is_retried_without_backoff() -> None:
     uplink = Flapping(lambda: Refused("no"), -0.01)
     lines = play_uplink(uplink, 600.0)
     assert len(uplink.accepted) > 600 / (REFUSED_PAUSE_S * (1 + JITTER)) - 1

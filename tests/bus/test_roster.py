@@ -1,4 +1,4 @@
-"""What is known of each unit, and what is reported about it."""
+"""The state of each unit, and its updates to the app."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ async def readings_in(line: VirtualLine, work: Awaitable[object]) -> float:
 
 def test_a_unit_that_responds_for_others_is_named() -> None:
     async def scene(line: VirtualLine) -> Result:
-        line.faults.set(FaultKind.EVERYBODY, 1.0, unit=2)
+        line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, unit=2)
         return await scan(line)
 
     message = str(run(scene, 2, configured=2).message)

@@ -1,4 +1,4 @@
-"""The worker as a whole on a virtual clock: ids, deadlines, figures, snapshot, trace, leaving."""
+"""The complete worker on a virtual clock: ids, deadlines, figures, snapshot, trace, leaving."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bus.contract import (
     Watch,
     encode,
 )
-from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
+from bus.line.statistics.diagnosis import UnitSymptoms, diagnose, responds_for_all
 from bus.messages import Message
 from bus.simulator.faults import FaultKind
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
@@ -36,7 +36,7 @@ async def settled(line: VirtualLine) -> None:
     await asyncio.sleep(1.2)
 
 
-def test_hello_says_who_speaks() -> None:
+def test_hello_identifies_the_worker() -> None:
     async def scene(line: VirtualLine) -> None:
         hello = line.worker.hello()
         assert (hello.version, hello.bus, hello.port) == (CONTRACT_VERSION, "virtual", "/dev/virtual")
@@ -61,7 +61,7 @@ def test_a_snapshot_has_everything_that_is_known() -> None:
     run(scene, 2)
 
 
-def test_an_id_is_carried_out_once_and_its_fate_repeated() -> None:
+def test_an_id_is_carried_out_once_and_its_result_repeated() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         for _ in range(3):
@@ -91,7 +91,7 @@ def test_a_command_that_comes_too_late_is_never_sent_but_a_read_is() -> None:
     run(scene, 2)
 
 
-def test_the_apps_clock_decides_what_is_late() -> None:
+def test_the_apps_clock_decides_lateness() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.worker.app_clock.observe(EPOCH - 3600.0, EPOCH)
@@ -124,7 +124,7 @@ def test_progress_runs_from_waiting_to_proving() -> None:
     run(scene, 2)
 
 
-def test_figures_come_every_second_and_say_what_the_wire_carries() -> None:
+def test_figures_come_every_second_with_the_load_of_the_wire() -> None:
     async def scene(line: VirtualLine) -> None:
         await asyncio.sleep(12.0)
         figures = [update for update in line.updates if isinstance(update, BusFigures)]
@@ -135,12 +135,12 @@ def test_figures_come_every_second_and_say_what_the_wire_carries() -> None:
         assert last.scan_s == pytest.approx(1 / last.scan_hz)
         assert last.scan_s_with_one_more == pytest.approx(last.scan_s * 5 / 4)
         assert last.diagnosis == []
-        assert all(unit.answers > 50 and unit.answer_s_median is not None for unit in last.units)
+        assert all(unit.responses > 50 and unit.response_s_median is not None for unit in last.units)
 
     run(scene, 4)
 
 
-def test_figures_name_the_one_unit_that_is_silent() -> None:
+def test_figures_name_the_one_unit_that_does_not_respond() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(FaultKind.DEAD, 1.0, 2)
@@ -150,7 +150,7 @@ def test_figures_name_the_one_unit_that_is_silent() -> None:
     run(scene, 4)
 
 
-def test_frames_are_told_only_while_followed() -> None:
+def test_frames_are_reported_only_while_followed() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         assert not [update for update in line.updates if isinstance(update, Frames)]
@@ -184,7 +184,7 @@ def test_the_trace_is_read_piece_by_piece_without_a_gap() -> None:
     run(scene, 2)
 
 
-def test_told_to_leave_it_takes_nothing_new_and_gives_up_what_waits() -> None:
+def test_on_leaving_it_takes_nothing_new_and_drops_waiting_commands() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         slow = line.command(ReadParameters(1, urgent=False))
@@ -201,17 +201,17 @@ def test_told_to_leave_it_takes_nothing_new_and_gives_up_what_waits() -> None:
 
 # --- diagnosis -----------------------------------------------------------------------------------
 
-WELL = [UnitSymptoms(unit, answers=100) for unit in range(1, 6)]
+WELL = [UnitSymptoms(unit, responses=100) for unit in range(1, 6)]
 
 
 def ill(*units: int, **failure: int) -> list[UnitSymptoms]:
     return [
-        UnitSymptoms(each.unit, answers=each.answers, **failure) if each.unit in units else each
+        UnitSymptoms(each.unit, responses=each.responses, **failure) if each.unit in units else each
         for each in WELL
     ]
 
 
-ONE_SILENT = Message.of("diagnosis_one_silent", unit=3)
+ONE_UNRESPONSIVE = Message.of("diagnosis_one_silent", unit=3)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ ONE_SILENT = Message.of("diagnosis_one_silent", unit=3)
     [
         (WELL, 0, 0, []),
         (ill(3, timeouts=1), 0, 0, []),
-        (ill(3, timeouts=40), 0, 0, [ONE_SILENT]),
+        (ill(3, timeouts=40), 0, 0, [ONE_UNRESPONSIVE]),
         (ill(4, 5, timeouts=40), 0, 0, [Message.of("diagnosis_silent_from", unit=4, before=3)]),
         (ill(2, 4, timeouts=40), 0, 0, [Message.of("diagnosis_some_silent", units=[2, 4])]),
         (ill(1, 2, 3, 4, 5, timeouts=40), 0, 0, [Message("diagnosis_no_response")]),
@@ -230,13 +230,13 @@ ONE_SILENT = Message.of("diagnosis_one_silent", unit=3)
         (ill(3, foreign=20), 0, 0, [Message.of("diagnosis_foreign", units=[3])]),
         (WELL, 0, 50, [Message("diagnosis_echo")]),
         (WELL, 500, 0, [Message("diagnosis_stray_bytes")]),
-        (ill(3, timeouts=40), 10_000, 0, [ONE_SILENT, Message("diagnosis_other_protocol")]),
+        (ill(3, timeouts=40), 10_000, 0, [ONE_UNRESPONSIVE, Message("diagnosis_other_protocol")]),
         (ill(1, 2, 4, 5, late=20), 0, 0, [Message.of("diagnosis_all_twice", unit=3)]),
         (ill(1, 2, 4, 5, offline=True), 48, 0, [Message.of("diagnosis_collisions", unit=3)]),
         (ill(1, 2, 4, 5, offline=True), 0, 0, [Message.of("diagnosis_some_silent", units=[1, 2, 4, 5])]),
-        (ill(5, says=3), 0, 0, [Message.of("diagnosis_other_name", units=[5], own=3)]),
-        (ill(5, says=5), 0, 0, []),
-        (ill(5, says=3, offline=True), 0, 0, [Message.of("diagnosis_one_silent", unit=5)]),
+        (ill(5, own_address=3), 0, 0, [Message.of("diagnosis_other_name", units=[5], own=3)]),
+        (ill(5, own_address=5), 0, 0, []),
+        (ill(5, own_address=3, offline=True), 0, 0, [Message.of("diagnosis_one_silent", unit=5)]),
     ],
 )
 def test_the_likely_cause(units: list[UnitSymptoms], noise: int, echoes: int, causes: list[Message]) -> None:
@@ -253,7 +253,7 @@ def test_the_likely_cause(units: list[UnitSymptoms], noise: int, echoes: int, ca
         (ill(1, 2, late=20), 0),
         (ill(1, 2, 4, 5, late=8, timeouts=8), 0),
         ([*ill(1, 2, late=20)[:3], *ill(4, 5, offline=True)[3:]], 3),
-        ([UnitSymptoms(1, answers=100, late=50), UnitSymptoms(2, answers=100)], 0),
+        ([UnitSymptoms(1, responses=100, late=50), UnitSymptoms(2, responses=100)], 0),
     ],
     ids=[
         "well",
@@ -266,16 +266,16 @@ def test_the_likely_cause(units: list[UnitSymptoms], noise: int, echoes: int, ca
         "of two nobody can tell",
     ],
 )
-def test_who_answers_to_every_address(units: list[UnitSymptoms], found: int) -> None:
-    assert answers_for_all(units) == found
+def test_a_unit_that_responds_to_every_address(units: list[UnitSymptoms], found: int) -> None:
+    assert responds_for_all(units) == found
 
 
-def test_who_answers_in_the_name_of_a_dead_unit_is_found_by_what_it_reads_as_its_own_address() -> None:
-    """No frame of it shows that: unit 3 gives the address that was asked."""
+def test_a_unit_that_responds_for_a_dead_one_is_found_by_its_parameter_17() -> None:
+    """No frame shows that: unit 3 returns the address of the request."""
 
     async def scene(line: VirtualLine) -> None:
         line.faults.set(FaultKind.DEAD, 1.0, 5)
-        line.faults.set(FaultKind.EVERYBODY, 1.0, 3)
+        line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, 3)
         cause = Message.of("diagnosis_other_name", units=[5], own=3)
         await line.until(lambda: line.readings(5) and cause in line.worker.line.figures().diagnosis)
         assert {value.raw for value in line.parameters() if (value.unit, value.number) == (5, 17)} == {3}
@@ -293,7 +293,7 @@ def test_who_answers_in_the_name_of_a_dead_unit_is_found_by_what_it_reads_as_its
         (["--bus", "other"], "t", "other"),
     ],
 )
-async def test_wrong_use_is_said_in_a_sentence(
+async def test_wrong_use_is_reported_in_one_line(
     arguments: list[str], token: str, words: str, tmp_path: Path
 ) -> None:
     config = tmp_path / "lineside.toml"
@@ -304,13 +304,13 @@ async def test_wrong_use_is_said_in_a_sentence(
         cwd=ROOT,
         stderr=asyncio.subprocess.PIPE,
     )
-    _, said = await process.communicate()
+    _, printed = await process.communicate()
     assert process.returncode == 2
-    assert words in said.decode()
-    assert "Traceback" not in said.decode()
+    assert words in printed.decode()
+    assert "Traceback" not in printed.decode()
 
 
-async def test_it_waits_for_port_and_app_says_so_once_and_leaves_when_told(tmp_path: Path) -> None:
+async def test_it_waits_for_port_and_app_logs_it_once_and_leaves_on_request(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text('[[bus]]\nname = "b"\nport = "/dev/ttyNOSUCH7"\n[[bus.unit]]\nid = 1\nname = "One"\n')
     process = await asyncio.create_subprocess_exec(
@@ -326,7 +326,7 @@ async def test_it_waits_for_port_and_app_says_so_once_and_leaves_when_told(tmp_p
     _, rest = await process.communicate()
     lines += [json.loads(line) for line in rest.splitlines()]
     assert process.returncode == 0
-    said = [line.get("cause", "") + line.get("why", "") for line in lines]
-    assert any("is the adapter plugged in?" in words for words in said)
-    assert any("no dashboard at" in words for words in said)
-    assert len(said) == len(set(said))
+    printed = [line.get("cause", "") + line.get("why", "") for line in lines]
+    assert any("is the adapter plugged in?" in words for words in printed)
+    assert any("no dashboard at" in words for words in printed)
+    assert len(printed) == len(set(printed))

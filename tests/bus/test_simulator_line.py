@@ -249,7 +249,7 @@ def test_a_write_with_a_lost_response_was_carried_out() -> None:
 
 def test_a_unit_may_take_every_address_for_its_own() -> None:
     there = host(1)
-    there.line.faults.set(FaultKind.EVERYBODY, 1.0, unit=1)
+    there.line.faults.set(FaultKind.ALL_ADDRESSES, 1.0, unit=1)
     assert [body[0] for body in there.exchange(ReadStatusRequest(9), ReadStatusRequest(77))] == [9, 77]
 
 

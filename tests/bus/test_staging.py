@@ -16,7 +16,7 @@ from tests.bus.virtual_line import VirtualLine, run
 ALL = {1: 501, 2: 502, 3: 503, 4: 504}
 
 
-def heard(line: VirtualLine, command: int, since: int = 0) -> list[bytes]:
+def received(line: VirtualLine, command: int, since: int = 0) -> list[bytes]:
     """Requests of one command that reached a unit, in order; a broadcast once."""
     bodies: list[bytes] = []
     for entry in line.line.record.since(since, Happened.RECEIVED):
@@ -42,7 +42,7 @@ async def settled(line: VirtualLine) -> None:
     await asyncio.sleep(1.5)
 
 
-def test_stage_all_one_broadcast_prove_all() -> None:
+def test_stage_all_one_broadcast_read_back_all() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         began = line.line.record.count
@@ -53,7 +53,7 @@ def test_stage_all_one_broadcast_prove_all() -> None:
         first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
         commands = [body[1] for body in requests[first : first + 12]]
         assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h that all heard"
-        assert len(heard(line, 0x83, began)) == 1
+        assert len(received(line, 0x83, began)) == 1
         for unit in result.units:
             assert unit.sent_at is not None
             assert unit.acknowledged_at is not None
@@ -81,7 +81,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         assert result.outcome == ("unverified" if fault == "dead" else "refused")
         assert "unit 3" in str(result.message)
         assert "no unit was changed" in str(result.message)
-        assert not heard(line, 0x83)
+        assert not received(line, 0x83)
         assert setpoints(line) == before
         line.faults.clear()
         line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
@@ -92,7 +92,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
     run(scene, 4)
 
 
-def test_staged_values_are_put_back_and_told() -> None:
+def test_staged_values_are_put_back_and_reported() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         change = {**ALL, 4: line.plant.unit(4).highest + 1}
@@ -100,31 +100,31 @@ def test_staged_values_are_put_back_and_told() -> None:
         assert by_unit(result) == {1: "not_sent", 2: "not_sent", 3: "not_sent", 4: "refused"}
         assert "staged again" in str(result.units[0].message)
         assert entered(line) == setpoints(line)
-        told = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
-        assert (told[0], told[-1]) == (501, None)
+        reported = [update.raw for update in line.updates if isinstance(update, Staged) and update.unit == 1]
+        assert (reported[0], reported[-1]) == (501, None)
 
     run(scene, 4)
 
 
-def test_a_unit_known_to_be_local_is_asked_first_so_that_nothing_is_staged_in_vain() -> None:
+def test_a_unit_known_to_be_local_is_read_first_so_that_nothing_is_staged_in_vain() -> None:
     async def scene(line: VirtualLine) -> None:
         line.plant.unit(4).memory[numbers.CONTROL_MODE] = Mode.LOCAL
         await settled(line)
         result = await line.perform(SetLine(ALL))
         assert result.outcome == "refused"
-        assert [body[0] for body in heard(line, 0x82)] == [4]
+        assert [body[0] for body in received(line, 0x82)] == [4]
 
     run(scene, 4)
 
 
-def test_a_silent_unit_that_may_hold_its_stage_is_named() -> None:
+def test_a_unit_without_a_response_that_may_hold_its_stage_is_named() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.faults.set(FaultKind.LOST, 1.0, 2)
         result = await line.perform(SetLine(ALL))
         assert result.outcome == "unverified"
         assert "may still be staged in unit 2" in str(result.message)
-        assert not heard(line, 0x83)
+        assert not received(line, 0x83)
 
     run(scene, 4)
 
@@ -146,7 +146,7 @@ def test_a_unit_outside_the_change_keeps_its_staged_speed_and_does_not_move() ->
     run(scene, 4)
 
 
-def test_a_stray_that_somebody_else_staged_is_told() -> None:
+def test_a_value_staged_by_another_host_is_reported() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.plant.unit(4).entered = 321
@@ -166,7 +166,7 @@ def test_two_changes_at_once_are_never_mixed() -> None:
         await asyncio.sleep(2.0)
         results = [line.result_of(each) for each in (*ids, single)]
         assert [result and result.outcome for result in results] == ["verified"] * 3
-        staged = [int.from_bytes(body[2:], "big") for body in heard(line, 0x82)]
+        staged = [int.from_bytes(body[2:], "big") for body in received(line, 0x82)]
         assert staged == [300] * 4 + [400] * 4
         assert setpoints(line) == [400, 450, 400, 400]
 
@@ -187,13 +187,13 @@ def test_the_second_of_two_changes_is_refused_in_words_when_its_time_is_over() -
     run(scene, 4)
 
 
-def test_no_time_for_the_stages_is_said_before_anything_is_sent() -> None:
+def test_no_time_for_the_stages_is_reported_before_anything_is_sent() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         result = await line.perform(SetLine(ALL), timeout_s=0.05)
         assert result.outcome == "not_sent"
         assert "takes" in str(result.message)
-        assert not heard(line, 0x82)
+        assert not received(line, 0x82)
 
     run(scene, 4)
 
@@ -205,7 +205,7 @@ def test_a_change_whose_time_runs_out_is_withdrawn() -> None:
         line.faults.set(FaultKind.LOST, 1.0, 3)
         result = await line.perform(SetLine(ALL), timeout_s=0.12)
         assert result.outcome in ("not_sent", "unverified")
-        assert not heard(line, 0x83)
+        assert not received(line, 0x83)
         line.faults.clear()
         await line.perform(ExecuteAll())
         assert [setpoints(line)[place] for place in (0, 1, 3)] == [before[place] for place in (0, 1, 3)]
@@ -228,7 +228,7 @@ async def unit_2_misses_the_broadcast(line: VirtualLine, *, back: bool) -> Resul
     return result
 
 
-def test_one_that_missed_the_broadcast_is_told_singly() -> None:
+def test_a_unit_that_missed_the_broadcast_gets_a_single_execute() -> None:
     async def scene(line: VirtualLine) -> None:
         result = await unit_2_misses_the_broadcast(line, back=True)
         assert result.outcome == "verified"
@@ -238,7 +238,7 @@ def test_one_that_missed_the_broadcast_is_told_singly() -> None:
     run(scene, 4)
 
 
-def test_one_that_missed_the_broadcast_and_stays_silent_may_still_hold_it_and_that_is_said() -> None:
+def test_a_unit_that_missed_the_broadcast_and_stops_responding_is_reported_as_maybe_staged() -> None:
     async def scene(line: VirtualLine) -> None:
         result = await unit_2_misses_the_broadcast(line, back=False)
         assert result.outcome == "unverified"
@@ -267,7 +267,7 @@ def test_given_up_before_the_broadcast_it_is_withdrawn() -> None:
     run(scene, 4)
 
 
-def test_a_worker_told_to_leave_finishes_or_withdraws_the_change() -> None:
+def test_a_leaving_worker_finishes_or_withdraws_the_change() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         before = setpoints(line)
@@ -307,14 +307,14 @@ def test_progress_counts_the_units() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         await line.perform(SetLine(ALL))
-        told = [update for update in line.updates if isinstance(update, Progress)]
-        assert [update.stage for update in told] == [
+        reported = [update for update in line.updates if isinstance(update, Progress)]
+        assert [update.stage for update in reported] == [
             "waiting",
             *["sent"] * 4,
             "acknowledged",
             *["proving"] * 4,
         ]
-        assert [update.done for update in told if update.stage == "proving"] == [0, 1, 2, 3]
+        assert [update.done for update in reported if update.stage == "proving"] == [0, 1, 2, 3]
 
     run(scene, 4)
 
@@ -344,7 +344,7 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
 # --- execute all ---------------------------------------------------------------------------------
 
 
-def test_execute_all_proves_what_was_staged_and_says_what_was_not() -> None:
+def test_execute_all_verifies_staged_units_and_names_the_others() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         await line.perform(SetSpeed(1, 601, execute=False))
@@ -358,7 +358,7 @@ def test_execute_all_proves_what_was_staged_and_says_what_was_not() -> None:
     run(scene, 4)
 
 
-def test_execute_all_with_a_silent_unit_is_unverified() -> None:
+def test_execute_all_with_a_unit_that_does_not_respond_is_unverified() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         await line.perform(SetSpeed(1, 601, execute=False))
@@ -370,7 +370,7 @@ def test_execute_all_with_a_silent_unit_is_unverified() -> None:
     run(scene, 4)
 
 
-def test_execute_all_tells_what_somebody_else_had_staged() -> None:
+def test_execute_all_reports_values_staged_by_another_host() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)
         line.plant.unit(4).entered = 321

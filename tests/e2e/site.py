@@ -119,7 +119,7 @@ def people() -> tuple[Path, dict[str, str]]:
     config.write_text('[server]\ndata = "./data"\n')
     # Playwright runs an event loop in the thread of the test.
     with ThreadPoolExecutor(1) as thread:
-        tokens = thread.submit(with_accounts, config, _add_everybody).result()
+        tokens = thread.submit(with_accounts, config, _add_all_roles).result()
     templates = Templates(
         templates_dir(), Assets(static_dir()), SiteSettings(), kept_in=folder / "data" / "compiled"
     )
@@ -129,7 +129,7 @@ def people() -> tuple[Path, dict[str, str]]:
     return folder / "data", tokens
 
 
-async def _add_everybody(accounts: Accounts) -> dict[str, str]:
+async def _add_all_roles(accounts: Accounts) -> dict[str, str]:
     for role in ROLES:
         await accounts.add_user(role, Role(role), PASSWORD, by="test", origin="test")
     return {

@@ -80,7 +80,7 @@ def _signed_in(browser: Browser, site: Site, name: str) -> Any:
 
 @pytest.fixture
 def panel(browser: Browser, site: Site, panels: dict[str, Any]) -> Iterator[Callable[..., Page]]:
-    """``panel("desk", "/")``: a page of a panel with a touch screen and a clock that the test can set."""
+    """``panel("first", "/")``: a page of a panel with a touch screen and a clock that the test can set."""
     contexts: list[BrowserContext] = []
 
     def open_page(name: str, path: str, *, clock: bool = False) -> Page:
@@ -118,8 +118,8 @@ def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) 
     wall = panel("wall", HOME)
     expect(wall.locator(".main [data-command]")).to_have_count(0)
     assert wall.request.post("/units/line/2/nudge", form={"step": "1", "id": "x" * 32}).status == 403
-    desk_page = panel("desk", HOME)
-    expect(desk_page.locator("#setpoint")).to_be_visible()
+    first_page = panel("first", HOME)
+    expect(first_page.locator("#setpoint")).to_be_visible()
 
 
 def test_a_panel_stays_awake_and_renews_the_lock_when_it_is_shown_again(panel: Callable[..., Page]) -> None:
@@ -141,7 +141,7 @@ def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
 
 
 def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
-    page = panel("desk", HOME, clock=True)
+    page = panel("first", HOME, clock=True)
     tap(page, ".nudges button >> nth=2")
     expect(page.locator("#setpoint-error")).to_contain_text("verified")
     before = received_writes(site)
@@ -157,7 +157,7 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
 
 
 def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
-    page = panel("desk", HOME, clock=True)
+    page = panel("first", HOME, clock=True)
     page.locator(".nudges button").nth(2).focus()
     before = received_writes(site)
     page.clock.fast_forward("11:00")
@@ -172,7 +172,7 @@ def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> 
 def test_an_untouched_panel_goes_home_and_leaves_no_review_open(
     site: Site, panel: Callable[..., Page]
 ) -> None:
-    page = panel("desk", "/", clock=True)
+    page = panel("first", "/", clock=True)
     page.get_by_role("button", name="Set line to zero").tap()
     expect(page.locator("dialog[open]")).to_have_count(1)
     page.clock.fast_forward("05:30")
@@ -199,7 +199,7 @@ def test_a_panel_with_an_active_condition_does_not_go_dark(site: Site, panel: Ca
 
 
 def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) -> None:
-    page = panel("desk", HOME, clock=True)
+    page = panel("first", HOME, clock=True)
     before = received_writes(site)
     page.locator("[data-clean]").tap()
     expect(page.locator(".cover--clean")).to_contain_text("30 s")

@@ -103,7 +103,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
     expect(anna.get_by_role("button", name="Release control")).to_be_focused()
     expect(ben.locator("[data-control]")).to_contain_text("operator has control since")
     expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
-    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("operator")
+    expect(looks.locator("[data-live='line_summary.holder']")).to_have_text("operator")
     assert axe(looks) == []
 
     anna.get_by_label("Hand over to").select_option("engineer")
@@ -115,7 +115,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
     ben.get_by_role("button", name="Release control").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-live='whole_line.holder']")).to_have_text("free")
+    expect(looks.locator("[data-live='line_summary.holder']")).to_have_text("free")
 
 
 @pytest.mark.usefixtures("holder")
@@ -193,7 +193,7 @@ def press(
 
 @pytest.fixture
 def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
-    """A recipe that wants 90.0 of unit 1, which stands at 60.0."""
+    """A recipe with 90.0 for unit 1, which is at 60.0."""
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 600}).status_code == 200
     eventually(lambda: site.unit(1)["commanded_raw"] == 600, "unit 1 at 60.0")
@@ -291,7 +291,7 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
     unsaid = []
     for path in pages:
         opened(page, path)
-        expect(page.locator("[data-live='whole_line.verdict']").first).to_contain_text("Commands blocked")
+        expect(page.locator("[data-live='line_summary.verdict']").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
             unsaid.append(path)
     opened(page, "/units/line/1")

@@ -61,10 +61,10 @@ def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_glove
     browser_page: OpensPages,
 ) -> None:
     page = opened(browser_page("engineer", viewport=PHONE, has_touch=True), "/bus/line")
-    expect(page.locator(".answers tbody tr")).to_have_count(8)
-    table = page.locator(".table-wrap", has=page.locator(".answers"))
+    expect(page.locator(".responses tbody tr")).to_have_count(8)
+    table = page.locator(".table-wrap", has=page.locator(".responses"))
     assert table.evaluate("table => table.scrollWidth - table.clientWidth") <= 0
-    heights = page.locator(".answers a").evaluate_all(
+    heights = page.locator(".responses a").evaluate_all(
         "links => links.map(link => link.getBoundingClientRect().height)"
     )
     assert min(heights) >= 44

@@ -88,7 +88,7 @@ def events(site: Site, kind: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.provokes("WebSocket", "fetch")
-def test_from_the_dead_unit_to_the_verified_spare(site: Site, browser_page: OpensPages) -> None:
+def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: OpensPages) -> None:
     line_remote = site.line.remote
     page = browser_page("engineer", viewport=OFFICE)
     begin(page)

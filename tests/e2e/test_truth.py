@@ -72,10 +72,10 @@ def test_a_pulled_cable_is_one_cause(own_site: Site, browser_page: OpensPages) -
     own_site.line.remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("line · Port closed since")
-        expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("1")
+        expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("1")
     finally:
         own_site.line.remote.do("plug")
-    expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0")
+    expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("0")
 
 
 def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: OpensPages) -> None:
@@ -87,7 +87,7 @@ def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: Ope
         expect(page.locator("h1")).to_contain_text("Bus worker does not respond since")
     finally:
         os.kill(worker, signal.SIGKILL)
-    expect(page.locator("[data-live='whole_line.abnormal']")).to_have_text("0", timeout=START_MS)
+    expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("0", timeout=START_MS)
 
 
 def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recovers(

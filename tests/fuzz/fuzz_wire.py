@@ -22,7 +22,7 @@ with atheris.instrument_imports(include=["bus.wire"]):
         WriteParameterRequest,
     )
     from bus.wire.describe import describe_bytes
-    from bus.wire.exchange import Answered, Exchange
+    from bus.wire.exchange import Exchange, Responded
     from bus.wire.framing import FrameDecoder, Received, ReceivedFrame, encode_frame
 
 DIALECTS = (Dialect(), Dialect(checksum_10h="twice", parameter_numbers="bcd", parameter_reply_bytes=2))
@@ -76,7 +76,7 @@ def _check_frame(frame: ReceivedFrame, request: Request, dialect: Dialect) -> No
 
 def _check_exchange(stream: bytes, request: Request, dialect: Dialect) -> None:
     exchange = Exchange(request, dialect)
-    responses = [event for event in exchange.receive(stream, 0.0) if isinstance(event, Answered)]
+    responses = [event for event in exchange.receive(stream, 0.0) if isinstance(event, Responded)]
     assert len(responses) <= 1
     assert exchange.awaiting == (not responses)
 

@@ -270,7 +270,7 @@ def test_a_written_parameter_is_shown_as_read_back(plant: Dashboard, units: dict
     assert result["read_back"] == FACTORY[6]
 
 
-def test_decimals_that_change_change_what_is_shown(plant: Dashboard) -> None:
+def test_changed_decimals_change_shown_values(plant: Dashboard) -> None:
     result_of(plant.bus("PUT", "/units/16/parameters/3", {"raw": 2}), "verified")
     unit = plant.see(SIXTEEN, "with two decimals", lambda shown: shown["decimals"] == 2)
     assert unit["commanded"] == f"{unit['commanded_raw'] / 100:.2f}"

@@ -13,7 +13,7 @@ from tests.path.independent_unit import Cable, Unit
 
 STAGE, EXECUTE = 0x82, 0x83
 UNITS = (1, 2, 3)
-ROUNDS = 4
+PASSES = 4
 
 
 class Listening(Cable):
@@ -36,7 +36,7 @@ def test_of_two_changes_of_the_line_one_waits_for_the_other(tmp_path: Path) -> N
     with dashboard(tmp_path, units, cable_of=Listening) as plant, ThreadPoolExecutor(2) as people:
         cable = plant.cable
         assert isinstance(cable, Listening)
-        for base in range(1000, 1000 + 100 * ROUNDS, 100):
+        for base in range(1000, 1000 + 100 * PASSES, 100):
             cable.begun.clear()
             cable.received.clear()
             first = people.submit(_set, plant, base, "operator")

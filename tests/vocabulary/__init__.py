@@ -1,7 +1,4 @@
-"""The vocabulary of the code: the names in it, the words that the glossary replaces, and the bounds.
-
-``python -m tests.vocabulary`` lowers the bounds to what the code needs; it never raises one.
-"""
+"""The vocabulary of the code: the words that the glossary replaces, and the names of types."""
 
 from __future__ import annotations
 
@@ -9,13 +6,10 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 AVOIDED_WORDS = ROOT / "docs" / "words_to_avoid.txt"
-DUPLICATE_TYPES = Path(__file__).parent / "duplicate_types.txt"
-AVOIDED_IDENTIFIERS = Path(__file__).parent / "avoided_identifiers.txt"
 _SECTION = "["
 _TYPE_NAME = re.compile(r"_?[A-Z]\w*[a-z]\w*")
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
@@ -49,36 +43,13 @@ def duplicate_types(trees: dict[str, ast.Module]) -> Counter[str]:
     return Counter({name: count for name, count in counts.items() if count > 1})
 
 
-def identifiers(module: str, tree: ast.Module) -> Iterator[str]:
-    """The module's own name, and each function, class and parameter that it defines."""
-    yield module.removesuffix(".__init__").rpartition(".")[2]
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            yield node.name
-        elif isinstance(node, ast.arg):
-            yield node.arg
-
-
-@cache
 def words_of(identifier: str) -> str:
-    """Return the words of an identifier in lower case, between spaces: ``" send late command "``."""
+    """Return the words of a text or a name in lower case, between spaces: ``" send late command "``."""
     return f" {' '.join(_WORD.findall(identifier)).lower()} "
 
 
-def contains(identifier: str, avoided: str) -> bool:
-    """Whether the avoided word or phrase is in an identifier, word for word, the last also in the plural."""
-    words = words_of(identifier)
-    return any(f" {avoided}{ending} " in words for ending in ("", "s", "es"))
-
-
-def avoided_identifiers(trees: dict[str, ast.Module], avoided: list[str]) -> Counter[str]:
-    """Avoided word → number of identifiers that contain it."""
-    names = [name for module, tree in trees.items() for name in identifiers(module, tree)]
-    return Counter({word: sum(contains(name, word) for name in names) for word in avoided})
-
-
 def avoided_words(section: str = "") -> list[str]:
-    """The words and phrases of a section of the list; the first has no name and is for identifiers."""
+    """The words and phrases of a section of the list; the first has no name and is for all that is read."""
     parts = AVOIDED_WORDS.read_text(encoding="utf-8").split("\n" + _SECTION)
     named = dict([("", parts[0]), *(part.split("]", 1) for part in parts[1:])])
     return [line.partition(":")[0] for line in named[section].splitlines() if line and line[0] != "#"]
@@ -91,17 +62,3 @@ def in_text(words: list[str]) -> re.Pattern[str]:
     names = [f"^{re.escape(word)}" for word in words if word.endswith(" is")]
     others = [re.escape(word) for word in words if not word.endswith(" is")]
     return re.compile(rf"(?<![\w-])(?:{'|'.join([*names, *others])})(?:s|es)?(?![\w-])", re.IGNORECASE)
-
-
-def bounds(path: Path) -> Counter[str]:
-    """Name → the bound that a file of bounds states."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    pairs = (line.rpartition(" ") for line in lines if line and not line.startswith("#"))
-    return Counter({name: int(count) for name, _, count in pairs})
-
-
-def lower(path: Path, found: Counter[str]) -> None:
-    """Rewrite a file of bounds with the lesser of its bound and what was found; leave out zeros."""
-    comments = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
-    lowered = bounds(path) & found
-    path.write_text("\n".join([*comments, *(f"{name} {lowered[name]}" for name in sorted(lowered))]) + "\n")

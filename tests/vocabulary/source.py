@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import tokenize
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from pathlib import Path
 
 from tests.vocabulary import ROOT, words_of
 
 FOLDERS = ("app", "bus", "tests", "benchmarks")
-AVOIDED_IN_SOURCE = Path(__file__).parent / "avoided_in_source.txt"
 _ENDINGS = ("", "s", "es")
 _BEFORE_A_DOCSTRING = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, None)
 _NO_STATEMENT = (tokenize.NL, tokenize.COMMENT)
@@ -61,20 +58,10 @@ def _parts(source: str) -> Iterator[tuple[int, str, bool]]:
 
 
 def found(avoided: AvoidedWords) -> list[str]:
-    """Return ``file:line: word`` of each use in the repository."""
-    return [
-        f"{path.relative_to(ROOT)}:{line}: {word}"
-        for folder in FOLDERS
-        for path in sorted((ROOT / folder).rglob("*.py"))
-        for line, word in uses(path.read_text(encoding="utf-8"), avoided)
-    ]
-
-
-def by_folder(places: Iterable[str]) -> Counter[str]:
-    """Folder, as ``bus/line`` or ``tests/app``, → number of uses in it."""
-    return Counter(map(folder_of, places))
-
-
-def folder_of(place: str) -> str:
-    """Return the first two parts of the path of a place."""
-    return "/".join(place.partition(":")[0].split("/")[:2])
+    """Return ``file:line: word`` of each use in the repository; line 0 is the name of the file."""
+    places: list[str] = []
+    for path in sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")):
+        in_name = [(0, word) for word in avoided.in_words(words_of(path.stem), is_name=True)]
+        in_text = uses(path.read_text(encoding="utf-8"), avoided)
+        places += [f"{path.relative_to(ROOT)}:{line}: {word}" for line, word in [*in_name, *in_text]]
+    return places

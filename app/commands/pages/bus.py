@@ -68,9 +68,9 @@ def _row(page: PageContext, bus: str, number: int, figures: UnitFigures | None) 
         "naks": ", ".join(
             f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(naks.items())
         ),
-        "median": _ms(page, figures.answer_s_median if figures is not None else None),
-        "p99": _ms(page, figures.answer_s_p99 if figures is not None else None),
-        "most": _ms(page, figures.answer_s_max if figures is not None else None),
+        "median": _ms(page, figures.response_s_median if figures is not None else None),
+        "p99": _ms(page, figures.response_s_p99 if figures is not None else None),
+        "most": _ms(page, figures.response_s_max if figures is not None else None),
     }
 
 

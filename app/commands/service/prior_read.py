@@ -17,7 +17,7 @@ from bus.contract import Action, Outcome, ReadParameters, Result, UnitOutcome
 from bus.instants import UnixTime
 from bus.messages import Message
 
-_ROUNDS = 2
+_PASSES = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
 
 
@@ -65,7 +65,7 @@ async def read_ranges(
     deadline: Deadline,
 ) -> None:
     """Make known what bounds the setpoints of ``action``. Raises as :func:`read_first`."""
-    for _ in range(_ROUNDS):
+    for _ in range(_PASSES):
         unread = _unread_by_unit(live, action, limits)
         if not unread:
             return

@@ -149,7 +149,7 @@ def _runs_of(unit: int, start: int, data: bytes) -> list[Run]:
 
 
 def next_to_compact(connection: StoreConnection, before: int) -> tuple[int, int] | None:
-    """A unit and an hour, over before that time, which still lies in minutes."""
+    """A unit and an hour that ended before that time and is still stored by minutes."""
     row = connection.execute(
         "SELECT unit, start FROM raw WHERE span = 60000000 AND start < ? ORDER BY start, unit LIMIT 1",
         (before,),

@@ -29,7 +29,7 @@ class UnitFiguresShown(TypedDict):
 
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
     polls: EventCount
-    answers: Annotated[int, Field(description="Responses since the bus worker started.")]
+    responses: Annotated[int, Field(description="Responses since the bus worker started.")]
     timeouts: EventCount
     retries: EventCount
     checksum_errors: EventCount
@@ -40,10 +40,10 @@ class UnitFiguresShown(TypedDict):
         int, Field(description="Responses after their window, or twice, since the worker started.")
     ]
     naks: list[NakShown]
-    answer_s_min: ResponseSeconds
-    answer_s_median: ResponseSeconds
-    answer_s_p99: ResponseSeconds
-    answer_s_max: ResponseSeconds
+    response_s_min: ResponseSeconds
+    response_s_median: ResponseSeconds
+    response_s_p99: ResponseSeconds
+    response_s_max: ResponseSeconds
 
 
 class BusFiguresShown(TypedDict):
@@ -65,7 +65,7 @@ class BusFiguresShown(TypedDict):
     updates_lost: Annotated[
         int | None, Field(description="Readings dropped because the dashboard was away for too long.")
     ]
-    answers_for_all: Annotated[
+    responds_for_all: Annotated[
         int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
     ]
     diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
@@ -86,7 +86,7 @@ def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
         "noise_bytes": figures.noise_bytes if figures else None,
         "echoes": figures.echoes if figures else None,
         "updates_lost": figures.updates_lost if figures else None,
-        "answers_for_all": figures.answers_for_all if figures else None,
+        "responds_for_all": figures.responds_for_all if figures else None,
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else None,
         "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
         "units": [_unit_json(unit) for unit in figures.units] if figures else [],
@@ -97,7 +97,7 @@ def _unit_json(unit: UnitFigures) -> UnitFiguresShown:
     return {
         "unit": unit.unit,
         "polls": unit.polls,
-        "answers": unit.answers,
+        "responses": unit.responses,
         "timeouts": unit.timeouts,
         "retries": unit.retries,
         "checksum_errors": unit.checksum_errors,
@@ -107,8 +107,8 @@ def _unit_json(unit: UnitFigures) -> UnitFiguresShown:
             {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
             for code, count in sorted(unit.naks.items())
         ],
-        "answer_s_min": unit.answer_s_min,
-        "answer_s_median": unit.answer_s_median,
-        "answer_s_p99": unit.answer_s_p99,
-        "answer_s_max": unit.answer_s_max,
+        "response_s_min": unit.response_s_min,
+        "response_s_median": unit.response_s_median,
+        "response_s_p99": unit.response_s_p99,
+        "response_s_max": unit.response_s_max,
     }

@@ -31,7 +31,7 @@ class Flow:
     _sent_at: Monotonic = Monotonic(-math.inf)
 
     def share(self, pages: int) -> None:
-        """So many pages are open in all."""
+        """Set the number of open pages."""
         self._gap_s = pages / MAX_SENDS_S if pages > FEW_PAGES else 0.0
 
     def came(self, units: int = 1) -> None:

@@ -23,7 +23,9 @@ _BEFORE_ALL = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class UnitView:
-    """How a unit looks at one moment. ``cause``: what its first line names; None where there is nothing."""
+    """The presentation of a unit at one time. ``cause``: what its first line names; None where there is
+    nothing.
+    """
 
     unit: UnitLive
     link: UnitLinkState

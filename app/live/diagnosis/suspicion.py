@@ -20,9 +20,9 @@ def suspicion(bus: BusLive, unit: UnitLive) -> Message | None:
     own = unit.parameter_raw(OWN_ADDRESS)
     if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
         return Message.of("suspect_by_address", unit=own or 0)
-    everybody = bus.figures.answers_for_all if bus.figures is not None else 0
-    if everybody not in (0, unit.settings.id):
-        return Message.of("suspect_by_duplicates", unit=everybody)
+    responder = bus.figures.responds_for_all if bus.figures is not None else 0
+    if responder not in (0, unit.settings.id):
+        return Message.of("suspect_by_duplicates", unit=responder)
     return None
 
 

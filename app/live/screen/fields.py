@@ -141,7 +141,7 @@ def scan_text(translator: Translator, scan_s: float) -> str:
 def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
     """How one unit responds, for its open page."""
     naks = [f"{count} x {translator.t(unit_error(code))}" for code, count in sorted(figures.naks.items())]
-    median, most = figures.answer_s_median, figures.answer_s_max
+    median, most = figures.response_s_median, figures.response_s_max
     times = ""
     if median is not None and most is not None:
         number = translator.formats.number
@@ -149,7 +149,7 @@ def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
             "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
         )
     return {
-        "answers": f"{figures.answers}",
+        "responses": f"{figures.responses}",
         "timeouts": f"{figures.timeouts}",
         "checksums": f"{figures.checksum_errors}",
         "naks": ", ".join(naks) or "0",

@@ -22,7 +22,7 @@ from bus.instants import UnixTime
 from bus.messages import listed
 
 Groups = dict[str, Fields]
-LINE_GROUP = "whole_line"
+LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 _DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""

@@ -28,7 +28,7 @@ def offline_after_s(scan_s: float) -> float:
 
 
 def scan_s_of(bus: BusLive) -> float:
-    """How long one round over all units takes: as the worker measured it, else what the wire allows."""
+    """How long one scan of all units takes: as the worker measured it, else what the wire allows."""
     if bus.figures is not None and bus.figures.scan_s > 0:
         return bus.figures.scan_s
     return scan_s_at_best(bus.settings)

@@ -32,7 +32,7 @@ A = TypeVar("A", bound=Action)
 
 @dataclass(frozen=True, slots=True)
 class LineCommand(Generic[A]):
-    """``procedure`` carries it out and proves it; it is made when its turn has come."""
+    """``procedure`` carries it out and reads it back; it is made when its turn has come."""
 
     procedure: Callable[[LineLoop, A, CommandContext], Procedure]
     priority: Callable[[A], Priority] = lambda _: Priority.WRITE
@@ -122,7 +122,7 @@ def command_run_of(line: LineLoop, command_id: str, action: Action, deadline: Mo
 
 
 def _units_claimed(action: Action) -> frozenset[int]:
-    """Those that nobody else may write to meanwhile; a broadcast reaches every unit."""
+    """Return the units that no other command may write to meanwhile; a broadcast reaches every unit."""
     if not action.writes:
         return NO_UNIT
     return frozenset(action.units) if isinstance(action, UnitAction) else EVERY_UNIT

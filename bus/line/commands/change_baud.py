@@ -1,10 +1,10 @@
-"""#18 of every unit as one guarded act. Pure procedures (``bus.line.commands.procedure``).
+"""#18 of every unit as one guarded change. Pure procedures (``bus.line.commands.procedure``).
 
-Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the
-writes each unit is looked for at both rates. All at the new one: the host stays there. All at the old one:
-every #18 is read back, and the host follows when the units have been switched off and on. Anything else:
-every unit is written its old rate at whichever rate it answers, and what must be done at which panel is
-said where even that fails.
+Whether a unit changes its rate at once or at its next power-up is not known (protocol, 4): after the writes
+each unit is polled at both rates. All at the new one: the host stays there. All at the old one: every #18 is
+read back, and the host follows when the units have been switched off and on. Anything else: every unit is
+written its old rate at whichever rate it responds, and where even that fails the result names the panels and
+what to set there.
 """
 
 from __future__ import annotations
@@ -66,11 +66,11 @@ class _Change:
         if failure is not None:
             return (yield from self._go_back(*failure))
         yield ReportProgress("proving", None, 0, len(self._units))
-        at_old = yield from self._answering(self._units)
+        at_old = yield from self._responding(self._units)
         if at_old == set(self._units):
             return (yield from self._at_power_up())
         yield Retune(self._new)
-        at_new = yield from self._answering([unit for unit in self._units if unit not in at_old])
+        at_new = yield from self._responding([unit for unit in self._units if unit not in at_old])
         if at_new == set(self._units):
             return (yield from self._at_once())
         lost = sorted(set(self._units) - at_old - at_new)
@@ -95,19 +95,21 @@ class _Change:
         return None
 
     def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
-        """A unit that changes at once may say its ACK at the new rate already."""
+        """Return whether a unit has the new rate although its ACK was lost: it may send that at the new rate
+        already.
+        """
         if sent.attempts == 0:
             return False
         yield Retune(self._new)
-        found = yield from self._answering([unit])
+        found = yield from self._responding([unit])
         yield Retune(self._old)
         return unit in found
 
     def _likely_refusals_first(self) -> list[int]:
         return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
-    def _answering(self, units: Sequence[int]) -> UnitsFound:
-        """Which of ``units`` answer at the present rate."""
+    def _responding(self, units: Sequence[int]) -> UnitsFound:
+        """Return the ones of ``units`` that respond at the present rate."""
         found: set[int] = set()
         for unit in units:
             sent = yield from send(Send(ReadStatusRequest(unit), fresh=True, max_attempts=READ_ATTEMPTS))
@@ -143,14 +145,14 @@ class _Change:
     # --- back ----------------------------------------------------------------------------------
 
     def _go_back(self, outcome: Outcome, reason: Message) -> Procedure:
-        """Write every unit its old rate at whichever rate it answers; prove all at the old one."""
+        """Write every unit its old rate at whichever rate it responds; read all back at the old one."""
         yield Retune(self._new)
         yield from self._write_old(self._units)
         yield Retune(self._old)
         yield from self._write_old(self._units)
-        answering = yield from self._answering(self._units)
-        missing = yield from self._not_holding(sorted(answering), self._old)
-        lost = sorted({*missing, *(set(self._units) - answering)})
+        responding = yield from self._responding(self._units)
+        missing = yield from self._not_holding(sorted(responding), self._old)
+        lost = sorted({*missing, *(set(self._units) - responding)})
         yield ExpectBaud(self._old)
         if not lost:
             message = Message.of("baud_restored", reason=reason, baud=self._old)
@@ -167,7 +169,7 @@ class _Change:
 
     def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
         for unit in units:
-            here = yield from self._answering([unit])
+            here = yield from self._responding([unit])
             if here:
                 request = WriteParameterRequest(unit, BAUD_RATE, self._old // HUNDREDS)
                 yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))

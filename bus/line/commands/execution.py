@@ -1,4 +1,6 @@
-"""After the broadcast: what each unit shows, who is told singly, who else has moved. Pure procedures."""
+"""After the broadcast: what each unit shows, which get a single execute, which others moved. Pure
+procedures.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ EXECUTED_SINGLY = Message("executed_singly")
 def verify_all(
     members: list[Member], broadcast: SendResult, roster: Roster, context: CommandContext
 ) -> Procedure:
-    """Each of them, then those that missed it once more, then whoever was not asked to move."""
+    """Read back each member, then those that missed the broadcast, then the units outside the change."""
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         yield from verify(member, broadcast, context)
@@ -58,13 +60,15 @@ def verify(member: Member, broadcast: SendResult, context: CommandContext) -> Su
 
 
 def _not_shown(member: Member, readback: Readback) -> Message:
-    """Whoever missed the broadcast has the value in its memory, and the next execute would find it there."""
+    """A unit that missed the broadcast has the value staged, and the next execute would take it over."""
     assert readback.why is not None
     return Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """It acknowledged its stage and does not show it: it may have missed the one frame nobody answers."""
+    """It acknowledged its stage and does not show it: it may have missed the broadcast, which has no
+    response.
+    """
     sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return
@@ -74,7 +78,7 @@ def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[Non
 
 
 def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]]:
-    """Which units outside the change moved with it, staged by somebody else."""
+    """Return which units outside the change moved with it, staged by another host."""
     inside = {member.unit for member in members}
     moved: list[Message] = []
     for record in roster:
@@ -89,7 +93,7 @@ def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]
 
 
 def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> UnitOutcome:
-    """The fate of one that had nothing staged from here."""
+    """Return the outcome of a unit that had nothing staged from here."""
     if readback.why is None:
         message = Message("unit_unchanged")
     else:
@@ -99,7 +103,7 @@ def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> Unit
 
 
 def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> ProcedureResult:
-    """The fate of all whose broadcast has left."""
+    """Return the outcome of all whose broadcast has left."""
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
     about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]

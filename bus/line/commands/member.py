@@ -1,4 +1,4 @@
-"""One unit of a change of many, from its stage to its fate."""
+"""One unit of a change of many, from its stage to its outcome."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""When a write is proven: only by what a later exchange shows. Pure procedures and rules.
+"""When a write is verified: only by what a later exchange shows. Pure procedures and rules.
 
-The commanded speed of an 81h is compared with what was asked. A follower (#8 = 1 or 2) is given a
-ratio, and whether its CS then is that ratio is the dialect's answer: where it is a speed, #37 is read,
-and only where a unit does not say it there, a CS that has become the ratio is taken as proof.
+The commanded speed of an 81h is compared with the request. A follower (#8 = 1 or 2) is given a ratio, and the
+dialect decides whether its CS then is that ratio: where it is a speed, #37 is read, and only where the unit
+does not return it there, a CS that has become the ratio counts as the read-back.
 
-A unit may take a moment to show what it acknowledged, so a read-back that differs is read again.
+A unit may take a moment to show what it acknowledged, so a read-back that differs is repeated.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def read_status(
 
 
 def read_parameter(unit: int, number: int) -> Subprocedure[tuple[int | None, SendResult]]:
-    """A fresh 85h; None when the unit does not have it, or does not answer."""
+    """Read a parameter by 85h; None when the unit does not have it, or does not respond."""
     sent = yield from send(Send(ReadParameterRequest(unit, number), fresh=True))
     return (sent.reply.raw if isinstance(sent.reply, ParameterReply) else None), sent
 
@@ -110,14 +110,14 @@ def _parameter_reads(number: int, shown: int | None) -> Message:
 def _verify_ratio(
     record: UnitRecord, raw: int, status: StatusReply, sent: SendResult, before: int | None
 ) -> Verification:
-    ratio, ratio_answer = yield from read_parameter(record.unit, RATIO_SETPOINT)
+    ratio, ratio_read = yield from read_parameter(record.unit, RATIO_SETPOINT)
     if ratio == raw:
-        return Readback(True, ratio, ratio_answer.responded_at)
+        return Readback(True, ratio, ratio_read.responded_at)
     if status.commanded == raw and before is not None and before != raw:
         return Readback(True, raw, sent.responded_at)
     if ratio is None:
         return Readback(False, status.commanded, sent.responded_at, Message("ratio_unread"))
-    return Readback(False, ratio, ratio_answer.responded_at, Message.of("ratio_reads", value=ratio))
+    return Readback(False, ratio, ratio_read.responded_at, Message.of("ratio_reads", value=ratio))
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:

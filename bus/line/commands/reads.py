@@ -1,4 +1,4 @@
-"""Reads that somebody asked for, one after the other. Pure procedures (``bus.line.commands.procedure``)."""
+"""Requested reads, one after the other. Pure procedures (``bus.line.commands.procedure``)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from bus.messages import Message, joined
 from bus.wire.commands import ReadParameterRequest
 
 MOMENT_S = 0.5
-"""How long a unit that missed a question is left alone: its three tries pass in a tenth of a second."""
+"""How long a unit that missed a request is left alone: its three tries pass in a tenth of a second."""
 
 
 def read_parameters(record: UnitRecord, numbers: Sequence[int], context: CommandContext) -> Procedure:
-    """85h for each of ``numbers``, all of the list when empty.
+    """Send 85h for each of ``numbers``, all of the list when empty.
 
-    The first that is not answered is asked again at the end, and the rest a moment later: noise does not
-    cost a whole list. A second one is a unit that has fallen silent, and ends it.
+    The first one without a response is read again at the end, and the rest a moment later: noise does not
+    cost a complete list. A second one means that the unit stopped responding, and ends it.
     """
     wanted = tuple(numbers) or tuple(PARAMETERS)
     waiting, missed = deque(wanted), False

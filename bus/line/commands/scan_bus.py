@@ -1,6 +1,6 @@
 """A scan of addresses on a bus that is at work, between its polls. A pure procedure.
 
-The questions and the conclusions are those of ``bus.line.scan.examination``; they are only asked another way.
+The requests and the conclusions are those of ``bus.line.scan.examination``; only the transport differs.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from bus.settings import Dialect, wire_seconds
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
 OVERDUE = 3
-"""So many overdue responses during a scan, and what is garbled may be one of them beside another's."""
-ANSWERED_BYTES = 25
-"""An 81h and its answer."""
+"""From this many overdue responses on, a garbled one may be one of them beside another unit's."""
+EXCHANGE_BYTES = 25
+"""An 81h and its response."""
 
 _PLAIN = Dialect()
 _DOUBLED = Dialect(checksum_10h="twice")
@@ -42,10 +42,10 @@ class ScanPace:
     turnaround_s: float
 
     def rest_s(self, outcome: ProbeOutcome) -> float:
-        """Seconds without a question after one that ended so."""
+        """Return the pause in seconds after a request that ended so."""
         took_s = no_response_s(self.baud, self.turnaround_s)
         if outcome.reply is not None:
-            took_s = wire_seconds(ANSWERED_BYTES, self.baud)
+            took_s = wire_seconds(EXCHANGE_BYTES, self.baud)
         return took_s * (1 / SHARE - 1)
 
 
@@ -54,7 +54,7 @@ class _Lost(Exception):
 
 
 def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Procedure:
-    """Which of the addresses ``first`` to ``last`` answer at the bus's present rate."""
+    """Find which of the addresses ``first`` to ``last`` respond at the bus's present rate."""
     found: list[Found] = []
     passes = Passes(range(first, last + 1))
     of = last - first + 1
@@ -80,7 +80,7 @@ def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Pr
 
 
 def _doubted(one: Found) -> Found:
-    """What is left of a finding where responses come into the windows of other requests."""
+    """Reduce a finding to what is certain where responses come into the windows of other requests."""
     if one.kind == "digimax":
         return replace(one, late=True)
     return replace(one, kind="late", remarks=(), late=True)

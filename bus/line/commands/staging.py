@@ -1,13 +1,13 @@
-"""Many units changed as one: stage each, require every ACK, one broadcast, prove each. Pure procedures.
+"""Many units changed as one: stage each, require every ACK, one broadcast, read back each. Pure procedures.
 
 ===========  ==========================================================================================
-shelter      a unit outside the change that holds a staged speed would execute it too: it is given its
+buffer       a unit outside the change that holds a staged speed would execute it too: it is given its
              present speed first, and its staged speed back at the end
-stage        82h to each; the first that refuses, is silent or comes too late ends the change
+stage        82h to each; the first that refuses, times out or comes too late ends the change
 broadcast    one 83h to unit 0, only when every 82h *of this very change* was acknowledged
-prove        81h to each; one that missed the broadcast is told singly (83h), once, within the deadline
+verify       81h to each; one that missed the broadcast gets a single 83h, once, within the deadline
 withdraw     instead of the broadcast: every unit that may hold a staged speed of this change is given its
-             present one (82h), so that no stray execute can surprise anybody
+             present one (82h), so that a stray execute changes nothing
 ===========  ==========================================================================================
 """
 
@@ -40,7 +40,7 @@ ALL_UNITS = 0
 
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
-    """The whole change. ``setpoints``: unit → raw."""
+    """Carry out the complete change. ``setpoints``: unit → raw."""
     members = [
         member_of(roster[unit], raw) for unit, raw in _likely_refusals_first(roster, setpoints, context)
     ]
@@ -83,7 +83,7 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
 def _likely_refusals_first(
     roster: Roster, setpoints: Mapping[int, int], context: CommandContext
 ) -> list[tuple[int, int]]:
-    """Units that were last seen silent or LOCAL come first: then nothing is staged in the others yet."""
+    """Units that were last seen offline or LOCAL come first: then nothing is staged in the others yet."""
 
     def well(unit: int) -> bool:
         record = roster[unit]

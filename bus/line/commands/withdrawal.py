@@ -1,7 +1,7 @@
-"""Nobody may be surprised by a staged speed: the withdrawal of a change, and the shelter of those outside it.
+"""No staged speed is left behind: the withdrawal of a change, and the protection of units outside it.
 
-Whoever may hold a staged speed is given its present one (82h), so that no stray execute changes anything.
-Pure procedures.
+Each unit that may hold a staged speed is given its present one (82h), so that no stray execute changes
+anything. Pure procedures.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
 
 
 def stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
-    """The fate of a change that ended before its broadcast, and which units may hold what was staged."""
+    """Return the result of a change that ended before its broadcast, and which units may hold a staged
+    value.
+    """
     units = [member.outcome or _untouched(member) for member in members]
     left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
     refusals = [each.unit_error for each in units if each.unit_error is not None]

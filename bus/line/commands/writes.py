@@ -1,4 +1,6 @@
-"""A write to one unit, from the frame to its one fate. Pure procedures (``bus.line.commands.procedure``)."""
+"""A write to one unit, from the frame to its one outcome. Pure procedures
+(``bus.line.commands.procedure``).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ from bus.wire.commands import (
 
 
 def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
-    """84h, proven by the commanded speed of an 81h."""
+    """84h, verified by the commanded speed of an 81h."""
     before = record.reading.commanded if record.reading is not None else None
     return write(
         record.unit,
@@ -46,7 +48,7 @@ def stage(record: UnitRecord, raw: int) -> Procedure:
 
 
 def execute(record: UnitRecord, context: CommandContext) -> Procedure:
-    """83h to one unit, proven where it is known what it holds staged."""
+    """83h to one unit, verified where its staged value is known."""
     staged = record.staged
     before = record.reading.commanded if record.reading is not None else None
     if staged is None:
@@ -59,12 +61,12 @@ def execute(record: UnitRecord, context: CommandContext) -> Procedure:
 
 
 def write_parameter(unit: int, number: int, raw: int) -> Procedure:
-    """86h, proven by 85h."""
+    """86h, verified by 85h."""
     return write(unit, WriteParameterRequest(unit, number, raw), lambda: verify_parameter(unit, number, raw))
 
 
 def write_output(unit: int, number: int, on: bool) -> Procedure:
-    """87h, proven by the bit in ST2."""
+    """87h, verified by the bit in ST2."""
     return write(unit, WriteOutputRequest(unit, number, on), lambda: verify_output(unit, number, on))
 
 
@@ -74,7 +76,7 @@ def write_analog_output(unit: int, raw: int) -> Procedure:
 
 
 def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:
-    """Send ``request`` and, unless refused, prove it. ``prove`` None: an ACK is all there is."""
+    """Send ``request`` and, unless refused, read it back. ``verify`` None: there is only the ACK."""
     sent = yield from send(Send(request, reports_sent=True))
     if not sent.may_have_acted:
         return result_of_one(outcome_without_readback(unit, sent))
@@ -88,7 +90,7 @@ def write(unit: int, request: Request, verify: Callable[[], Verification] | None
 
 
 def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
-    """The fate of a write that is not, or cannot be, read back."""
+    """Return the outcome of a write that is not, or cannot be, read back."""
     outcome, message = _outcome_without_readback(unit, sent)
     return UnitOutcome(
         unit=unit,
@@ -124,7 +126,7 @@ def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
 
 
 def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> UnitOutcome:
-    """The fate of a write that was read back."""
+    """Return the outcome of a write that was read back."""
     refused = sent.refusal is not None and not readback.shown and readback.read_back is not None
     unproven: Outcome = "refused" if refused else "unverified"
     return UnitOutcome(

@@ -3,7 +3,7 @@
 The window of a response (``bus.line.exchange.window``) begins when the request's last byte has left the wire,
 which is computed, not waited for.
 
-On a port that is as slow as its baud rate says (``port_pace``), a frame that is complete before the
+On a port that is as slow as its baud rate (``port_pace``), a frame that is complete before the
 response can be is a leftover of an earlier exchange. On such a port nothing can be done before the response
 can be complete, so until shortly before that moment bytes are left to gather. What has gathered by then is
 still seen to be early.
@@ -28,17 +28,17 @@ from bus.line.statistics.wire_statistics import StrayFrame, WireCounts, WireStat
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
-from bus.wire.exchange import Answered, Doubled, Exchange, ExchangeEvent, Foreign, Late, Unexpected
+from bus.wire.exchange import Duplicate, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
 
 LISTEN_FRACTION = 0.93
-"""So long a part of the least time bytes are left to gather, as each few that are received alone cost as much
-as a response; less than ``port_pace.EARLY``."""
+"""For this part of the least time bytes are left to gather, because each few that are received alone cost as
+much as a response; less than ``port_pace.EARLY``."""
 SECRET_LINGERS_S = 5.0
 """For so long after an exchange with a secret (#21) what is no response may be a piece of it, or a copy."""
 AHEAD_S = 0.002
-"""So long before a response can be complete they are received: a loop's timers count milliseconds."""
+"""This long before a response can be complete they are received: a loop's timers count milliseconds."""
 
 
 class Link:
@@ -114,7 +114,7 @@ class Link:
         """Which responses of ``unit`` may still come late or twice.
 
         However slow the port: this process may have been kept from running, and what came meanwhile
-        looks as if it came just now. So the order of frames is trusted, their moment is not.
+        looks as if it came just now. Therefore the order of frames is trusted, their time is not.
         """
         return self._pending.about(unit)
 
@@ -204,7 +204,7 @@ class Link:
 
     def _is_ordinary(self, current: CurrentExchange, events: list[ExchangeEvent], now: Monotonic) -> bool:
         """Whether ``events`` are the response, when it is expected, and nothing else has come."""
-        if len(events) != 1 or type(events[0]) is not Answered or current.has_noise or self._overdue:
+        if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
             return False
         current.frame = events[0].frame.wire
         current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current, current.frame))
@@ -241,15 +241,15 @@ class Link:
                 self._take_noise(event, exchange.request.unit, now)
             self._note_stray(now, event.data, exchange, valid=False)
             return
-        if isinstance(event, Answered):
+        if isinstance(event, Responded):
             self._take_response(event.frame.wire, now)
         else:
             self._take_stray_frame(event, exchange.request.unit)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
-        if self._current is not None and isinstance(event, Doubled | Late):
+        if self._current is not None and isinstance(event, Duplicate | Late):
             self._current.late += 1
-        if isinstance(event, Answered):
+        if isinstance(event, Responded):
             self._note(now, "in", event.frame.wire, exchange)
         else:
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])

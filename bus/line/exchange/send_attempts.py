@@ -1,4 +1,4 @@
-"""One question through all its tries: fences, retries, deadline. Pure: time in seconds is passed in."""
+"""One request through all its tries: fences, retries, deadline. Pure: time in seconds is passed in."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bus.wire.commands import Reply, Request, is_write
 from bus.wire.fence import PendingResponses
 
 MOST_FENCES = 8
-"""Fences that are answered, each before a try that is not: such a unit hears one frame in two."""
+"""Fences with a response, each before a try without one: such a unit receives one frame in two."""
 
 
 class ExchangeResult(msgspec.Struct, frozen=True):
@@ -38,10 +38,10 @@ class ExchangeResult(msgspec.Struct, frozen=True):
 
 
 class SendAttempts:
-    """``next_request`` and ``settle`` in turn, until ``result`` is there.
+    """Call ``next_request`` and ``settle`` in turn, until ``result`` is there.
 
-    A timeout of a fence counts like a timeout of the request: so many in a row mean silence. A write never
-    leaves after ``deadline`` (on the clock of ``now``), whatever came of its earlier tries.
+    A timeout of a fence counts like a timeout of the request: so many in a row mean no response. A write
+    never leaves after ``deadline`` (on the clock of ``now``), whatever the outcome of its earlier tries.
     """
 
     def __init__(self, send: Send, deadline: Monotonic = NEVER) -> None:
@@ -50,7 +50,7 @@ class SendAttempts:
         self._deadline = NEVER if send.withdraws or not is_write(send.request) else deadline
         self._attempts = 0
         self._fences = 0
-        self._unanswered = 0
+        self._without_response = 0
         self._sent_at: UnixTime | None = None
         self._noise = NO_NOISE
         self._late = 0
@@ -65,11 +65,11 @@ class SendAttempts:
         return self.send.dialect if request == self.send.request else None
 
     def reports(self, request: Request) -> bool:
-        """Whether it is told that ``request`` leaves: the first time only, and not for a fence."""
+        """Return whether the sending of ``request`` is reported: the first time only, and not for a fence."""
         return self.send.reports_sent and not self.begun and request == self.send.request
 
     def next_request(self, now: Monotonic, pending: PendingResponses) -> Request | None:
-        """What to send now; None once ``result`` is there. ``pending``: of the unit asked."""
+        """Return what to send now; None once ``result`` is there. ``pending``: of the addressed unit."""
         if self.result is not None:
             return None
         fence = self._fence(pending)
@@ -81,11 +81,11 @@ class SendAttempts:
         return self.send.request
 
     def settle(self, exchange: ExchangeResult) -> bool:
-        """What ``next_request`` gave has passed; whether it is tried again, as nobody answered."""
+        """Take the exchange of the last request; return whether it is retried for lack of a response."""
         self._late += exchange.noise.late
         if exchange.request != self.send.request:
             self._noise = exchange.noise
-            self._settle_fence(answered=exchange.reply is not None)
+            self._settle_fence(responded=exchange.reply is not None)
         else:
             self._settle_request(exchange)
         return self.result is None and exchange.reply is None
@@ -107,17 +107,18 @@ class SendAttempts:
             self._end(SendStatus.PORT_CLOSED)
 
     def _fence(self, pending: PendingResponses) -> Request | None:
-        """A retry may take the answer to the try before, as it is hardly older. A later question may not:
-        an answer that a buffer on the way kept for seconds would be shown as new."""
+        """A retry may take the response to the try before, which is hardly older. A later request may not: a
+        response that a buffer on the way kept for seconds would be shown as new.
+        """
         fence = pending.fence_before(self.send.request)
         fresh = self.send.fresh or not self.begun
         if fence is None and fresh and self.send.request in pending.outstanding:
             fence = pending.fence()
         return fence if fence != self.send.request else None
 
-    def _settle_fence(self, *, answered: bool) -> None:
-        if answered:
-            self._unanswered = 0
+    def _settle_fence(self, *, responded: bool) -> None:
+        if responded:
+            self._without_response = 0
             self._fences += 1
             if self._fences > MOST_FENCES:
                 self._end(SendStatus.TIMED_OUT)
@@ -125,8 +126,11 @@ class SendAttempts:
             self._timed_out()
 
     def _timed_out(self) -> None:
-        self._unanswered += 1
-        if self._unanswered >= self.send.attempts_allowed or self._attempts >= self.send.attempts_allowed:
+        self._without_response += 1
+        if (
+            self._without_response >= self.send.attempts_allowed
+            or self._attempts >= self.send.attempts_allowed
+        ):
             self._end(SendStatus.TIMED_OUT)
 
     def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:

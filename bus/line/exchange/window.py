@@ -1,11 +1,11 @@
-"""When one exchange ends without an answer, and from when on its port is heard.
+"""When one exchange ends without a response, and from when on its port is read.
 
-The window ends when a unit's turnaround is over and nothing is coming in any more, or at the latest when
-the longest answer would be through; so bytes without end cannot hold it open.
+The window ends when a unit's turnaround is over and nothing is coming in any more, or at the latest when the
+longest response would be through; so endless bytes cannot hold it open.
 
-Before the answer can be complete bytes may be left to gather: one awakening instead of one for every few
-bytes. And a process that was kept from running looks once more before it calls a unit silent, for the
-answer may be waiting.
+Before the response can be complete bytes may be left to gather: one wake-up instead of one for every few
+bytes. And a process that was kept from running reads the port before it reports a timeout, because the
+response may be waiting.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from bus.line.clock import LineClock, Timer
 from bus.line.port.port import OpenPort
 
 QUIET_BYTES = 4
-"""An answer that pauses for so many byte times is over."""
+"""A response that pauses for so many byte times is over."""
 LEAST_QUIET_S = 0.005
 LEAST_FRAME_GAP_S = 0.020
-"""Inside a frame. An FTDI adapter hands over what it received every 16 ms where its latency timer cannot be
-set (FTDI AN232B-04, 3.3)."""
+"""Inside a frame. An FTDI adapter delivers what it received every 16 ms where its latency timer cannot be set
+(FTDI AN232B-04, 3.3).
+"""
 MARGIN_S = 0.010
 """What the machine and the adapter may add to a unit's turnaround."""
 TIMER_SLACK_S = 0.0005

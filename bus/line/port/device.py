@@ -101,16 +101,16 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
 
 
 def _is_claimed(descriptor: int, path: str) -> bool:
-    """Whether another program wants the port for itself (ioctl_tty(2), TIOCEXCL; nothing here asks for that).
+    """Return whether another program claims the port exclusively (ioctl_tty(2), TIOCEXCL; nothing here does).
     Root may open such a port all the same, and one that is open already stays so: two hosts on one line.
 
-    The claim ends with the last descriptor of the device. On a pseudo-terminal the program that plays the
-    line may keep one, so there it holds while somebody else has it open.
+    The claim ends with the last descriptor of the device. On a pseudo-terminal the simulator of the line may
+    keep one, so there it applies while another process has it open.
     """
-    answer = array("i", [0])
+    claimed = array("i", [0])
     with suppress(OSError):
-        fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
-    return bool(answer[0]) and (not is_played(path) or bool(users_of(path)))
+        fcntl.ioctl(descriptor, _TIOCGEXCL, claimed)
+    return bool(claimed[0]) and (not is_played(path) or bool(users_of(path)))
 
 
 def _prefer_low_latency(instance: GatedSerial) -> None:

@@ -1,4 +1,4 @@
-"""pySerial as a loop needs it: heard only when wanted, reading looks once, closing never waits."""
+"""pySerial as a loop needs it: read only on demand, each read returns at once, closing never waits."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class GatedSerial(serial.Serial):
             self._gate.modify(self.device, select.EPOLLIN if now else 0)
 
     def read(self, size: int = 1) -> bytes:
-        """What is there. The loop has seen that there is something, so it is not asked for again."""
+        """Return the available bytes. The loop has seen that there are some, so this is not checked again."""
         try:
             data = os.read(self.device, size)
         except BlockingIOError:

@@ -1,7 +1,7 @@
-"""Opening a port, whatever its kind.
+"""Opening a port of any kind.
 
-A port is single-use: it is opened, used, lost or closed, and then opened anew by ``bus.line.opener``.
-Closing never waits: what has not left yet is dropped, so nothing is ever sent late.
+A port is single-use: it is opened, used, lost or closed, and then reopened by ``bus.line.opener``. Closing
+never waits: what has not left yet is dropped, so nothing is ever sent late.
 """
 
 from __future__ import annotations

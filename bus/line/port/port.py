@@ -1,4 +1,4 @@
-"""What a port is to the rest of the line, whoever opened it."""
+"""A port as the rest of the line sees it, whichever kind it is."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bus.messages import Message
 
 
 class PortUnavailable(WireError):
-    """The port cannot be opened now; the message says why and what to do."""
+    """The port cannot be opened now; the message has the reason and what to do."""
 
 
 class EndedWhileOpening(PortUnavailable):
@@ -17,11 +17,11 @@ class EndedWhileOpening(PortUnavailable):
 
 
 class PartlySent(WireError):
-    """The port took some of a request and broke: whether a unit heard it is not known."""
+    """The port took some of a request and broke: whether a unit received it is not known."""
 
 
 class Receiver(Protocol):
-    """Who hears of the port."""
+    """Called with what comes from the port."""
 
     def data_received(self, data: bytes) -> None:
         """Bytes came in."""
@@ -31,7 +31,7 @@ class Receiver(Protocol):
 
 
 class OpenPort(Protocol):
-    """An open port. It is single-use: once lost or closed it is opened anew."""
+    """An open port. It is single-use: once lost or closed it is reopened as a new one."""
 
     def write(self, data: bytes) -> None:
         """Hand over one request, at once. Raises PartlySent when the port took only some of it,
@@ -48,7 +48,7 @@ class OpenPort(Protocol):
         """Go on at ``baud``. Raises WireError where the port cannot."""
 
     def check(self) -> None:
-        """Raises WireError when the port is gone and nobody has said so yet."""
+        """Raises WireError when the port is gone and this was not reported yet."""
 
     def close(self) -> None:
         """Give it back, at once."""

@@ -1,4 +1,4 @@
-"""What an asyncio transport calls, handed on to whoever hears the port."""
+"""Forwards the callbacks of an asyncio transport to the receiver of the port."""
 
 from __future__ import annotations
 

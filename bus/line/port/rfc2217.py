@@ -53,11 +53,12 @@ def _parsed(feed: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
 
 
 def _rfc2217_transport(accepted: asyncio.Event) -> Any:
-    """serialx's own, which takes servers as they are. ``accepted``: set once one has taken the connection.
+    """serialx's transport, which takes servers as they are. ``accepted``: set once one has taken the
+    connection.
 
     Many never acknowledge the masks of line and modem states (RFC 2217, 3), which mean nothing on RS-422, and
-    many speak first: what they say before the connection is known to be there would be an error. A command
-    that cannot be parsed is the fault of the server: it is raised as OSError, as asyncio prints any other
+    many send first: what they send before the connection is confirmed would be an error. A command that
+    cannot be parsed is the fault of the server: it is raised as OSError, because asyncio prints any other
     with its traceback. serialx has neither a setting nor a public method for all that, so inner ones are
     overridden, and its version is bounded.
     """
@@ -65,11 +66,11 @@ def _rfc2217_transport(accepted: asyncio.Event) -> Any:
     from serialx.platforms.serial_rfc2217.types import SetLinestateMaskCmd, SetModemstateMaskCmd
 
     class Transport(RFC2217SerialTransport):  # type: ignore[misc, unused-ignore]
-        _said_first = b""
+        _received_first = b""
 
         def _data_received(self, data: bytes) -> None:
             if self._tcp_transport is None:
-                self._said_first += data
+                self._received_first += data
             else:
                 super()._data_received(data)
 
@@ -79,7 +80,7 @@ def _rfc2217_transport(accepted: asyncio.Event) -> Any:
             accepted.set()
             tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
             self._serial._engine.feed = _parsed(self._serial._engine.feed)  # type: ignore[assignment, method-assign, unused-ignore]
-            super()._data_received(self._said_first)
+            super()._data_received(self._received_first)
             await super()._negotiate()
 
         async def _send_and_wait(self, command: Any) -> Any:

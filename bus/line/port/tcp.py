@@ -35,7 +35,7 @@ class TcpPort:
         self._transport.write(data)
 
     def listen(self, *, now: bool) -> None:
-        """A packet is no single byte: it is heard when it comes."""
+        """A packet is no single byte: it is received when it comes."""
 
     def drop_output(self) -> None:
         """The kernel's buffer cannot be emptied; a server that takes nothing is lost by its timeout."""

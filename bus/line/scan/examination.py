@@ -1,10 +1,10 @@
-"""What answers at an address of a scan, found out by reading only. Pure: questions out, outcomes in.
+"""Examines an address of a scan by reads only. Pure: requests out, outcomes in.
 
-An address is asked 81h. Silence ends it there, which makes a scan as quick as the wire allows. What
-answers is asked more, always 81h and 85h in turn, so that no late or doubled answer can pass for another:
-its own address (#17, which also shows whether it counts parameters in BCD), the last parameter that it
-has (the older list ends at #20), how wide a value comes, and how it takes and sends a checksum of 10h.
-A unit that turns at speed meanwhile shows what its e-stop bit is when all is well.
+An address is sent 81h. A timeout ends it there, which makes a scan as fast as the wire allows. A device that
+responds is read further, always 81h and 85h in turn, so that no late or duplicate response can pass for
+another: its address (#17, which also shows whether it counts parameters in BCD), the last parameter that it
+has (the older list ends at #20), the width of a value, and how it takes and sends a checksum of 10h. A unit
+that turns at speed meanwhile shows its healthy e-stop level.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from bus.wire.commands import (
 from bus.wire.framing import DLE, checksum
 
 STATUS_READS = 4
-"""How often an address is asked that answers, but not as a unit does."""
+"""How often an address is read that responds, but not as a unit does."""
 TRIES = 2
-"""How often a read is asked of a unit before it counts as not answered."""
+"""How often a read is sent to a unit before it counts as having no response."""
 GARBLED_SHARE = 0.25
-"""Above this part of spoilt or doubled answers more than noise is at work."""
+"""Above this part of damaged or duplicate responses the cause is more than noise."""
 OWN_ADDRESS_IN_BCD = 0x17
 FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
 _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter.secret]
@@ -57,13 +57,13 @@ class ProbeOutcome:
     garbled: bool = False
     """Bytes that are no frame."""
     unexpected: bool = False
-    """Good frames that no unit gives as this answer."""
+    """Good frames that are no unit's response to this request."""
     surplus: int = 0
     """Good frames of this unit beside the response: responses to earlier requests, or a second copy."""
     checksum_10h: Checksum10h | None = None
-    """How the answer's checksum came, where it was 10h."""
-    answered_after_s: float | None = None
-    """From the request's last byte to the answer's first."""
+    """How the response's checksum came, where it was 10h."""
+    responded_after_s: float | None = None
+    """From the request's last byte to the response's first."""
 
     @property
     def no_response(self) -> bool:
@@ -83,7 +83,7 @@ Probing = Generator[Probe, ProbeOutcome, ProbeOutcome]
 
 
 def examine(unit: int, baud: int) -> Examining:
-    """Everything about one address; None where nobody is. The questions are in the plain dialect."""
+    """Examine one address; None where there is no device. The requests are in the plain dialect."""
     examination = _Examination(unit, baud)
     return (yield from examination.run())
 
@@ -95,7 +95,7 @@ class _Examination:
     outcomes: list[ProbeOutcome] = field(default_factory=list)
     uncertain: bool = False
     doubles: bool = False
-    """It takes a checksum of 10h twice only, so that is how it is asked."""
+    """It accepts a checksum of 10h only doubled, so the requests are sent that way."""
 
     def run(self) -> Examining:
         status = yield from self._first_status()
@@ -120,15 +120,15 @@ class _Examination:
             reply_bytes=self._reply_bytes(),
             estop_healthy=self._estop_healthy(),
             late=self._responses().late > 0,
-            answered_within_s=max(
-                (o.answered_after_s for o in self.outcomes if o.answered_after_s is not None), default=None
+            responds_within_s=max(
+                (o.responded_after_s for o in self.outcomes if o.responded_after_s is not None), default=None
             ),
         )
-        garbled, questions = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
-        remarks = remarks_on(one, garbled=garbled, questions=questions, uncertain=self.uncertain)
+        garbled, requests = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
+        remarks = remarks_on(one, garbled=garbled, requests=requests, uncertain=self.uncertain)
         return replace(one, remarks=remarks)
 
-    # --- questions -----------------------------------------------------------------------------
+    # --- requests ------------------------------------------------------------------------------
 
     def _probe(self, request: Request) -> Probing:
         outcome = yield Probe(request, self.doubles)
@@ -144,7 +144,7 @@ class _Examination:
         return status
 
     def _status(self, looks: int) -> Generator[Probe, ProbeOutcome, StatusReply | None]:
-        """81h until it is answered as a unit answers; an address that is silent at first is left."""
+        """Send 81h until the response is a unit's; an address without a response at first is left."""
         for look in range(looks):
             outcome = yield from self._probe(ReadStatusRequest(self.unit))
             if isinstance(outcome.reply, StatusReply):
@@ -174,7 +174,7 @@ class _Examination:
         return reply.raw, False
 
     def _last_parameter(self, counts_in_bcd: bool) -> Generator[Probe, ProbeOutcome, int]:
-        """By halving: which exist is taken to be a run from #1 on. The password is not asked for."""
+        """Search by halving: the existing ones are taken to be a run from #1 on. The password is not read."""
         dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
         low, high = -1, len(_READABLE)
         probe = high - 1
@@ -196,27 +196,27 @@ class _Examination:
                 yield from self._read(encode_number(number, dialect))
 
     def _takes_checksum_10h(self) -> Generator[Probe, ProbeOutcome, Checksum10h | None]:
-        """A read whose own checksum is 10h, sent once and, if nobody hears it, twice."""
+        """Send a read whose checksum is 10h plainly and, without a response, doubled."""
         number = number_for_checksum_10h(self.unit)
         if number == 0 or (number not in _READABLE and number in PARAMETERS):
             return None
         if not self.doubles and (yield from self._read(number)) is not None:
             return "once"
         self.doubles = True
-        heard = yield from self._read(number)
-        return None if heard is None else "twice"
+        value = yield from self._read(number)
+        return None if value is None else "twice"
 
     # --- conclusions ---------------------------------------------------------------------------
 
     def _no_unit(self) -> Found | None:
-        heard = [outcome for outcome in self.outcomes if not outcome.no_response]
-        if len(heard) < min(2, STATUS_READS):
+        with_response = [outcome for outcome in self.outcomes if not outcome.no_response]
+        if len(with_response) < min(2, STATUS_READS):
             return None
-        refused = [outcome.reply.code for outcome in heard if isinstance(outcome.reply, Nak)]
+        refused = [outcome.reply.code for outcome in with_response if isinstance(outcome.reply, Nak)]
         if refused:
             refuses = Message.of("found_refuses", error=f"{refused[0]:02X}")
             return Found(self.unit, self.baud, "foreign", remarks=(refuses,))
-        if all(outcome.unexpected for outcome in heard):
+        if all(outcome.unexpected for outcome in with_response):
             return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
@@ -226,11 +226,11 @@ class _Examination:
 
     def _responses(self) -> Responses:
         """A unit owes one response to each request: one that comes after its window is late, not doubled."""
-        owed = late = doubled = 0
+        awaited = late = doubled = 0
         for outcome in self.outcomes:
-            paid = min(owed, outcome.surplus)
+            paid = min(awaited, outcome.surplus)
             late, doubled = late + paid, doubled + outcome.surplus - paid
-            owed += (outcome.reply is None and not outcome.garbled) - paid
+            awaited += (outcome.reply is None and not outcome.garbled) - paid
         return Responses(late, doubled)
 
     def _reply_bytes(self) -> tuple[int, ...]:
@@ -262,5 +262,7 @@ def encode_number(number: int, dialect: Dialect) -> int:
 
 
 def number_for_checksum_10h(unit: int) -> int:
-    """The PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be asked, for unit 107."""
+    """Return the PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be read, for unit
+    107.
+    """
     return (checksum(bytes((unit, ReadParameterRequest.COMMAND))) - DLE) & 0xFF

@@ -21,7 +21,7 @@ _HIGHEST = max(PARAMETERS)
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What is at one address. ``own_address``: what its #17 says, None where it says nothing."""
+    """The device at one address. ``own_address``: the value of its #17, None where it was not read."""
 
     unit: int
     baud: int
@@ -35,14 +35,15 @@ class Found:
     reply_bytes: tuple[int, ...] = ()
     estop_healthy: Literal[0, 1] | None = None
     """Its e-stop bit while it turns at speed; None where it never did."""
-    answered_within_s: float | None = None
+    responds_within_s: float | None = None
     late: bool = False
     """Whether some of its responses came after their window."""
 
 
-def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> tuple[Message, ...]:
-    """What a person should know of a DIGIMAX IV. ``garbled`` of its ``questions`` were answered with noise;
-    ``uncertain``: some of them not at all."""
+def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
+    """Return remarks about a DIGIMAX IV. ``garbled`` of its ``requests`` had noise as their response;
+    ``uncertain``: some of them had none.
+    """
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:
@@ -50,7 +51,7 @@ def remarks_on(one: Found, *, garbled: int, questions: int, uncertain: bool) -> 
     if uncertain:
         remarks.append(Message("found_uncertain"))
     if garbled:
-        remarks.append(Message.of("found_noise", n=garbled, all=questions))
+        remarks.append(Message.of("found_noise", n=garbled, all=requests))
     if one.checksum_10h == "twice":
         remarks.append(Message("found_checksum_twice"))
     if one.estop_healthy == 0:

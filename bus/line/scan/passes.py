@@ -1,7 +1,7 @@
-"""Which address a scan asks next. Pure: addresses out, whether somebody answered in.
+"""Which address a scan requests next. Pure: addresses out, whether one responded in.
 
-An answer may get lost, so nobody is called absent after one question: the silent addresses are asked once
-more when all have been asked, and again as long as that finds somebody.
+A response may get lost, so no address is absent after one request: addresses without a response get a second
+request after all had one, and further ones as long as that finds a unit.
 """
 
 from __future__ import annotations
@@ -19,52 +19,56 @@ MOST_PASSES = 4
 
 
 def no_response_s(baud: int, turnaround_s: float) -> float:
-    """What an address costs where nothing answers: the request, the turnaround, one byte, the margin."""
+    """Return the cost of an address without a response: the request, the turnaround, one byte, the margin."""
     request = encode_request(ReadStatusRequest(1), Dialect())
     return wire_seconds(len(request) + 1, baud) + turnaround_s + MARGIN_S
 
 
 class Passes:
-    """Iterated over, it gives address after address; whether it answered is said before the next."""
+    """Iterates over addresses; ``found`` is called before the next one where the last responded."""
 
     def __init__(self, addresses: Iterable[int]) -> None:
-        self._to_ask = deque(addresses)
-        self._unanswered: deque[int] = deque()
-        self._addresses = len(self._to_ask)
+        self._remaining = deque(addresses)
+        self._without_response: deque[int] = deque()
+        self._addresses = len(self._remaining)
         self._found = 0
         self._done = 0
-        """Whole passes."""
+        """Complete passes."""
 
     @property
-    def questions(self) -> int:
-        """How many questions the scan has, where no address answers."""
+    def requests(self) -> int:
+        """Return how many requests the scan has, where no address responds."""
         return PASSES * self._addresses
 
     @property
     def settled(self) -> int:
-        """How many of ``questions`` need not be asked any more."""
-        asked, to_ask = min(self._done + 1, PASSES), min(self._done, PASSES)
-        return PASSES * self._found + asked * len(self._unanswered) + to_ask * len(self._to_ask)
+        """Return how many of ``requests`` are done or no longer needed."""
+        done_passes, remaining_passes = min(self._done + 1, PASSES), min(self._done, PASSES)
+        return (
+            PASSES * self._found
+            + done_passes * len(self._without_response)
+            + remaining_passes * len(self._remaining)
+        )
 
     @property
     def done(self) -> int:
-        """The same in whole addresses."""
+        """Return the same in complete addresses."""
         return self.settled // PASSES
 
     def __iter__(self) -> Iterator[int]:
-        while self._to_ask:
+        while self._remaining:
             found_before = self._found
-            while self._to_ask:
-                yield self._to_ask[0]
+            while self._remaining:
+                yield self._remaining[0]
             self._done += 1
             if self._done < (MOST_PASSES if self._found > found_before else PASSES):
-                self._to_ask, self._unanswered = self._unanswered, deque()
+                self._remaining, self._without_response = self._without_response, deque()
 
     def found(self) -> None:
-        """The address that was given last answered."""
-        self._to_ask.popleft()
+        """The last address responded."""
+        self._remaining.popleft()
         self._found += 1
 
     def no_response(self) -> None:
         """The address that was given last did not."""
-        self._unanswered.append(self._to_ask.popleft())
+        self._without_response.append(self._remaining.popleft())

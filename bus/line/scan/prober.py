@@ -1,8 +1,8 @@
-"""Asks the questions of an examination over a port of a scan, and notices units slower than it allows.
+"""Sends the requests of an examination over a port of a scan, and detects units slower than it allows.
 
 A unit that is slower than the turnaround it is allowed responds into the window of another request, where its
-response passes for noise or, worse, for that request's own. A unit that seems to is asked once with patience;
-if it is slow, nothing that was collected until then is worth anything.
+response passes for noise or, worse, for that request's. A unit that seems to is sent one request with a long
+window; if it is slow, nothing that was collected until then is valid.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.scan_port import Collected, ScanPort
 from bus.wire.commands import ReadStatusRequest
-from bus.wire.exchange import Answered, Doubled, ExchangeEvent, Foreign, Late, Unexpected
+from bus.wire.exchange import Duplicate, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.framing import DLE, DoubledChecksum, Noise
 
 PATIENCE_S = 1.0
@@ -39,8 +39,8 @@ class Prober:
         self._line = line
         self._baud = baud
         self._turnaround_s = turnaround_s
-        self._unanswered: dict[int, Monotonic] = {}
-        """When units were asked that have not responded since."""
+        self._without_response: dict[int, Monotonic] = {}
+        """When requests were sent to units that have not responded since."""
         self._quick: set[int] = set()
 
     async def examine(self, unit: int) -> Found | None:
@@ -60,22 +60,24 @@ class Prober:
             await self._measure(unit)
         unit = probe.request.unit
         if collected.exchange.reply is None:
-            self._unanswered[unit] = collected.ends_sending
+            self._without_response[unit] = collected.ends_sending
         else:
-            self._unanswered.pop(unit, None)
+            self._without_response.pop(unit, None)
         return _outcome(collected)
 
     def _seem_late(self, collected: Collected) -> set[int]:
         """Units whose response to an earlier request this may have been."""
         responded = {event.unit for event in collected.events if isinstance(event, Foreign)}
-        if any(isinstance(event, Answered | Late) for event in collected.events):
+        if any(isinstance(event, Responded | Late) for event in collected.events):
             responded.add(collected.exchange.request.unit)
-        asked = collected.ends_sending
-        recent = {unit for unit, at in self._unanswered.items() if asked - at < PATIENCE_S}
+        sent_at = collected.ends_sending
+        recent = {unit for unit, at in self._without_response.items() if sent_at - at < PATIENCE_S}
         return responded & recent - self._quick
 
     async def _measure(self, unit: int) -> None:
-        """Ask with patience. Raises SlowUnitError for a unit that needs more than it is allowed."""
+        """Send a request with a long window. Raises SlowUnitError for a unit that needs more than it is
+        allowed.
+        """
         if self._turnaround_s >= PATIENCE_S:
             return
         await self._line.listen(PATIENCE_S)
@@ -92,14 +94,14 @@ def _outcome(collected: Collected) -> ProbeOutcome:
         reply=collected.exchange.reply,
         garbled=any(isinstance(event, Noise) for event in events),
         unexpected=any(isinstance(event, Foreign | Unexpected) for event in events),
-        surplus=sum(isinstance(event, Doubled | Late) for event in events),
+        surplus=sum(isinstance(event, Duplicate | Late) for event in events),
         checksum_10h=_checksum_10h(events),
-        answered_after_s=collected.turnaround_s,
+        responded_after_s=collected.turnaround_s,
     )
 
 
 def _checksum_10h(events: list[ExchangeEvent]) -> Checksum10h | None:
     if any(isinstance(event, DoubledChecksum) for event in events):
         return "twice"
-    responses = [event.frame.wire for event in events if isinstance(event, Answered)]
+    responses = [event.frame.wire for event in events if isinstance(event, Responded)]
     return "once" if any(wire[-1] == DLE for wire in responses) else None

@@ -1,4 +1,4 @@
-"""The scan of a port that nobody else uses: opens it at one baud rate and asks address after address."""
+"""The scan of a port without other users: opens it at one baud rate and requests address after address."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from bus.line.scan.scan_port import ScanPort, scan_port
 from bus.messages import Message
 
 LISTEN_S = 0.2
-"""How long the line is listened to before anything is asked."""
-MOST_UNASKED_BYTES = 10
-"""More than this in that time, and nothing on the line can be told from anything else."""
+"""How long the line is received before the first request."""
+MOST_UNREQUESTED_BYTES = 10
+"""More than this in that time, and responses cannot be distinguished from other traffic."""
 
 
 @dataclass(slots=True)
 class BaudScan:
-    """What has answered so far at one baud rate. ``echoes``: the adapter hears what it sends.
+    """What has responded so far at one baud rate. ``echoes``: the adapter receives what it sends.
 
-    ``turnaround_s``: what a unit may take to begin its answer; it grows where a unit proves slower.
+    ``turnaround_s``: within which a unit begins its response; it grows where a unit is slower.
     """
 
     baud: int
@@ -36,11 +36,11 @@ class BaudScan:
 async def scan_baud(
     scan: BaudScan, port: str, addresses: Sequence[int], progress: Callable[[int], None]
 ) -> None:
-    """Ask every one of ``addresses`` and put down in ``scan`` who answers, in their order.
+    """Request each of ``addresses`` and record in ``scan`` which respond, in their order.
 
-    ``progress`` is called with how many of ``PASSES`` questions for each address are settled; with a
-    negative number when all are asked again, as a unit proved slower than was allowed.
-    Raises WireError when the port cannot be opened or is lost, or when bytes come that nobody asked for.
+    ``progress`` is called with how many of ``PASSES`` requests for each address are done; with a negative
+    number when all are repeated, because a unit is slower than was allowed. Raises WireError when the port
+    cannot be opened or is lost, or when unrequested bytes arrive.
     """
     async with scan_port(port, scan.baud) as line:
         await scan_addresses(scan, line, addresses, progress)
@@ -51,8 +51,8 @@ async def scan_addresses(
 ) -> None:
     """As ``scan_baud``, over an open port."""
     began = asyncio.get_running_loop().time()
-    if (unasked := await line.listen(LISTEN_S)) > MOST_UNASKED_BYTES:
-        raise WireError(Message.of("bytes_unrequested", count=unasked, seconds=LISTEN_S))
+    if (unrequested := await line.listen(LISTEN_S)) > MOST_UNREQUESTED_BYTES:
+        raise WireError(Message.of("bytes_unrequested", count=unrequested, seconds=LISTEN_S))
     complete = False
     while not complete:
         passes = Passes(addresses)

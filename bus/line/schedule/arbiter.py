@@ -19,7 +19,7 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 PACE = 0.8
-"""On a port faster than its baud rate a round still takes this part of the time it would on the wire."""
+"""On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
 
 
@@ -55,17 +55,17 @@ class Arbiter:
         self._reserved_until = Monotonic(0.0)
 
     def reserve(self, now: Monotonic) -> None:
-        """No read of the schedule leaves for a moment, because a write is about to be asked for.
+        """Hold back reads of the schedule for a moment, because a write is about to be requested.
 
-        For writes that never come, no more than one such moment between two reads is lost, and none while
-        the schedule has had to wait long.
+        For writes that never come, no more than one such moment between two reads is lost, and none while the
+        schedule has had to wait long.
         """
         if self._routine_at >= self._reserved_at and now - self._routine_at < COMMANDS_AT_A_STRETCH_S:
             self._reserved_at = now
             self._reserved_until = now + RESERVED_S
 
     def next_request(self, now: Monotonic) -> NextRequest | None:
-        """What is sent now; None: nothing before one of ``moments``."""
+        """Return the request to send now; None: nothing before one of ``moments``."""
         if len(self.commands) and self._leave_a_poll(now):
             if self._routine is None and (poll := self.schedule.next_poll()) is not None:
                 self._routine = _routine(poll)
@@ -101,7 +101,7 @@ class Arbiter:
         if run is not None:
             self._read_last = run.priority is Priority.READ
             if run.priority is Priority.SLOW:
-                self.schedule.spent(Task(TaskKind.SLOW), exchange.began, exchange.ended, answered=True)
+                self.schedule.spent(Task(TaskKind.SLOW), exchange.began, exchange.ended, responded=True)
             return run.settle(exchange, exchange.ended)
         assert self._routine is not None
         return self._settle_routine(*self._routine, exchange)
@@ -171,7 +171,7 @@ class Arbiter:
         # A poll at 300 baud takes longer than commands may keep the schedule waiting: it waits from here on.
         self._routine_at = exchange.ended
         again = attempts.settle(exchange)
-        self.schedule.spent(task, exchange.began, exchange.ended, answered=exchange.reply is not None)
+        self.schedule.spent(task, exchange.began, exchange.ended, responded=exchange.reply is not None)
         result = attempts.result
         if result is None:
             return again

@@ -1,8 +1,8 @@
-"""At which rate a silent line may be found. Pure: time in seconds is passed in.
+"""At which rate a line without responses may be found. Pure: time in seconds is passed in.
 
-Units take a new baud rate (#18) when they are switched off and on, one before the other and nobody says when.
-So a line that is wholly silent is asked at its old rate and at its new one in turn, until it answers at the
-new one: no unit goes back to the old rate by itself, so from then on a silence is just a silence.
+Units take a new baud rate (#18) when they are switched off and on, one after the other and without notice.
+Therefore a line without any response is polled at its old rate and at its new one in turn, until it responds
+at the new one: no unit returns to the old rate, so from then on a timeout is just a timeout.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ from __future__ import annotations
 from bus.instants import Monotonic
 
 LOOK_ELSEWHERE_S = 3.0
-"""How long a wholly silent line is asked at one baud rate before it is asked at the other."""
+"""How long a line without any response is polled at one baud rate before the other."""
 
 
 class BaudSearch:
-    """``look`` now and then, ``turn`` between two questions: a silent line gets one after the other."""
+    """Call ``look`` regularly, and ``turn`` between two requests: a line without responses gets both rates in
+    turn.
+    """
 
     def __init__(self, now: Monotonic) -> None:
         self._expected: int | None = None
@@ -23,8 +25,9 @@ class BaudSearch:
         self._turns = False
 
     def expect(self, baud: int, present: int) -> None:
-        """Units that answer at ``present`` come up at ``baud`` once they have been switched off and on; the
-        same twice: nothing that was expected before holds any more."""
+        """Units that respond at ``present`` come up at ``baud`` once they have been switched off and on; the
+        same twice: no former expectation applies any more.
+        """
         self._expected, self._old = (None, None) if baud == present else (baud, present)
 
     def tuned(self, now: Monotonic) -> None:
@@ -32,7 +35,7 @@ class BaudSearch:
         self._tuned_at = now
 
     def look(self, now: Monotonic, baud: int, *, responds: bool) -> bool:
-        """Whether the other rate is to be tried next; ``answers``: whether any unit does at ``baud``."""
+        """Return whether the other rate is tried next; ``responds``: whether any unit does at ``baud``."""
         if self._expected is None:
             return False
         if responds:
@@ -44,7 +47,9 @@ class BaudSearch:
         return self._turns
 
     def turn(self, baud: int, *, responds: bool) -> int | None:
-        """The rate to go on at, where it is time to leave ``baud`` and nobody has answered there since."""
+        """Return the rate to continue at, where it is time to leave ``baud`` and no unit has responded there
+        since.
+        """
         turns, self._turns = self._turns, False
         if not turns or responds:
             return None

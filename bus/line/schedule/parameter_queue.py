@@ -9,16 +9,16 @@ from collections.abc import Collection, Sequence
 from bus.catalogue.numbers import DECIMALS
 
 DECIMALS_EVERY = 4
-"""So many reads of the circle bring one #3, and a first reading of all the others still ends soon."""
+"""This many reads of the slow scan include one #3, and a first reading of all the others still ends soon."""
 
 
 class ParameterQueue:
-    """Two queues of 85h reads: those needed to show a unit right, and a slow circle of all others.
+    """Two queues of 85h reads: those needed to show a unit right, and a slow scan of all others.
 
     The needed ones go number by number over all units, so that all units are shown right together; #3 goes
-    first, as without decimals no speed can be shown right.
-    The circle never ends: what was read goes to its end, which finds what was changed at a panel. Every
-    fourth read of it is #3 of the next unit, as decimals changed at a panel make every shown speed wrong.
+    first, because without decimals no speed can be shown right. The slow scan never ends: what was read goes
+    to its end, which finds what was changed at a panel. Every fourth read of it is #3 of the next unit,
+    because decimals changed at a panel make every shown speed wrong.
     """
 
     def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
@@ -50,7 +50,7 @@ class ParameterQueue:
                 heapq.heappush(self._needed, rank)
 
     def forget(self, unit: int) -> None:
-        """``unit`` does not answer; nothing is read from it."""
+        """``unit`` does not respond; nothing is read from it."""
         self._needed = [entry for entry in self._needed if entry[3] != unit]
         heapq.heapify(self._needed)
         self._background = deque(entry for entry in self._background if entry[0] != unit)
@@ -71,7 +71,7 @@ class ParameterQueue:
         return unit, number
 
     def next_background(self) -> tuple[int, int] | None:
-        """Unit and number of the next parameter of the slow circle, taken from it."""
+        """Return unit and number of the next parameter of the slow scan, and remove it from there."""
         self._turn = (self._turn + 1) % DECIMALS_EVERY
         queue = (self._background or self._decimals) if self._turn else (self._decimals or self._background)
         if not queue:
@@ -81,12 +81,12 @@ class ParameterQueue:
         return entry
 
     def was_read(self, unit: int, number: int, *, available: bool) -> None:
-        """It takes its place at the end of the circle; one that the unit does not have leaves it."""
+        """Move it to the end of the slow scan; remove one that the unit does not have."""
         if available and number in self._numbers:
             self._add_background(unit, number)
 
     def was_not_read(self, unit: int, number: int) -> None:
-        """No answer: back into the queue it came from."""
+        """No response: put it back into the queue it came from."""
         if number in self._needed_numbers:
             self._again(unit, number)
         else:

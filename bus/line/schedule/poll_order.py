@@ -7,7 +7,7 @@ import math
 from collections.abc import Collection, Iterable
 
 KEPT_OF_A_TURN = 2 / 3
-"""What an unwatched unit keeps, at the least, of the rate it has while nobody watches."""
+"""The least part of its rate without open pages that an unwatched unit keeps."""
 WATCHED_HZ = 10.0
 """More polls a second of one unit than this show a person nothing new."""
 
@@ -15,9 +15,9 @@ WATCHED_HZ = 10.0
 class PollOrder:
     """Units in floor order, each with its turn; a watched one has more turns than the others.
 
-    Each unit has a *pass*; the lowest is next and moves on by the inverse of its share (stride
-    scheduling), so nobody starves and equal units take exact turns. Whenever shares change the passes are
-    spread evenly, or a watched unit would have all its turns together, between two rounds of the others.
+    Each unit has a *pass*; the lowest is next and moves on by the inverse of its share (stride scheduling),
+    so no unit starves and equal units take exact turns. Whenever shares change the passes are spread evenly;
+    otherwise a watched unit would have all its turns together, between two scans of the others.
     """
 
     def __init__(self, floor_order: Iterable[int], poll_s: float) -> None:
@@ -36,7 +36,7 @@ class PollOrder:
         return unit in self._passes
 
     def join(self, unit: int) -> None:
-        """``unit`` takes part, last of all, for it has just answered; what it missed is not made up for."""
+        """Add ``unit`` as the last, because it has just responded; missed turns are not made up for."""
         if unit not in self._passes:
             self._passes[unit] = math.inf
             self._weigh()
@@ -52,7 +52,7 @@ class PollOrder:
         self._weigh()
 
     def take(self) -> int | None:
-        """The unit whose turn it is; None when nobody takes part."""
+        """Return the unit whose turn it is; None when no unit takes part."""
         if not self._queue:
             return None
         self._present, place, unit = self._queue[0]

@@ -3,14 +3,14 @@
 Order of claims on the wire, the first that may use it wins:
 
 1. the first 81h of every unit, in floor order;
-2. a silent unit whose back-off is over, all of them within a twentieth of the wire;
+2. a unit without responses whose back-off is over, all of them within a twentieth of the wire;
 3. parameters needed to show a unit right, within a share that is large only while they are missing;
-4. a slow read that someone asked for (a backup, a scan), within a tenth of the wire while watched;
-5. the slow circle of the other parameters, within a hundredth;
-6. the round of 81h, where watched units have more turns than the others.
+4. a requested slow read (a backup, a scan), within a tenth of the wire while watched;
+5. the slow scan of the other parameters, within a hundredth;
+6. the scan of 81h, where watched units have more turns than the others.
 
-When nobody takes part in the round, 3 to 5 may use all of it. Operators' writes do not pass through
-here: they come before everything (``bus.line.schedule.arbiter``).
+When no unit takes part in the scan, 3 to 5 may use all of it. Operators' writes do not pass through here:
+they come before everything (``bus.line.schedule.arbiter``).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ NEEDED_SHARE_OF_MANY = 0.5
 MANY_UNITS = 12
 """With more units than this the first seconds are shared evenly, or readings would look stale."""
 SLOW_SHARE_WATCHED = 0.08
-"""With fences and the circle beside it the scan then keeps nine tenths of its rate."""
+"""With fences and the slow scan beside it the scan then keeps nine tenths of its rate."""
 SLOW_SHARE_UNWATCHED = 0.95
 BACKGROUND_SHARE = 0.01
 BURST_POLLS = 2
-"""Short reads between long polls come to their share by saving up the time of so many polls."""
+"""Short reads between long polls reach their share by saving up the time of so many polls."""
 
 
 class TaskKind(StrEnum):
@@ -60,7 +60,7 @@ class Task(msgspec.Struct, frozen=True):
 
 
 class PollSchedule:
-    """The whole claim list of one bus."""
+    """The complete claim list of one bus."""
 
     def __init__(self, units: Iterable[int], poll_s: float, seed: int = 0) -> None:
         order = tuple(units)
@@ -76,13 +76,13 @@ class PollSchedule:
 
     # --- what happened -------------------------------------------------------------------------
 
-    def watch(self, units: Collection[int], *, anybody: bool) -> None:
-        """``units`` are on an open page; ``anybody``: some page is open at all."""
+    def watch(self, units: Collection[int], *, any_page: bool) -> None:
+        """Set the ``units`` on an open page; ``any_page``: some page is open at all."""
         self.poll_order.watch(units)
-        self._slow.fraction = SLOW_SHARE_WATCHED if anybody else SLOW_SHARE_UNWATCHED
+        self._slow.fraction = SLOW_SHARE_WATCHED if any_page else SLOW_SHARE_UNWATCHED
 
     def responded(self, unit: int, now: Monotonic) -> None:
-        """``unit`` answered for the first time, or again after a silence."""
+        """``unit`` responded for the first time, or after timeouts."""
         self.probes.responded(unit, now)
         if unit in self.poll_order:
             return
@@ -99,26 +99,26 @@ class PollSchedule:
         self._adapt()
 
     def port_opened(self, now: Monotonic) -> None:
-        """The port is open again: silent units are worth a question."""
+        """The port is open again: units without responses are due for a probe."""
         self.probes.forgive(now)
 
-    def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, answered: bool) -> None:
+    def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""
         seconds = ended - began
         match task.kind:
-            case TaskKind.PROBE if not answered:
-                self.probes.unanswered(task.unit, ended, seconds)
+            case TaskKind.PROBE if not responded:
+                self.probes.no_response(task.unit, ended, seconds)
             case TaskKind.PARAMETER:
                 (self._needed if task.needed else self._background).spend(began, seconds)
             case TaskKind.SLOW:
                 self._slow.spend(began, seconds)
-            case TaskKind.POLL if answered:
+            case TaskKind.POLL if responded:
                 self._poll_s += (seconds - self._poll_s) * 0.05
         polled = 1.0 if task.kind is TaskKind.POLL else 0.0
         weight = min(1.0, seconds / 5.0)
         self._poll_fraction += (polled - self._poll_fraction) * weight
 
-    # --- what is next --------------------------------------------------------------------------
+    # --- the next claim ------------------------------------------------------------------------
 
     def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
         """The next use of the wire; None: nothing before ``wake_at``."""
@@ -159,10 +159,10 @@ class PollSchedule:
 
     @property
     def poll_s(self) -> float:
-        """Seconds that one answered poll takes, averaged, the unit's own time included."""
+        """Return the seconds that one completed poll takes, averaged, the unit's turnaround included."""
         return self._poll_s
 
     def scan_s(self, more_units: int = 0) -> float:
-        """Seconds in which every answering unit is polled once, with ``more_units`` more of them."""
+        """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""
         units = len(self.poll_order) + more_units
         return units * self._poll_s / max(self._poll_fraction, 0.05)

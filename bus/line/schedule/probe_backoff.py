@@ -1,4 +1,4 @@
-"""When a silent unit is asked again, so that the dead cost the living next to nothing. Pure."""
+"""When a unit without responses is probed, so that offline units cost online ones next to nothing. Pure."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from bus.instants import Monotonic
 from bus.line.schedule.wire_share import WireShare
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
-"""Back-off after each unanswered probe."""
+"""Back-off after each probe without a response."""
 ALONE_STEP_S = 1.0
-"""The longest back-off while no unit answers at all: then there is nobody to be kept waiting."""
+"""The longest back-off while no unit responds: no other unit is delayed."""
 JITTER = 0.2
 """A step is shortened by up to this part, so that units lost together do not stay in step."""
 WIRE_SHARE = 0.05
-"""What all silent units together may cost of the wire."""
+"""The part of the wire for probes of all units without responses."""
 WIRE_SHARE_ALONE = 0.5
-"""The same while no unit answers: a line that is switched on again is found at once, however long it may take
-to begin an answer."""
+"""The same while no unit responds: a line that is switched on again is found at once, however long its
+turnaround.
+"""
 
 
 @dataclass(slots=True)
@@ -28,10 +29,10 @@ class _OfflineUnit:
 
 
 class ProbeBackoff:
-    """The units that do not answer, and when each is probed next.
+    """The units that do not respond, and when each is probed next.
 
-    One probe costs one timeout; the timeouts of all are rationed to ``WIRE_SHARE``. An answered probe
-    costs nothing, so a whole line that comes back is found as fast as it answers.
+    One probe costs one timeout; the timeouts of all are rationed to ``WIRE_SHARE``. A probe with a response
+    costs nothing, so a complete line that comes back is found as fast as it responds.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -39,7 +40,7 @@ class ProbeBackoff:
         self._rations = _rations()
         self._random = random.Random(seed)
         self.alone = True
-        """Whether no unit answers; set by the schedule."""
+        """Whether no unit responds; set by the schedule."""
 
     def __len__(self) -> int:
         return len(self._units)
@@ -48,10 +49,10 @@ class ProbeBackoff:
         return unit in self._units
 
     def stopped_responding(self, unit: int, now: Monotonic) -> None:
-        """``unit`` stopped answering, or did not answer its first question."""
+        """``unit`` stopped responding, or did not respond to its first request."""
         self._units[unit] = _OfflineUnit(0, now + self._wait(0))
 
-    def unanswered(self, unit: int, now: Monotonic, cost_s: float) -> None:
+    def no_response(self, unit: int, now: Monotonic, cost_s: float) -> None:
         """A probe of ``unit`` cost a timeout of ``cost_s`` seconds that ended at ``now``."""
         self._rations[self.alone].spend(now, cost_s)
         offline = self._units.get(unit)
@@ -60,14 +61,15 @@ class ProbeBackoff:
             offline.due = now + self._wait(offline.step)
 
     def responded(self, unit: int, now: Monotonic) -> None:
-        """``unit`` answers again; what silenced it may have silenced others, so they are due now."""
+        """``unit`` responds again; others may have had the same cause, so they are due now."""
         if self._units.pop(unit, None) is not None:
             for other in self._units.values():
                 other.due = min(other.due, now)
 
     def forgive(self, now: Monotonic) -> None:
-        """The port was opened anew, or goes at another rate: everybody is worth asking at once, whoever has
-        waited longest first, and the first one whatever was spent before."""
+        """The port was reopened, or uses another rate: every unit is due at once, the longest waiting first,
+        and the first one whatever was spent before.
+        """
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)
@@ -80,14 +82,14 @@ class ProbeBackoff:
         return unit if self._due_of(self._units[unit]) <= now else None
 
     def wake_at(self) -> Monotonic | None:
-        """When the next probe may leave; None when nobody is silent."""
+        """Return when the next probe may leave; None when all units respond."""
         if not self._units:
             return None
         first_due = min(self._due_of(offline) for offline in self._units.values())
         return max(self._rations[self.alone].ready_at, first_due)
 
     def back_off_s(self, unit: int) -> float:
-        """The present back-off step of ``unit`` in seconds, 0 when it is not silent."""
+        """Return the present back-off step of ``unit`` in seconds, 0 when it responds."""
         offline = self._units.get(unit)
         return STEPS_S[offline.step] if offline is not None else 0.0
 
@@ -102,5 +104,5 @@ class ProbeBackoff:
 
 
 def _rations() -> dict[bool, WireShare]:
-    """By whether no unit answers."""
+    """By whether no unit responds."""
     return {False: WireShare(WIRE_SHARE), True: WireShare(WIRE_SHARE_ALONE)}

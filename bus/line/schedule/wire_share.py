@@ -6,10 +6,10 @@ from bus.instants import Monotonic
 
 
 class WireShare:
-    """Lets something use the wire for at most ``fraction`` of the time, however long one use is.
+    """Limits a use of the wire to at most ``fraction`` of the time, however long one use is.
 
-    What was not used can be saved up for ``burst_s`` seconds of waiting, so that short uses between
-    long ones of others still come to the whole fraction. Pure: ``now`` in seconds is passed in.
+    Unused time can be saved up for ``burst_s`` seconds of waiting, so that short uses between long ones of
+    others still reach the complete fraction. Pure: ``now`` in seconds is passed in.
     """
 
     def __init__(self, fraction: float, burst_s: float = 0.0) -> None:

@@ -1,9 +1,9 @@
-"""The likely cause of trouble on a bus, from the last seconds' counts. Pure rules.
+"""The likely cause of faults on a bus, from the last seconds' counts. Pure rules.
 
-One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the
-cable there. Spoilt bytes at many: shielding. Spoilt bytes at one address only: two units may share it.
-All but one answer twice, or are spoilt when they are asked: that one answers for the others too. Where it
-does so for one that is off, no frame shows it; only the address does that the answering unit reads in #17.
+One unit: its drop or its address. All: adapter, main cable or termination. All from one place on: the cable
+there. Damaged bytes at many: shielding. Damaged bytes at one address only: two units may share it. All but
+one respond twice, or damaged: that one responds for the others too. Where it does so for one that is off, no
+frame shows it; only the address that the responding unit reads in #17 does.
 """
 
 from __future__ import annotations
@@ -15,56 +15,57 @@ import msgspec
 from bus.messages import Message
 
 TROUBLED = 0.1
-"""A unit is in trouble when it misses or spoils more than this part of its answers."""
+"""A unit has a fault when it misses or damages more than this part of its responses."""
 FEW = 3
 """Fewer events than this are chance."""
 MANY = 3
-"""Units of which one can be told from all the others."""
+"""The number of units from which one can be distinguished from all others."""
 LATE_PART = 0.05
 MUCH_NOISE_BYTES = 100
 COLLIDED_BYTES = 20
-"""What is left of a few answers that two units gave at once; units that are off leave nothing."""
+"""The remains of a few simultaneous responses of two units; units that are off leave nothing."""
 
 
 class UnitSymptoms(msgspec.Struct, frozen=True):
-    """What one unit did in the window, units in floor order. ``spoilt``: answers with a wrong checksum.
-    ``says``: the address that its #17 reads, None where that was not read."""
+    """The counts of one unit in the window, units in floor order. ``spoilt``: responses with a wrong
+    checksum. ``own_address``: the address that its #17 reads, None where that was not read.
+    """
 
     unit: int
     offline: bool = False
-    answers: int = 0
+    responses: int = 0
     timeouts: int = 0
     spoilt: int = 0
     foreign: int = 0
     late: int = 0
-    says: int | None = None
+    own_address: int | None = None
 
     @property
-    def asked(self) -> int:
-        return self.answers + self.timeouts
+    def requests(self) -> int:
+        return self.responses + self.timeouts
 
     @property
-    def silent(self) -> bool:
-        return self.offline or (self.timeouts >= FEW and self.timeouts > TROUBLED * self.asked)
+    def unresponsive(self) -> bool:
+        return self.offline or (self.timeouts >= FEW and self.timeouts > TROUBLED * self.requests)
 
     @property
     def garbled(self) -> bool:
-        return self.spoilt >= FEW and self.spoilt > TROUBLED * self.asked
+        return self.spoilt >= FEW and self.spoilt > TROUBLED * self.requests
 
     @property
     def slow(self) -> bool:
-        return self.late >= FEW and self.late > LATE_PART * self.asked
+        return self.late >= FEW and self.late > LATE_PART * self.requests
 
     @property
     def twice(self) -> bool:
-        """Frames come in its name that it does not owe: an answer that is late was given up before."""
+        """Unrequested frames carry its address: a late response would have timed out before."""
         return self.slow and self.timeouts < FEW
 
 
 def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
     """One or two causes; empty when all is well."""
-    found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _silent(units)]
-    found += [_duplicated(units)] if answers_for_all(units) else [_slow(units), _foreign(units)]
+    found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _unresponsive(units)]
+    found += [_duplicated(units)] if responds_for_all(units) else [_slow(units), _foreign(units)]
     if echoes:
         found.append(Message("diagnosis_echo"))
     if noise_bytes >= MUCH_NOISE_BYTES:
@@ -72,44 +73,46 @@ def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> li
     return [each for each in found if each is not None]
 
 
-def answers_for_all(units: Sequence[UnitSymptoms]) -> int:
-    """The unit that seems to answer to every address, as all others are received twice; 0: none."""
-    heard = [each for each in units if not each.silent]
-    alone = [each for each in heard if not each.twice]
-    return alone[0].unit if len(alone) == 1 and len(heard) >= MANY and alone[0].answers else 0
+def responds_for_all(units: Sequence[UnitSymptoms]) -> int:
+    """Return the unit that seems to respond to every address, because all others are received twice; 0:
+    none.
+    """
+    responding = [each for each in units if not each.unresponsive]
+    alone = [each for each in responding if not each.twice]
+    return alone[0].unit if len(alone) == 1 and len(responding) >= MANY and alone[0].responses else 0
 
 
 def _duplicated(units: Sequence[UnitSymptoms]) -> Message:
-    return Message.of("diagnosis_all_twice", unit=answers_for_all(units))
+    return Message.of("diagnosis_all_twice", unit=responds_for_all(units))
 
 
 def _in_another_name(units: Sequence[UnitSymptoms]) -> Message | None:
-    others = [each for each in units if each.says not in (None, each.unit) and not each.silent]
-    if not others or (own := others[0].says) is None:
+    others = [each for each in units if each.own_address not in (None, each.unit) and not each.unresponsive]
+    if not others or (own := others[0].own_address) is None:
         return None
-    same = _addresses([each for each in others if each.says == own])
+    same = _addresses([each for each in others if each.own_address == own])
     return Message.of("diagnosis_other_name", units=same, own=own)
 
 
 def _collided(units: Sequence[UnitSymptoms], noise_bytes: int) -> Message | None:
-    alone = [each.unit for each in units if not each.silent]
+    alone = [each.unit for each in units if not each.unresponsive]
     if len(alone) != 1 or len(units) < MANY or noise_bytes < COLLIDED_BYTES:
         return None
     return Message.of("diagnosis_collisions", unit=alone[0])
 
 
-def _silent(units: Sequence[UnitSymptoms]) -> Message | None:
-    silent = [each for each in units if each.silent and not each.garbled]
-    if not silent:
+def _unresponsive(units: Sequence[UnitSymptoms]) -> Message | None:
+    unresponsive = [each for each in units if each.unresponsive and not each.garbled]
+    if not unresponsive:
         return None
-    if len(silent) == len(units) and len(units) > 1:
+    if len(unresponsive) == len(units) and len(units) > 1:
         return Message("diagnosis_no_response")
-    if len(silent) == 1:
-        return Message.of("diagnosis_one_silent", unit=silent[0].unit)
-    first = units.index(silent[0])
-    if list(units[first:]) == silent and first > 0:
-        return Message.of("diagnosis_silent_from", unit=silent[0].unit, before=units[first - 1].unit)
-    return Message.of("diagnosis_some_silent", units=_addresses(silent))
+    if len(unresponsive) == 1:
+        return Message.of("diagnosis_one_silent", unit=unresponsive[0].unit)
+    first = units.index(unresponsive[0])
+    if list(units[first:]) == unresponsive and first > 0:
+        return Message.of("diagnosis_silent_from", unit=unresponsive[0].unit, before=units[first - 1].unit)
+    return Message.of("diagnosis_some_silent", units=_addresses(unresponsive))
 
 
 def _garbled(units: Sequence[UnitSymptoms]) -> Message | None:
@@ -124,7 +127,7 @@ def _garbled(units: Sequence[UnitSymptoms]) -> Message | None:
 
 
 def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> Message | None:
-    if any(each.silent and not each.garbled for each in units):
+    if any(each.unresponsive and not each.garbled for each in units):
         return Message("diagnosis_other_protocol")
     return None if named else Message("diagnosis_stray_bytes")
 

@@ -10,7 +10,7 @@ from bus.contract import BusFigures, UnitFigures
 from bus.instants import Monotonic, UnixTime
 from bus.line.roster import Roster, UnitRecord
 from bus.line.schedule.poll_schedule import PollSchedule
-from bus.line.statistics.diagnosis import UnitSymptoms, answers_for_all, diagnose
+from bus.line.statistics.diagnosis import UnitSymptoms, diagnose, responds_for_all
 from bus.line.statistics.wire_statistics import WireCounts
 
 WINDOW_S = 10.0
@@ -51,7 +51,7 @@ class Figures:
             echoes=counts.echoes,
             diagnosis=diagnose(symptoms, mark.noise_bytes - before.noise_bytes, mark.echoes - before.echoes),
             units=list(units.values()),
-            answers_for_all=answers_for_all(symptoms),
+            responds_for_all=responds_for_all(symptoms),
         )
 
     def _before(self, mark: _Mark) -> _Mark:
@@ -65,10 +65,10 @@ def _symptoms_of(record: UnitRecord, before: UnitFigures, after: UnitFigures) ->
     return UnitSymptoms(
         unit=after.unit,
         offline=record.link.link == "offline",
-        answers=after.answers - before.answers,
+        responses=after.responses - before.responses,
         timeouts=after.timeouts - before.timeouts,
         spoilt=after.checksum_errors - before.checksum_errors,
         foreign=after.foreign - before.foreign,
         late=after.late - before.late,
-        says=record.raw(OWN_ADDRESS),
+        own_address=record.raw(OWN_ADDRESS),
     )

@@ -1,4 +1,4 @@
-"""The last frames, at most an hour of them, packed; their meaning is made only when somebody asks."""
+"""The last frames, at most an hour of them, packed; their meaning is computed on demand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _VALID, _HIDDEN = 1, 2
 
 
 class TracedFrame(NamedTuple):
-    """One frame or piece of rubbish as it passed the port; ``at``: seconds since the epoch."""
+    """One frame or piece of noise as it passed the port; ``at``: seconds since the epoch."""
 
     at: UnixTime
     direction: Direction
@@ -49,7 +49,7 @@ class Trace:
         self._kept_bytes = kept_bytes
         self._pieces: deque[_Piece] = deque()
         self.follower: Callable[[TracedFrame], None] | None = None
-        """Gets each frame as it passes, while somebody follows."""
+        """Called with each frame as it passes, while the trace is followed."""
         self.witness: list[TracedFrame] | None = None
         """The frames of the command under way are put down here as well."""
 
@@ -69,7 +69,7 @@ class Trace:
             self.follower(passed._replace(data=data))
 
     def since(self, at: UnixTime) -> Iterator[TracedFrame]:
-        """What is kept from ``at`` on, oldest first. New frames may come while it is read."""
+        """Yield the kept frames from ``at`` on, oldest first. New frames may come while it is read."""
         pieces = list(self._pieces)
         for place, piece in enumerate(pieces):
             if place + 1 == len(pieces) or pieces[place + 1].began > at:
@@ -98,7 +98,7 @@ def _unpack(packed: bytes) -> Iterator[TracedFrame]:
 
 
 class Interpreter:
-    """Gives frames their meaning, in their order: an answer is read in the light of its request."""
+    """Gives frames their meaning, in their order: a response is read in the context of its request."""
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect

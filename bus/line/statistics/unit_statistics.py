@@ -1,4 +1,4 @@
-"""Counters and answer times of one unit. Pure."""
+"""Counters and response times of one unit. Pure."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from bus.contract import UnitCounts, UnitFigures
 
 _SHORTEST_S = 0.0001
 _STEP = 1.08
-"""Answer times are counted in classes each 8 % wider than the one before, from 0.1 ms to 8 s."""
+"""Response times are counted in classes each 8 % wider than the one before, from 0.1 ms to 8 s."""
 _CLASSES = 148
 
 
 class ResponseTimes:
-    """Seconds from a request's last byte to the first byte of the answer, as a histogram."""
+    """Seconds from a request's last byte to the first byte of the response, as a histogram."""
 
     __slots__ = ("_classes", "count", "largest", "smallest")
 
@@ -26,7 +26,7 @@ class ResponseTimes:
         self.largest: float | None = None
 
     def add(self, seconds: float) -> None:
-        """One answer; a negative time (a port faster than its baud rate) counts as none at all."""
+        """Add one response; a negative time (a port faster than its baud rate) counts as zero."""
         seconds = max(seconds, 0.0)
         self.count += 1
         self._classes[_class_of(seconds)] += 1
@@ -34,7 +34,7 @@ class ResponseTimes:
         self.largest = seconds if self.largest is None else max(self.largest, seconds)
 
     def quantile(self, part: float) -> float | None:
-        """The time that ``part`` (0 to 1) of the answers did not exceed; None before the first."""
+        """Return the time that ``part`` (0 to 1) of the responses did not exceed; None before the first."""
         if self.smallest is None or self.largest is None:
             return None
         left = part * self.count
@@ -66,7 +66,7 @@ class UnitStatistics:
         self.times = ResponseTimes()
 
     def refused(self, code: int) -> None:
-        """The unit said NAK. A new dictionary, as the one before may have been told."""
+        """Count a NAK. A new dictionary, because the one before may have been reported."""
         naks = self.counts.naks
         self.counts.naks = {**naks, code: naks.get(code, 0) + 1}
 
@@ -75,8 +75,8 @@ class UnitStatistics:
         times = self.times
         return UnitFigures(
             **asdict(self.counts),
-            answer_s_min=times.smallest,
-            answer_s_median=times.quantile(0.5),
-            answer_s_p99=times.quantile(0.99),
-            answer_s_max=times.largest,
+            response_s_min=times.smallest,
+            response_s_median=times.quantile(0.5),
+            response_s_p99=times.quantile(0.99),
+            response_s_max=times.largest,
         )

@@ -8,21 +8,21 @@ from bus.instants import Monotonic
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.roster import Roster
 from bus.wire.commands import Nak, ReadStatusRequest
-from bus.wire.exchange import Doubled, Echo, Foreign, Late, Unexpected
+from bus.wire.exchange import Duplicate, Echo, Foreign, Late, Unexpected
 from bus.wire.framing import Fault, Noise
 
-StrayFrame = Echo | Foreign | Doubled | Late | Unexpected
+StrayFrame = Echo | Foreign | Duplicate | Late | Unexpected
 
 
 @dataclass(slots=True)
 class WireCounts:
-    """What the whole bus carried since the worker started."""
+    """What the bus carried since the worker started."""
 
     busy_s: float = 0.0
     noise_bytes: int = 0
     echoes: int = 0
     broadcasts: int = 0
-    answers: int = 0
+    responses: int = 0
 
 
 class WireStatistics:
@@ -31,7 +31,7 @@ class WireStatistics:
     def __init__(self, roster: Roster) -> None:
         self.wire = WireCounts()
         self._roster = roster
-        self._last_answer = b""
+        self._last_response = b""
 
     def noise(self, noise: Noise, addressed: int) -> None:
         """Bytes that are no frame, during an exchange with ``addressed``."""
@@ -46,17 +46,17 @@ class WireStatistics:
                 self.wire.echoes += 1
             case Foreign():
                 self._foreign(event, addressed, is_overdue=is_overdue)
-            case Doubled() | Late():
+            case Duplicate() | Late():
                 self.late_or_duplicate(addressed)
             case Unexpected():
                 self._roster[addressed].statistics.counts.foreign += 1
 
     def late_or_duplicate(self, unit: int) -> None:
-        """An answer of an earlier exchange, or the last one once more."""
+        """Count a response of an earlier exchange, or a duplicate of the last one."""
         self._roster[unit].statistics.counts.late += 1
 
     def ended(self, exchange: CurrentExchange, byte_s: float) -> None:
-        """An exchange is over, with its answer or without; a byte takes ``byte_s``."""
+        """Count an exchange, with or without a response; a byte takes ``byte_s``."""
         request, reply = exchange.exchange.request, exchange.exchange.reply
         self.wire.busy_s += (len(exchange.exchange.sent) + len(exchange.frame)) * byte_s
         if request.unit == 0:
@@ -67,23 +67,23 @@ class WireStatistics:
         if reply is None:
             statistics.counts.timeouts += 1
             return
-        self._last_answer = exchange.frame
-        statistics.counts.answers += 1
-        self.wire.answers += 1
+        self._last_response = exchange.frame
+        statistics.counts.responses += 1
+        self.wire.responses += 1
         statistics.times.add(_begins(exchange, byte_s) - exchange.ends_sending)
         if isinstance(reply, Nak):
             statistics.refused(reply.code)
 
     def _foreign(self, event: Foreign, addressed: int, *, is_overdue: bool) -> None:
         """Another unit's frame: late where it is overdue or repeats the last response, else a mistake."""
-        if is_overdue or event.frame.wire == self._last_answer:
+        if is_overdue or event.frame.wire == self._last_response:
             self.late_or_duplicate(event.unit)
         elif addressed:
             self._roster[addressed].statistics.counts.foreign += 1
 
 
 def _begins(exchange: CurrentExchange, byte_s: float) -> Monotonic:
-    """When the answer began: a first byte that was left to gather came earlier than it was heard."""
+    """Return when the response began: a first byte that was left to gather came earlier than it was read."""
     begins = exchange.ended - len(exchange.frame) * byte_s
     first = exchange.exchange.first_byte_at
     return begins if first is None else min(begins, first - byte_s)

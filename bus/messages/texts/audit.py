@@ -22,7 +22,7 @@ TEXTS: dict[str, EnglishText] = {
         "chmod 600 {path}, then lineside audit rotate-key"
     ),
     "audit_key_replaceable": (
-        "everybody can replace the audit key {path}; chmod o-w {folder}, "
+        "every user can replace the audit key {path}; chmod o-w {folder}, "
         "or name another place as key_file in [audit]"
     ),
     "audit_key_damaged": (

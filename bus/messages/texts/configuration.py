@@ -42,7 +42,7 @@ TEXTS: dict[str, EnglishText] = {
     "setting_time_zone": "write a time zone like Europe/Berlin, or leave it out for the machine's own",
     "setting_one_of": "write one of {known}",
     "setting_proxy": "write the address of a proxy, like 10.0.0.5, or its network, like 10.0.0.0/28",
-    "setting_every_proxy": "name the proxies; of all addresses anybody could write X-Forwarded-For",
+    "setting_every_proxy": "name the proxies; with all addresses any client could write X-Forwarded-For",
     "setting_host_name": "write a name or an address without scheme and port, like mill.example",
     "setting_idle_hours": "idle_hours is longer than total_days; write fewer hours or more days",
     "setting_panel_idle_days": "panel_idle_days is longer than panel_total_days; write at most as many",
