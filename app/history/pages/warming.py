@@ -20,8 +20,8 @@ _SHELL = ("base.html", "components/", "trends/")
 
 
 async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
-    """Read the catalogs, compress static files, load the frame of the pages and the trends page, query a day of
-    history: one after the other, to keep the line responsive. ``language``: the site's."""
+    """Read the catalogs, compress static files, load the frame of the pages and the trends page, query a day
+    of history: one after the other, to keep the line responsive. ``language``: the site's."""
     await asyncio.sleep(AFTER_S)
     for each in (templates.languages[language], *templates.languages):
         await asyncio.to_thread(each.read)
