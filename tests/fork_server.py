@@ -195,7 +195,7 @@ def serve(requests: socket.socket) -> Program | None:
 
 def _report_end(pidfd: Any, pid: int, status: int) -> None:
     code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    with suppress(BrokenPipeError):  # the tests no longer ask
+    with suppress(BrokenPipeError):  # the tests no longer wait for it
         os.write(status, REPORT.pack(code))
     os.close(status)
     os.close(pidfd)
