@@ -6,8 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from app.audit.key_file import KeyFileError, read_key_file
-from app.audit.keys import find_key_file, owners_of
+from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.cli.finding import Finding, fault, is_visible, may_make_files_in, user
 from app.settings import Settings
 from bus.messages import Message

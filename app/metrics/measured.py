@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from app.audit.anchoring import AnchorStatus
 from app.live.browsers.hub import Hub
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.metrics.counts import Counts
 
 

@@ -10,7 +10,7 @@ from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
-from app.web.parsing import parse_apart
+from app.web.bounds import parse_apart
 from bus.messages import Message, term
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.sides import SideOption, choices
 from app.sets.store import SetSummary
 

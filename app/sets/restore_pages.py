@@ -9,7 +9,7 @@ from fastapi import APIRouter, Form, Request, Response
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.api import Sets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES

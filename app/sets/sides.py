@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 from app.errors import Problem
 from app.live.lookup import unit_or_404
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore, SetSummary
-from app.web.numbers import parse_integer
+from app.web.shape import parse_integer
 from bus.instants import UnixTime
 from bus.messages import Message
 

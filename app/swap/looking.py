@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.swap.record import Swap
 from app.swap.rules import FACTORY_ADDRESS, ProbeFinding, SwapState
 from app.web.access import Person

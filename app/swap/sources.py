@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.form_source import FormSource
 from app.sets.keeper import SetKeeper
 from app.sets.sides import side

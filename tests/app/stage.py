@@ -38,7 +38,7 @@ from app.history.status import Status
 from app.live.api.routes import router as live_router
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.pipeline import Pipeline
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via

@@ -12,7 +12,7 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.offers import offers
 from app.sets.order import Write

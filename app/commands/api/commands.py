@@ -43,7 +43,7 @@ from app.live.api.routes import Live
 from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.web.access import Person
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at

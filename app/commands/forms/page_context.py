@@ -20,8 +20,7 @@ from app.live.browsers.hub import Hub
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.pages import UnitOnLine, unit_on_line
 from app.live.screen.fields import Translator
-from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from app.web.access import Person
 from app.web.arrival import made_at, refuse_late
 from app.web.deadline import Deadline

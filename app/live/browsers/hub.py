@@ -21,7 +21,7 @@ from app.live.screen.screen import LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
 from app.live.screen.trace_frames import frame_fields
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
