@@ -14,13 +14,13 @@ from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
 from app.auth import pages as auth_pages
-from app.auth import tokens, users
+from app.auth import users
 from app.auth.access import Identify
 from app.auth.refusals import RecordRefusals
 from app.commands.api import commands as commands_api
 from app.commands.api import safeguards as safeguards_api
-from app.commands.api import setpoint_range, trace
-from app.commands.pages import baud, bus, outputs, parameters, setpoints, speed, unit, zero
+from app.commands.api import trace
+from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.pages import safeguards as safeguards_pages
 from app.feed import socket as feed
 from app.history import pages as history_pages
@@ -56,7 +56,6 @@ FEATURES = (
     auth_api,
     auth_pages,
     users,
-    tokens,
     audit_api,
     audit_pages,
     feed,
@@ -65,7 +64,6 @@ FEATURES = (
     live_pages,
     commands_api,
     safeguards_api,
-    setpoint_range,
     trace,
     setpoints,
     zero,
@@ -81,7 +79,6 @@ FEATURES = (
     restore_api,
     sets_pages,
     restore_pages,
-    baud,
     batch_pages,
     swap_pages,
     recipes_api,

@@ -24,7 +24,7 @@ from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusDependencies, BusService
-from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.migrating import FIRST, Migration
@@ -39,8 +39,7 @@ from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
-from app.metrics.counts import Counts
-from app.metrics.measured import MetricSources
+from app.metrics.measured import Counts, MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore

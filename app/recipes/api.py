@@ -16,8 +16,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
-from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
-from app.recipes.view import dry_run_json, loaded_json, recipe_json
+from app.recipes.view import DryRunShown, LoadedShown, RecipeShown, dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at

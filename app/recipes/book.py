@@ -21,7 +21,7 @@ from app.recipes.rules import (
 )
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Result, SetLine, SetSpeed
 from bus.instants import Monotonic, unix_now
 from bus.messages import Message

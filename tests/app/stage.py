@@ -27,7 +27,7 @@ from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
