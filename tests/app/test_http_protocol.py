@@ -15,6 +15,7 @@ from uvicorn.server import ServerState
 from app.server.connections import EXTENSION, MOST_OF_ADDRESS, Connections
 from app.server.http import MOST_HEAD_BYTES, MOST_HEADERS, MOST_PIPELINED, HttpProtocol
 from app.server.pace import LEAST_RATE, STALL_S, WITHIN_S, Awaited
+from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
 GET = HEAD + b"\r\n"
@@ -31,6 +32,7 @@ class Site:
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
+    upgrades: Starts = field(default_factory=Starts)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0
     received: int = 0
@@ -95,8 +97,9 @@ async def served() -> AsyncIterator[Site]:
             super().data_received(data)
 
     def protocol() -> HttpProtocol:
-        site.protocols.append(Counting(config, state, {}, open_connections=site.connections))
-        return site.protocols[-1]
+        protocol = Counting(config, state, {}, open_connections=site.connections, upgrades=site.upgrades)
+        site.protocols.append(protocol)
+        return protocol
 
     server = await asyncio.get_running_loop().create_server(protocol, "127.0.0.1", 0)
     site.port = server.sockets[0].getsockname()[1]
