@@ -177,7 +177,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         return begun or bool(self.pipeline) or self.flow.read_paused
 
     def _is_clients_turn(self) -> bool:
-        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
+        return self._pace.is_idle(self.loop.time()) or self.flow.write_paused
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
