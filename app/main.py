@@ -12,6 +12,7 @@ from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import api as alarms_api
 from app.alarms import pages as alarms_pages
+from app.alarms import performance_api
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -62,6 +63,7 @@ FEATURES = (
     audit_pages,
     feed,
     live_api,
+    performance_api,
     alarms_api,
     alarms_pages,
     live_socket,

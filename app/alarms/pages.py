@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Form, Query
@@ -14,15 +14,18 @@ from starlette.responses import RedirectResponse, Response
 from app.alarms.alarm import Alarm
 from app.alarms.api import MOST_MINUTES, Alarms
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.performance import measure
+from app.alarms.rules.performance import DAY_S, Figure
 from app.alarms.shown import present_value
 from app.alarms.store import JournalEntry
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.web.access import Engineer, Operator, Viewer
+from app.web.formats import Formats
 from app.web.services import service_of
 from app.web.templating import render, templates_of
-from bus.instants import UnixTime
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.text import OneLine
 
@@ -82,6 +85,25 @@ class TransitionRow:
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class FigureRow:
+    """One figure as the page shows it."""
+
+    name: Message
+    value: str
+    target: str
+    met: bool | None
+
+
+@dataclass(frozen=True, slots=True)
+class FrequentRow:
+    """One of the most frequent alarms."""
+
+    name: str | Message
+    place: str
+    times: int
+
+
 @router.get("/alarms")
 async def alarms_page(
     request: Request,
@@ -134,6 +156,33 @@ async def journal_page(
         transitions=[_transition(alarms, entry) for entry in entries[:ON_A_PAGE]],
         older=entries[ON_A_PAGE - 1].id if len(entries) > ON_A_PAGE else None,
         before=before,
+    )
+
+
+@router.get("/alarms/performance")
+async def performance_page(
+    request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
+) -> Response:
+    """The figures of the alarm system over the last days."""
+    end = unix_now()
+    found = await measure(alarms, end - int(days) * DAY_S, end)
+    formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
+    span = urlencode({"from": formats.iso(end - int(days) * DAY_S), "to": formats.iso(end)})
+    return render(
+        request,
+        "alarms/performance.html",
+        start=found.start,
+        end=end,
+        days=int(days),
+        spans=(1, 7, 31),
+        csv=f"/api/v1/alarms/performance.csv?{span}",
+        figures=[_figure(figure, formats) for figure in found.figures],
+        frequent=[
+            FrequentRow(
+                _name(each.alarm, each.code, each.name), alarms.place(each.bus, each.unit), each.times
+            )
+            for each in found.most_frequent
+        ],
     )
 
 
@@ -283,7 +332,7 @@ def _row(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
     return TransitionRow(
         at=entry.at,
-        name=Message(f"alarm_{entry.code}") if entry.alarm.endswith(f".{entry.code}") else entry.name,
+        name=_name(entry.alarm, entry.code, entry.name),
         place=alarms.place(entry.bus, entry.unit),
         priority=entry.priority,
         before=_state(entry.before),
@@ -291,6 +340,30 @@ def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
         who=entry.who,
         reason=entry.reason,
     )
+
+
+def _name(alarm: str, code: str, name: str) -> str | Message:
+    """Of a built-in alarm as a message, which each reader has in their language."""
+    return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else name
+
+
+def _figure(figure: Figure, formats: Formats) -> FigureRow:
+    name = Message(f"alarm_figure_{figure.code}")
+
+    def shown(value: float | None) -> str:
+        if value is None:
+            return ""
+        if figure.code.endswith("share") or figure.code == "windows_over_10":
+            return f"{formats.number(100 * value, 1)} %"
+        if figure.code.endswith("_s"):
+            return f"{formats.number(value)} s"
+        return formats.number(value, 2 if figure.code == "per_10_minutes" else 0)
+
+    if figure.at_most is not None:
+        target = f"≤ {shown(figure.at_most)}"
+    else:
+        target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
+    return FigureRow(name, shown(figure.value), target, figure.is_met)
 
 
 def _state(state: str) -> Message:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
+from typing import TypeVar
 
 from app.alarms.alarm import Alarm
 from app.alarms.definition import AlarmDefinition
@@ -14,6 +15,7 @@ from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.database import Database
 from bus.instants import UnixTime
 
+T = TypeVar("T")
 _STORED_FACTS = tuple(
     field.name for field in fields(AlarmFacts) if field.name not in ("changing_since", "unknown_since")
 )
@@ -89,6 +91,10 @@ class AlarmStore:
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
         """Transitions in order, and the facts that they led to, in one transaction."""
         await self._database.write(JournalWriting(entries, alarms))
+
+    async def read_costly(self, work: Callable[[sqlite3.Connection], T]) -> T:
+        """A read of many transitions. Raises TooCostlyError after a bounded time."""
+        return await self._database.read_costly(work)
 
     async def journal(self, limit: int, before: int | None) -> list[JournalEntry]:
         """Transitions, newest first; ``before``: older than this entry."""

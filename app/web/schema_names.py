@@ -10,6 +10,7 @@ from typing import Any
 SCHEMAS = {
     "AlarmDetailShown": "AlarmDetail",
     "AlarmJournalShown": "AlarmJournal",
+    "AlarmPerformanceShown": "AlarmPerformance",
     "AlarmPriorityShown": "AlarmPriority",
     "AlarmShown": "Alarm",
     "AlarmStateShown": "AlarmState",
@@ -36,7 +37,10 @@ SCHEMAS = {
     "CommentBody": "AlarmCommentRequest",
     "ConsequenceShown": "AlarmConsequence",
     "CommandResultShown": "CommandResult",
+    "FigureCodeShown": "AlarmFigureCode",
+    "FigureShown": "AlarmFigure",
     "FrameShown": "Frame",
+    "FrequentAlarmShown": "FrequentAlarm",
     "GoldenMark": "GoldenSetRequest",
     "GoldenShown": "GoldenSet",
     "HandOverBody": "HandOverRequest",

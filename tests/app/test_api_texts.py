@@ -54,7 +54,15 @@ OF_A_NUMBER = {
 """A fixed text of a number that stands beside it."""
 CODES = {
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
-    *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
+    *(
+        "AlarmTransition.alarm",
+        "FrequentAlarm.alarm",
+        "ParameterSet.origin",
+        "ParameterSetSummary.origin",
+        "state",
+        "type",
+        "where",
+    ),
 }
 TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),

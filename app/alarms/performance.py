@@ -1,0 +1,118 @@
+"""Measures the alarm system from its journal, for a span of time."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from dataclasses import dataclass
+
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.rules.performance import (
+    CHATTERS_S,
+    FLEETING_S,
+    STALE_S,
+    WINDOW_S,
+    AlarmCounts,
+    Figure,
+    FigureCode,
+    figures,
+)
+from bus.instants import UnixTime
+
+MOST_FREQUENT = 10
+_ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
+_IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
+_FIRST = "SELECT MIN(at) FROM alarm_journal WHERE at >= :start AND at < :end"
+_WINDOWS = f"SELECT CAST(at / {WINDOW_S} AS INTEGER), COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
+_PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
+_FREQUENT = (
+    "SELECT alarm, code, name, bus, unit, COUNT(*) AS times FROM alarm_journal"
+    f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MOST_FREQUENT}"
+)
+_CHATTERING = (
+    "SELECT COUNT(DISTINCT alarm) FROM (SELECT alarm, at - LAG(at, 2) OVER (PARTITION BY alarm ORDER BY at)"
+    f" AS within FROM alarm_journal WHERE {_IN_SPAN}) WHERE within <= {CHATTERS_S}"
+)
+_FLEETING = (
+    f"SELECT COUNT(*) FROM alarm_journal AS risen WHERE {_IN_SPAN} AND trigger = 'rise'"
+    f" AND (SELECT trigger = 'clear' AND at <= risen.at + {FLEETING_S}"
+    " FROM alarm_journal INDEXED BY alarm_journal_by_alarm"
+    " WHERE alarm = risen.alarm AND id > risen.id ORDER BY id LIMIT 1)"
+)
+_ACKNOWLEDGED = (
+    "SELECT at - (SELECT at FROM alarm_journal INDEXED BY alarm_journal_by_alarm WHERE alarm = seen.alarm"
+    f" AND id < seen.id AND {_ANNUNCIATED} ORDER BY id DESC LIMIT 1) AS after_s"
+    " FROM alarm_journal AS seen WHERE trigger = 'acknowledge' AND at >= :start AND at < :end"
+)
+_MEDIAN = (
+    f"SELECT AVG(after_s) FROM (SELECT after_s, ROW_NUMBER() OVER (ORDER BY after_s) AS place,"
+    f" COUNT(*) OVER () AS every FROM ({_ACKNOWLEDGED}) WHERE after_s IS NOT NULL)"
+    " WHERE place IN ((every + 1) / 2, (every + 2) / 2)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FrequentAlarm:
+    """One of the most frequent, with what it needs to be read without the configuration of its time."""
+
+    alarm: str
+    code: str
+    name: str
+    bus: str | None
+    unit: int | None
+    times: int
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """``start``: of the span, or the first transition where the journal begins later."""
+
+    start: UnixTime
+    end: UnixTime
+    figures: list[Figure]
+    most_frequent: list[FrequentAlarm]
+
+
+async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> Performance:
+    """The figures of a span. Memory is bounded by its windows of ten minutes, time as any costly read is."""
+    now = _present(alarms, end)
+    return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, now))
+
+
+def _measured(
+    connection: sqlite3.Connection, start: UnixTime, end: UnixTime, now: dict[FigureCode, int]
+) -> Performance:
+    span = {"start": start, "end": end}
+
+    def value(query: str) -> float | None:
+        found: float | None = connection.execute(query, span).fetchone()[0]
+        return found
+
+    first = value(_FIRST)
+    frequent = [FrequentAlarm(*row) for row in connection.execute(_FREQUENT, span)]
+    begins = start if first is None else max(start, UnixTime(first))
+    measured = AlarmCounts(
+        span_s=end - begins,
+        in_windows=dict(tuple(row) for row in connection.execute(_WINDOWS, span)),
+        top_ten=sum(each.times for each in frequent),
+        of_priority=dict(tuple(row) for row in connection.execute(_PRIORITIES, span)),
+        chattering=int(value(_CHATTERING) or 0),
+        fleeting=int(value(_FLEETING) or 0),
+        acknowledge_median_s=value(_MEDIAN),
+        now=now,
+    )
+    return Performance(begins, end, figures(measured), frequent)
+
+
+def _present(alarms: LineAlarms, now: UnixTime) -> dict[FigureCode, int]:
+    """The states at present, whatever the span."""
+    present = alarms.present()
+    states = Counter(alarm.facts.state for alarm in present)
+    risen = [alarm.facts.risen_at for alarm in present if alarm.facts.active and not alarm.facts.is_hidden]
+    return {
+        "stale": sum(at is not None and now - at > STALE_S for at in risen),
+        "standing": len(risen),
+        "shelved": states["shelved"],
+        "suppressed": states["suppressed"],
+        "out_of_service": states["out_of_service"],
+    }

@@ -1,0 +1,125 @@
+"""The figures of the alarm system over HTTP: JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query
+from pydantic import AwareDatetime, Field
+from starlette.responses import Response
+from typing_extensions import TypeAliasType, TypedDict
+
+from app.alarms.api import Alarms
+from app.alarms.performance import FrequentAlarm, Performance, measure
+from app.alarms.rules.performance import DAY_S, Figure, FigureCode
+from app.alarms.shown import BusName, UnitNumber
+from app.audit.api import CSV
+from app.errors import Problem
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.shape import iso
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
+
+MOST_DAYS = 31
+USUAL_DAYS = 7
+COLUMNS = ("code", "value", "at_most", "at_least", "met")
+FigureCodeShown = TypeAliasType("FigureCodeShown", FigureCode)
+FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
+
+
+class FigureShown(TypedDict):
+    """One figure and its target."""
+
+    code: FigureCodeShown
+    value: Annotated[float | None, Field(description="Shares 0 to 1; null: there was nothing to measure.")]
+    at_most: FigureTarget
+    at_least: FigureTarget
+    met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
+
+
+class FrequentAlarmShown(TypedDict):
+    """One of the ten most frequent alarms."""
+
+    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
+    code: str
+    name: str
+    bus: BusName
+    unit: UnitNumber
+    times: Annotated[int, Field(description="How often it was annunciated.")]
+
+
+AlarmPerformanceShown = TypedDict(
+    "AlarmPerformanceShown",
+    {
+        "from": Annotated[str, Field(description="ISO 8601; where the journal begins later: there.")],
+        "to": str,
+        "figures": list[FigureShown],
+        "most_frequent": list[FrequentAlarmShown],
+    },
+)
+
+
+async def wanted_performance(
+    alarms: Alarms,
+    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
+    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+) -> Performance:
+    """The figures of a span, at most a month; the last week by default. Raises Problem 422."""
+    end = unix_now() if until is None else UnixTime(until.timestamp())
+    start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    if end - start > MOST_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
+    return await measure(alarms, start, end)
+
+
+WantedPerformance = Annotated[Performance, Depends(wanted_performance)]
+
+
+@router.get("/performance")
+async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformanceShown:
+    """The figures of ISA-18.2, clause 16, each against its target."""
+    return {
+        "from": iso(performance.start),
+        "to": iso(performance.end),
+        "figures": [_figure(figure) for figure in performance.figures],
+        "most_frequent": [_frequent(alarm) for alarm in performance.most_frequent],
+    }
+
+
+@router.get("/performance.csv", response_class=Response, responses=CSV)
+async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance) -> Response:
+    """The same figures, a row for each."""
+    text = io.StringIO()
+    rows = csv.DictWriter(text, COLUMNS)
+    rows.writeheader()
+    rows.writerows({**_figure(figure)} for figure in performance.figures)
+    name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
+    return Response(text.getvalue(), media_type="text/csv", headers=name)
+
+
+def _figure(figure: Figure) -> FigureShown:
+    return {
+        "code": figure.code,
+        "value": figure.value,
+        "at_most": figure.at_most,
+        "at_least": figure.at_least,
+        "met": figure.is_met,
+    }
+
+
+def _frequent(alarm: FrequentAlarm) -> FrequentAlarmShown:
+    return {
+        "alarm": alarm.alarm,
+        "code": alarm.code,
+        "name": alarm.name,
+        "bus": alarm.bus,
+        "unit": alarm.unit,
+        "times": alarm.times,
+    }

@@ -1,0 +1,142 @@
+"""The figures of an alarm system and their targets (ISA-18.2-2016, clause 16; EEMUA 191). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from app.alarms.rules.priority import PRIORITIES, AlarmPriority
+
+WINDOW_S = 600
+"""Rates are judged in windows of ten minutes."""
+DAY_S = 86_400
+MANY = 10
+"""More in a window than a person can respond to: a flood begins."""
+FEW = 5
+"""With fewer in a window it is over."""
+CHATTERS_S = 60.0
+"""An alarm that comes three times within this chatters."""
+FLEETING_S = 10.0
+"""One that clears sooner, before a person could act, is fleeting."""
+STALE_S = 24 * 3600.0
+"""One that stays active longer is stale."""
+
+FigureCode = Literal[
+    "annunciated",
+    "per_day",
+    "per_10_minutes",
+    "peak_10_minutes",
+    "windows_over_10",
+    "flood_share",
+    "top_ten_share",
+    "chattering",
+    "fleeting",
+    "stale",
+    "standing",
+    "shelved",
+    "suppressed",
+    "out_of_service",
+    "urgent_share",
+    "high_share",
+    "medium_share",
+    "low_share",
+    "acknowledge_median_s",
+]
+AT_MOST: dict[FigureCode, float] = {
+    "per_day": 144,
+    "per_10_minutes": 1,
+    "peak_10_minutes": MANY,
+    "windows_over_10": 0.01,
+    "flood_share": 0.01,
+    "top_ten_share": 0.05,
+    "chattering": 0,
+    "fleeting": 0,
+    "stale": 4,
+    "urgent_share": 0.01,
+    "high_share": 0.05,
+    "medium_share": 0.15,
+    "acknowledge_median_s": WINDOW_S,
+}
+AT_LEAST: dict[FigureCode, float] = {"low_share": 0.8}
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure; None where there was nothing to measure. Shares are 0 to 1."""
+
+    code: FigureCode
+    value: float | None
+
+    @property
+    def at_most(self) -> float | None:
+        """Its target, where less is better."""
+        return AT_MOST.get(self.code)
+
+    @property
+    def at_least(self) -> float | None:
+        """Its target, where more is better."""
+        return AT_LEAST.get(self.code)
+
+    @property
+    def is_met(self) -> bool | None:
+        """Whether it keeps its target; None where it has none, or there was nothing to measure."""
+        if self.value is None or (self.at_most is None and self.at_least is None):
+            return None
+        above = self.at_most is not None and self.value > self.at_most
+        return not above and not (self.at_least is not None and self.value < self.at_least)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmCounts:
+    """From the journal, over a span of ``span_s``, and the states at present. ``in_windows``: alarms
+    annunciated in each window of ten minutes that has any; ``top_ten``: how often the ten most frequent came."""
+
+    span_s: float
+    in_windows: Mapping[int, int]
+    top_ten: int
+    of_priority: Mapping[AlarmPriority, int]
+    chattering: int
+    fleeting: int
+    acknowledge_median_s: float | None
+    now: Mapping[FigureCode, int]
+
+
+def figures(measured: AlarmCounts) -> list[Figure]:
+    """Every figure, in the order in which they are shown."""
+    total = sum(measured.in_windows.values())
+    windows = max(1.0, measured.span_s / WINDOW_S)
+    over = sum(count > MANY for count in measured.in_windows.values())
+    found: dict[FigureCode, float | None] = {
+        "annunciated": total,
+        "per_day": total / windows * DAY_S / WINDOW_S,
+        "per_10_minutes": total / windows,
+        "peak_10_minutes": max(measured.in_windows.values(), default=0),
+        "windows_over_10": min(1.0, over / windows),
+        "flood_share": min(1.0, sum(1 for _ in flooded(measured.in_windows)) / windows),
+        "top_ten_share": _share(measured.top_ten, total),
+        "chattering": measured.chattering,
+        "fleeting": measured.fleeting,
+        **measured.now,
+        **{
+            f"{priority}_share": _share(measured.of_priority.get(priority, 0), total)  # type: ignore[misc]
+            for priority in PRIORITIES
+        },
+        "acknowledge_median_s": measured.acknowledge_median_s,
+    }
+    return [Figure(code, value) for code, value in found.items()]
+
+
+def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
+    """The windows of each flood: from more than ten alarms in one to before the next with fewer than five."""
+    last = None
+    for window in sorted(in_windows):
+        count = in_windows[window]
+        goes_on = last is not None and window == last + 1 and count >= FEW
+        if count > MANY or goes_on:
+            last = window
+            yield window
+
+
+def _share(part: int, total: int) -> float | None:
+    return part / total if total else None

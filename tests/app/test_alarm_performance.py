@@ -1,0 +1,137 @@
+"""The figures of the alarm system, from a journal that is written by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.alarms.performance import Performance, measure
+from app.alarms.rules.performance import AlarmCounts, figures, flooded
+from app.alarms.store import AlarmStore
+from app.database import Database
+from bus.instants import UnixTime
+
+T = 1_790_000_400.0
+"""The start of a window of ten minutes."""
+
+
+class Journal:
+    """An alarm list without alarms, over a journal that a test writes."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.store = AlarmStore(database)
+
+    def present(self) -> list[object]:
+        return []
+
+    def write(self, alarm: str, *rows: tuple[float, str, str, str], priority: str = "low") -> None:
+        """Transitions of one alarm: seconds after T, trigger, state before, state after."""
+        occurrence = 0
+        values = []
+        for at, trigger, before, after in rows:
+            occurrence += trigger == "rise"
+            values.append((T + at, alarm, occurrence, priority, trigger, before, after))
+        statement = (
+            "INSERT INTO alarm_journal (at, alarm, occurrence, code, name, priority, trigger, before, after,"
+            " who, reason) VALUES (?, ?, ?, 'x', 'X', ?, ?, ?, ?, '', '')"
+        )
+        self._database.write_now(lambda connection: connection.executemany(statement, values))
+
+    def rise(self, alarm: str, *at: float, priority: str = "low") -> None:
+        """It rises at each time, and is normal again half a second later."""
+        for each in at:
+            self.write(
+                alarm,
+                (each, "rise", "normal", "unack_active"),
+                (each + 0.25, "acknowledge", "unack_active", "ack_active"),
+                (each + 0.5, "clear", "ack_active", "normal"),
+                priority=priority,
+            )
+
+    async def measure(self, seconds: float) -> dict[str, float | None]:
+        return values(await measure(self, UnixTime(T), UnixTime(T + seconds)))  # type: ignore[arg-type]
+
+
+def values(performance: Performance) -> dict[str, float | None]:
+    return {figure.code: figure.value for figure in performance.figures}
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    database = Database(tmp_path / "store.db")
+    yield Journal(database)
+    database.close()
+
+
+async def test_rates_peak_and_priorities(journal: Journal) -> None:
+    journal.rise("a", 0, 700, 1300, priority="high")
+    journal.rise("b", *range(10, 130, 10))
+    found = await journal.measure(1800)
+    assert (found["annunciated"], found["per_10_minutes"], found["per_day"]) == (15, 5, 720)
+    assert (found["peak_10_minutes"], found["windows_over_10"]) == (13, pytest.approx(1 / 3))
+    assert (found["high_share"], found["low_share"], found["urgent_share"]) == (0.2, 0.8, 0)
+
+
+async def test_an_empty_journal_has_no_shares_and_meets_no_target_by_them(journal: Journal) -> None:
+    performance = await measure(journal, UnixTime(T), UnixTime(T + 600))  # type: ignore[arg-type]
+    assert values(performance)["low_share"] is None
+    assert {figure.code: figure.is_met for figure in performance.figures}["low_share"] is None
+    assert {figure.code: figure.is_met for figure in performance.figures}["per_day"] is True
+
+
+async def test_three_times_in_a_minute_chatters(journal: Journal) -> None:
+    journal.rise("chatters", 0, 30, 60)
+    journal.rise("often", 0, 40, 80)
+    assert (await journal.measure(600))["chattering"] == 1
+
+
+async def test_what_clears_before_a_person_could_act_is_fleeting(journal: Journal) -> None:
+    for alarm, clears_at in (("fleeting", 10), ("lasting", 11)):
+        journal.write(
+            alarm,
+            (0, "rise", "normal", "unack_active"),
+            (clears_at, "clear", "unack_active", "rtn_unack"),
+        )
+    journal.rise("acknowledged", 0)
+    assert (await journal.measure(600))["fleeting"] == 1
+
+
+async def test_the_median_until_it_is_acknowledged(journal: Journal) -> None:
+    for alarm, after_s in (("a", 10), ("b", 30), ("c", 500), ("d", 40)):
+        journal.write(
+            alarm,
+            (0, "rise", "normal", "unack_active"),
+            (after_s, "acknowledge", "unack_active", "ack_active"),
+        )
+    assert (await journal.measure(600))["acknowledge_median_s"] == 35
+
+
+async def test_a_hidden_alarm_is_not_counted_until_it_is_annunciated(journal: Journal) -> None:
+    journal.write(
+        "a", (0, "rise", "suppressed", "suppressed"), (5, "unsuppress", "suppressed", "unack_active")
+    )
+    journal.write("b", (0, "rise", "shelved", "shelved"))
+    assert (await journal.measure(600))["annunciated"] == 1
+
+
+async def test_a_journal_that_begins_later_is_measured_from_there(journal: Journal) -> None:
+    journal.rise("a", 1200)
+    performance = await measure(journal, UnixTime(T), UnixTime(T + 1800))  # type: ignore[arg-type]
+    assert (performance.start, values(performance)["per_10_minutes"]) == (T + 1200, 1)
+    assert [(top.alarm, top.times) for top in performance.most_frequent] == [("a", 1)]
+
+
+def test_a_flood_lasts_until_a_window_with_fewer_than_five() -> None:
+    assert list(flooded({1: 10, 2: 11, 3: 5, 4: 4, 5: 9, 7: 30, 9: 6})) == [2, 3, 7]
+
+
+def test_each_figure_has_at_most_one_target() -> None:
+    found = figures(AlarmCounts(600, {1: 3}, 3, {"urgent": 3}, 0, 0, 700, {"stale": 5}))
+    assert {figure.code for figure in found if figure.is_met is False} == {
+        *("per_day", "per_10_minutes", "top_ten_share", "stale", "urgent_share", "low_share"),
+        "acknowledge_median_s",
+    }
+    assert not [figure for figure in found if figure.at_most is not None and figure.at_least is not None]
