@@ -29,9 +29,7 @@ TESTS = {
     "app/commands/rules/new_setpoints.py": "tests/app/test_command_check.py",
     "app/commands/rules/objection.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",
-    "app/commands/rules/setpoint_moves.py": "tests/app/test_setpoint_moves.py",
     "app/commands/rules/setpoint_range.py": "tests/app/test_setpoint_range.py",
-    "app/commands/rules/timeouts.py": "tests/app/test_timeouts.py",
     "app/recipes/rules.py": "tests/app/test_recipes.py",
     "app/swap/rules.py": "tests/app/test_swap.py",
 }
