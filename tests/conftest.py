@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 # httpx looks for it with every request to an app of this process; it is not installed, and not needed.
 sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
-# Nothing of what is collected, thousands of test functions and all they import, is garbage, then or in a test.
+# Nothing that is collected or imported for it is garbage, then or in a test.
 gc.disable()
 
 
