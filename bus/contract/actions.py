@@ -29,6 +29,10 @@ class BusAction(TaggedStruct, frozen=True):
 
     writes: ClassVar[bool] = True
     """Whether it can change anything in a unit."""
+    returns_values: ClassVar[bool] = False
+    """Whether its result has values of parameters, those of ``only_unit``."""
+    most_frames: ClassVar[int] = 300
+    """How many frames its result has at most."""
 
     @property
     def units(self) -> tuple[int, ...]:
@@ -100,6 +104,7 @@ class ReadParameters(UnitAction, frozen=True, tag="read_parameters"):
     """85h for each of ``numbers`` (all 40 when empty). Not ``urgent``: only in the gaps of the scan."""
 
     writes: ClassVar[bool] = False
+    returns_values: ClassVar[bool] = True
     numbers: Annotated[list[ParameterNumber], Meta(max_length=40)] = field(default_factory=list)
     urgent: bool = True
 
@@ -132,6 +137,7 @@ class ReadTrace(BusAction, frozen=True, tag="read_trace"):
     """
 
     writes: ClassVar[bool] = False
+    most_frames: ClassVar[int] = MOST_FRAMES
     since: Stamp
     limit: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = MOST_FRAMES
 

@@ -31,14 +31,10 @@ MOST_KEYS = 64
 _LOOK_EVERY = 64
 
 
-def _ignore(_damage: Message) -> None:
-    """The default subscriber of damage: ignores it."""
-
-
 class Recorder:
     """Writes deliveries into the journal and the tail, and completed minutes and hours into blocks."""
 
-    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage = _ignore) -> None:
+    def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage) -> None:
         self._database = database
         self._on_damage = on_damage
         self._repair = Repair(database, on_damage)
