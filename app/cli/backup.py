@@ -31,7 +31,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(backup)
 
 

@@ -25,7 +25,6 @@ Pair = tuple[UnitRows, UnitRows]
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(diff)
 
 

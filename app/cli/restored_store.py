@@ -35,7 +35,6 @@ class Backup:
 
     @property
     def message(self) -> Message:
-        """All of it."""
         taken = datetime.fromtimestamp(float(self.taken_at), UTC).isoformat(timespec="seconds")
         return Message.of("backup_of", file=self.file, time=taken, digest=self.digest)
 

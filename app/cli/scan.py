@@ -27,7 +27,6 @@ _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign"
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(scan)
 
 

@@ -194,5 +194,4 @@ COMMANDS: dict[type[Action], CommandKind[Any]] = {kind.request: kind for kind in
 
 
 def kind_of_command(action: Action) -> CommandKind[Any]:
-    """The row of ``action``."""
     return COMMANDS[type(action)]

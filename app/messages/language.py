@@ -63,7 +63,6 @@ class Language:
 
     @cached_property
     def catalog(self) -> gettext.GNUTranslations:
-        """Its texts."""
         return compiled(self._path, self._kept_in)
 
 

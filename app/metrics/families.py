@@ -29,7 +29,6 @@ class _LineCollector(Collector):
         self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
-        """The families of metrics."""
         measured = self._measured
         yield from _of_units(measured.live.buses.items())
         yield from _of_buses(measured.live.buses.items())

@@ -127,7 +127,6 @@ class ScheduleShown(TypedDict):
 
 
 def summary_json(summary: SetSummary) -> SummaryShown:
-    """One line of the list."""
     return {
         **_head(summary),
         "units": list(summary.units),

@@ -25,7 +25,6 @@ MaybeMessage = Annotated[
 
 
 def message_shown(message: Message) -> MessageShown:
-    """A message as JSON."""
     return {"code": message.code, "params": to_builtins(message.params), "detail": str(message)}
 
 

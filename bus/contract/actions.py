@@ -52,12 +52,10 @@ class UnitAction(BusAction, frozen=True):
 
     @property
     def units(self) -> tuple[int, ...]:
-        """Its unit."""
         return (self.unit,)
 
     @property
     def only_unit(self) -> int | None:
-        """Its unit."""
         return self.unit
 
 
@@ -83,7 +81,6 @@ class SetLine(BusAction, frozen=True, tag="set_line"):
 
     @property
     def units(self) -> tuple[int, ...]:
-        """Those of the change."""
         return tuple(sorted(self.setpoints))
 
 

@@ -320,7 +320,6 @@ class LineLoop:
                 self._baud_search.expect(baud, self.baud)
 
     def figures(self) -> BusFigures:
-        """The figures of this moment."""
         now = self.clock.now()
         at = self.clock.epoch(now)
         return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)

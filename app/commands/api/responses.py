@@ -60,7 +60,6 @@ def result_json(
 
 
 def outcome_message(result: Result | UnitOutcome) -> Message:
-    """What became of it."""
     if result.message:
         return result.message
     outcome = Message(f"outcome_{result.outcome}")

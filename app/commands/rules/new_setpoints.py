@@ -25,12 +25,10 @@ def staged_setpoints(bus: BusLive) -> dict[int, int]:
 
 
 def of_set_speed(action: SetSpeed, _: BusLive) -> list[NewSetpoint]:
-    """Its one."""
     return [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)]
 
 
 def of_set_line(action: SetLine, _: BusLive) -> list[NewSetpoint]:
-    """Those that it names."""
     return _by_unit(action.setpoints)
 
 

@@ -41,7 +41,6 @@ class BlockStore:
         self._blocks[unit] = block
 
     async def lift(self, unit: int) -> None:
-        """Free a unit."""
         await self._database.write(lambda store: _delete(store, self._bus, unit))
         self._blocks.pop(unit, None)
 

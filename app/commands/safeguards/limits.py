@@ -29,7 +29,6 @@ class Limits:
 
     @property
     def message(self) -> Message:
-        """Those that there are."""
         parts = [
             Message(code, {"value": limit})
             for code, limit in (
@@ -66,7 +65,6 @@ class LimitsStore:
         return self._limits.get(unit, NO_LIMITS)
 
     async def put(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:
-        """Replace the limits of a unit."""
         await self._database.write(lambda store: _replace(store, self._bus, unit, limits, set_by, set_at))
         self._limits[unit] = limits
 

@@ -50,7 +50,6 @@ class Safeguards:
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
-        """Load from the database."""
         await self.limits.load()
         await self.blocks.load()
 
@@ -64,7 +63,6 @@ class Safeguards:
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
-        """Replace the limits of a unit."""
         before = self.limits.of(unit)
         await self.limits.put(unit, limits, person.name, self._now())
         await self._record(

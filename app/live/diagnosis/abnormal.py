@@ -34,7 +34,6 @@ class UnitView:
 
     @property
     def level(self) -> Level:
-        """How soon it needs a person."""
         return self.cause.level if self.cause is not None else ""
 
 

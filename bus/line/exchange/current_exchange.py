@@ -36,7 +36,6 @@ class CurrentExchange(msgspec.Struct):
         return self.garbled or self.unexpected or self.late > 0
 
     def result(self, clock: LineClock) -> ExchangeResult:
-        """How it ended."""
         exchange = self.exchange
         responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
         return ExchangeResult(

@@ -42,7 +42,6 @@ class PollOrder:
             self._weigh()
 
     def leave(self, unit: int) -> None:
-        """``unit`` has no more turns."""
         if self._passes.pop(unit, None) is not None:
             self._weigh()
 
