@@ -21,9 +21,8 @@ from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import MaybeMessage, maybe_shown
 from app.web.services import service
-from app.web.shape import iso
+from app.web.shape import MaybeMessage, iso, maybe_shown
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 from bus.messages import in_english

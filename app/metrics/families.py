@@ -9,7 +9,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from app.live.state.bus_live import BusLive
-from app.metrics.measured import MetricSources
+from app.metrics.api import MetricSources
 from bus.contract import UnitFigures
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST

@@ -15,7 +15,7 @@ from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, Reason
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.view import ComparedShown, Number, StoredRaw, compared_json
-from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
+from app.web.shape import MaybeMessage, MessageShown, maybe_shown, message_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome
 from bus.messages import Message, in_english

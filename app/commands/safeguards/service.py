@@ -7,9 +7,8 @@ from collections.abc import Awaitable, Callable
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
-from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.control import Control, ControlledError, Holding
-from app.commands.safeguards.limits import Limits, LimitsStore
+from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber

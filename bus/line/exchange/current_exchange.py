@@ -6,8 +6,7 @@ import msgspec
 
 from bus.instants import Monotonic
 from bus.line.clock import LineClock
-from bus.line.exchange.send import NO_NOISE, LineNoise
-from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.exchange.send import NO_NOISE, ExchangeResult, LineNoise
 from bus.wire.exchange import Exchange
 
 
