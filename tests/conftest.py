@@ -38,10 +38,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 
+# httpx looks for it with every request to an app of this process; it is not installed, and not needed.
+sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
+# Nothing that is collected or imported for it is garbage, then or in a test.
+gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """What thousands of test functions hold stays: the garbage collector need not visit it in each test."""
+    """Keep the garbage collector from visiting it in each test."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
