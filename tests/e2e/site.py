@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -22,7 +23,7 @@ from functools import cache
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import IO, Any
+from typing import Any, Protocol
 
 import httpx
 
@@ -39,8 +40,9 @@ from tests.e2e.limits import CALL_S, START_S, UNIT_S
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
-AT_REST = ("--no-script",)
-"""Units to which nothing happens but what the test does."""
+AT_REST = ("--no-script", "--turnaround-ms", "20")
+"""Units to which nothing happens but what the test does. They respond as late as drives do, so that the three
+processes of a line take a core a third as long for as long as it is there."""
 
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
@@ -50,8 +52,25 @@ def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_
         result = condition()
         if result:
             return result
-        time.sleep(0.02)
+        time.sleep(0.05)
     raise AssertionError(f"not within {within:g} s: {what}")
+
+
+class Running(Protocol):
+    """A started process: the part of ``subprocess.Popen`` that sites use."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+
+    def poll(self) -> int | None:
+        """Return its exit code, negative after a signal, or None while it runs."""
+
+    def wait(self, timeout: float) -> int:
+        """Return its exit code once it has ended."""
+
+    def send_signal(self, sig: int) -> None:
+        """Send a signal, unless it has ended."""
 
 
 @dataclass
@@ -62,7 +81,7 @@ class Line:
 
     port: str
     remote: Remote
-    process: subprocess.Popen[str]
+    process: Running
 
     def close(self) -> None:
         """Power off."""
@@ -72,30 +91,37 @@ class Line:
 
 def start_line(folder: Path, units: int, *options: str, name: str = "line") -> Line:
     """``lineside simulate`` behind a path that stays when the cable is pulled and plugged again."""
-    link = folder / f"tty-{name}"
-    process = subprocess.Popen(
-        [LINESIDE, "simulate", "--units", str(units), "--link", str(link), "--control", "0", *options],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
+    link, log = folder / f"tty-{name}", folder / f"simulate-{name}.log"
+    arguments = ["simulate", "--units", str(units), "--link", str(link), "--control", "0", *options]
+    process = start_command(arguments, log)
+
+    def control() -> int:
+        assert process.poll() is None, f"lineside simulate ended:\n{log.read_text()}"
+        found = re.search(r"^control .*:(\d+)\n", log.read_text(), re.MULTILINE)
+        return int(found[1]) if found else 0
+
+    remote = Remote(eventually(control, "simulated units", within=START_S))
     # A real unit responds in time, whatever the load of the host.
     with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
-    port = process.stdout.readline().strip()
-    control = process.stdout.readline().rpartition(":")[2]
-    assert control, "lineside simulate did not start; its error output stands above"
-    return Line(port, Remote(int(control)), process)
+        for thread in Path(f"/proc/{process.pid}/task").iterdir():
+            os.setpriority(os.PRIO_PROCESS, int(thread.name), -10)
+    return Line(str(link), remote, process)
 
 
-def end(process: subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
+def start_command(arguments: list[str], log: Path, environment: dict[str, str] | None = None) -> Running:
+    """Start ``lineside ARGUMENTS``, with its output added to ``log``."""
+    with log.open("ab") as output:
+        return subprocess.Popen([LINESIDE, *arguments], stdout=output, stderr=output, env=environment)
+
+
+def end(process: Running, number: int = signal.SIGTERM) -> int:
     """Send a signal and wait; what the process returned."""
-    if process.poll() is None:
-        process.send_signal(number)
+    process.send_signal(number)
     status = process.wait(timeout=START_S)
-    for stream in (process.stdout, process.stderr, process.stdin):
-        if stream is not None:
-            stream.close()
+    if isinstance(process, subprocess.Popen):
+        for stream in (process.stdout, process.stderr, process.stdin):
+            if stream is not None:
+                stream.close()
     return status
 
 
@@ -152,23 +178,21 @@ class Site:
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
-    server: subprocess.Popen[bytes] | None = None
-    log: IO[bytes] | None = None
+    server: Running | None = None
 
     @property
     def config(self) -> Path:
         """Its lineside.toml."""
         return self.folder / "lineside.toml"
 
+    @property
+    def _log(self) -> Path:
+        return self.folder / "serve.log"
+
     def start(self) -> None:
         """Start ``lineside serve`` and wait until it responds."""
-        self.log = (self.folder / "serve.log").open("ab")
-        self.server = subprocess.Popen(
-            [LINESIDE, "serve", "--config", str(self.config)],
-            stdout=self.log,
-            stderr=self.log,
-            env={**os.environ, **self.environment},
-        )
+        environment = {**os.environ, **self.environment} if self.environment else None
+        self.server = start_command(["serve", "--config", str(self.config)], self._log, environment)
         eventually(self._responds, f"a response from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:
@@ -178,9 +202,7 @@ class Site:
     def stop(self, number: int = signal.SIGTERM) -> int:
         """End the server by a signal; what it returned."""
         assert self.server is not None
-        assert self.log is not None
         status = end(self.server, number)
-        self.log.close()
         self.server = None
         return status
 
@@ -217,7 +239,7 @@ class Site:
     def _responds(self) -> bool:
         assert self.server is not None
         if self.server.poll() is not None:
-            raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
+            raise AssertionError("lineside serve ended:\n" + self._log.read_text()[-4000:])
         # A light client: it polls fifty times a second while the server starts, and that is measured.
         connection = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
@@ -248,7 +270,7 @@ def site(
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
     units are a process, which a busy machine may delay. ``environment``: more variables of the server's
-    environment.
+    environment, which is then a new process of the command.
     """
     made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
     try:

@@ -280,20 +280,42 @@ def _ended(client: httpx.Client, restore: str) -> Any:
     return spoken if spoken["state"] not in ("planned", "running", "proving") else None
 
 
-def test_a_block_is_shown_on_every_page_and_lifted_by_name(
+# --- every page -----------------------------------------------------------------------------------
+
+UNREACHABLE = """() => [...document.querySelectorAll(
+        "[hx-get]:not([hx-trigger], form), [hx-post]:not(form), [data-pad], [data-command]:not(form)")]
+    .filter(element => element.tabIndex < 0 || !element.matches("a[href], button, input, select, summary"))
+    .map(element => element.outerHTML.slice(0, 120))"""
+
+
+def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
     site: Site, browser_page: OpensPages, pages: list[str]
 ) -> None:
     page = opened(browser_page("admin", viewport=PANEL), "/units/line/1")
+    with site.api("admin") as client:
+        client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
     page.locator("summary").click()
     page.locator("#reason").fill("belt off since 14:20")
     page.get_by_role("button", name="Block commands to Unwind").click()
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
+    before = received_writes(site)
     unsaid = []
     for path in pages:
         opened(page, path)
         expect(page.locator("[data-live='line_summary.verdict']").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
             unsaid.append(path)
+        assert page.evaluate(UNREACHABLE) == [], path
+        button = page.get_by_role("button", name="Set line to zero")
+        button.focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("[data-review-act]")).to_have_text("Set 2 units to speed 0")
+        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+        page.keyboard.press("Escape")
+        expect(page.locator("dialog[open]")).to_have_count(0)
+        expect(button).to_be_focused()
+    assert unsaid == []
+    assert received_writes(site) == before
     opened(page, "/units/line/1")
     page.locator("summary").click()
     page.get_by_role("button", name="Lift the command block of Unwind").click()
@@ -304,36 +326,6 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
         ("admin", "command block lifted"),
         ("admin", "commands blocked"),
     ]
-    assert unsaid == []
-
-
-# --- every page -----------------------------------------------------------------------------------
-
-UNREACHABLE = """() => [...document.querySelectorAll(
-        "[hx-get]:not([hx-trigger], form), [hx-post]:not(form), [data-pad], [data-command]:not(form)")]
-    .filter(element => element.tabIndex < 0 || !element.matches("a[href], button, input, select, summary"))
-    .map(element => element.outerHTML.slice(0, 120))"""
-
-
-def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
-    site: Site, browser_page: OpensPages, pages: list[str]
-) -> None:
-    page = browser_page("admin", viewport=PANEL)
-    before = received_writes(site)
-    with site.api("admin") as client:
-        client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
-    for path in pages:
-        opened(page, path)
-        assert page.evaluate(UNREACHABLE) == [], path
-        button = page.get_by_role("button", name="Set line to zero")
-        button.focus()
-        page.keyboard.press("Enter")
-        expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
-        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
-        page.keyboard.press("Escape")
-        expect(page.locator("dialog[open]")).to_have_count(0)
-        expect(button).to_be_focused()
-    assert received_writes(site) == before
 
 
 AT_ONCE = 4
