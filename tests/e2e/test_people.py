@@ -119,9 +119,9 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
 
 @pytest.mark.usefixtures("holder")
-def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensPages) -> None:
+def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPages) -> None:
     before = received_writes(site)
-    page = opened(browser_page("operator", viewport=PANEL), "/units/line/1")
+    page = opened(shared_page("operator", viewport=PANEL), "/units/line/1")
     expect(page.locator(".plate__set")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
     page.get_by_role("button", name="Set now").click()
@@ -142,8 +142,8 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
 
 
 @pytest.mark.usefixtures("holder")
-def test_refusals_are_shown_in_the_language_of_the_page(browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
+def test_refusals_are_shown_in_the_language_of_the_page(shared_page: OpensPages) -> None:
+    page = opened(shared_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
     expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Token) hat die Bedienhoheit")
@@ -289,9 +289,9 @@ UNREACHABLE = """() => [...document.querySelectorAll(
 
 
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
-    site: Site, browser_page: OpensPages, pages: list[str]
+    site: Site, shared_page: OpensPages, pages: list[str]
 ) -> None:
-    page = opened(browser_page("admin", viewport=PANEL), "/units/line/1")
+    page = opened(shared_page("admin", viewport=PANEL), "/units/line/1")
     with site.api("admin") as client:
         client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
     page.locator("summary").click()
@@ -402,9 +402,9 @@ LISTEN = """() => {
 
 @pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints"])
 def test_a_screen_reader_gets_the_verdict_and_no_figures(
-    site: Site, browser_page: OpensPages, holder: httpx.Client, path: str
+    site: Site, shared_page: OpensPages, holder: httpx.Client, path: str
 ) -> None:
-    page = opened(browser_page("viewer", viewport=PANEL), path)
+    page = opened(shared_page("viewer", viewport=PANEL), path)
     page.evaluate(LISTEN)
     site.line.remote.do("mode", unit=3, to="local")
     try:
@@ -419,8 +419,8 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
-def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
+def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
     field.focus()
     page.keyboard.type("4")
@@ -434,9 +434,9 @@ def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: Ope
     expect(field).to_have_value("45")
 
 
-def test_focus_stays_in_the_row_that_was_written(browser_page: OpensPages, holder: httpx.Client) -> None:
+def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder: httpx.Client) -> None:
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "engineer"})
-    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").focus()
     page.keyboard.type("12.5")
