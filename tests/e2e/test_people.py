@@ -338,13 +338,14 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
+    opened_tabs = [context.new_page() for _ in range(AT_ONCE)]
     for first in range(0, len(pages), AT_ONCE):
-        tabs = {path: opened(context.new_page(), path) for path in pages[first : first + AT_ONCE]}
+        paths = pages[first : first + AT_ONCE]
+        tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():
             expect(tab.locator(LIVE), path).to_be_attached()
             expect(tab, path).to_have_url(re.compile(re.escape(path)))
-            tab.close()
     assert (received_writes(site), newest_event(site)) == before
 
 
