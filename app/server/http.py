@@ -51,7 +51,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().connection_made(transport)
         self._pace = Pace(self.loop.time())
         address = self.client[0] if self.client else ""
-        self.connection = Connection(address, self._give_way, self._is_clients_turn)
+        self.connection = Connection(address, self)
         self._open_connections.open(self.connection)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -176,8 +176,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         begun = self._pace.awaited is Awaited.HEAD and self._is_responding()
         return begun or bool(self.pipeline) or self.flow.read_paused
 
-    def _is_clients_turn(self) -> bool:
-        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
+    def is_idle(self) -> bool:
+        """As :class:`app.server.connections.ConnectionHolder`."""
+        return self._pace.is_idle(self.loop.time()) or self.flow.write_paused
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
@@ -191,7 +192,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     # --- its end -------------------------------------------------------------------------------------
 
-    def _give_way(self) -> None:
+    def give_way(self) -> None:
         """Make room at once."""
         if self._is_responding() and (
             self.pipeline or self.cycle.response_started or not self.cycle.more_body

@@ -73,12 +73,19 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         """A client that does not read is waited for after one message, not after 64 KiB of them."""
         super().connection_made(transport)
         self.transport.set_write_buffer_limits(high=0)
-        self.connection.drop = self.transport.abort
-        self.connection.is_waiting = lambda: False
+        self.connection.holder = self
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The client has gone, or was dropped."""
         _endings.add(partial(super().connection_lost, exc))
+
+    def give_way(self) -> None:
+        """Make room at once."""
+        self.transport.abort()
+
+    def is_idle(self) -> bool:
+        """A page or a worker sends when it has something."""
+        return False
 
     def check(self, now: float) -> None:
         """End the connection of a client that does not read. ``now``: the loop's time."""

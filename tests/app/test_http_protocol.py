@@ -14,7 +14,7 @@ from uvicorn.server import ServerState
 
 from app.server.connections import EXTENSION, MOST_OF_ADDRESS, Connections
 from app.server.http import MOST_HEAD_BYTES, MOST_HEADERS, MOST_PIPELINED, HttpProtocol
-from app.server.pace import LEAST_RATE, STALL_S, WITHIN_S, Awaited
+from app.server.pace import LEAST_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
 from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
@@ -286,10 +286,24 @@ async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
     site.go.clear()
     served, _ = await site.connect(GET)
     await until(lambda: site.requests)
-    for _ in range(MOST_OF_ADDRESS):
+    for _ in range(MOST_OF_ADDRESS - 1):
         await site.connect()
+    for protocol in site.protocols:
+        protocol._pace.since -= 2 * PROMPT_S
+    await site.connect()
     site.go.set()
     assert b"200 OK" in await served.readuntil(b"hi")
+
+
+async def test_a_client_that_has_just_connected_does_not_give_way_to_a_burst(site: Site) -> None:
+    site.go.clear()
+    for _ in range(MOST_OF_ADDRESS):
+        await site.connect(GET)
+    reader, writer = await site.connect()
+    await site.connect(GET)
+    site.go.set()
+    writer.write(GET)
+    assert b"200 OK" in await reader.readuntil(b"hi")
 
 
 async def test_who_has_signed_in_does_not_give_way_to_strangers(site: Site) -> None:

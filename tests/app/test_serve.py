@@ -26,11 +26,14 @@ from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
 from app.settings import load
+from tests import fork_server
+from tests.fork_server import ForkedProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 LINESIDE = Path(sys.executable).with_name("lineside")
 PATIENCE_S = 60.0
 """This machine may be busy; nothing here is a measurement but the end within 5 s."""
+Process = subprocess.Popen[str] | ForkedProcess
 CONFIG = """\
 [server]
 port = 0
@@ -73,9 +76,13 @@ def is_alive(pid: int) -> bool:
 
 
 @contextmanager
-def started(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The process and the URL that it prints."""
-    process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+def started(*words: str, as_installed: bool = False) -> Iterator[tuple[Process, str]]:
+    """The process and the URL that it prints. ``as_installed``: by the command; otherwise it is forked."""
+    process: Process
+    if as_installed:
+        process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+    else:
+        process = fork_server.start(*words, stdout=subprocess.PIPE)
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
@@ -100,21 +107,19 @@ def is_serving(url: str) -> bool:
     return httpx.get(f"{url}/healthz", trust_env=False).json() == {"status": "ok"}
 
 
-def only_child(process: subprocess.Popen[str]) -> int:
+def only_child(process: Process) -> int:
     return int(eventually(lambda: children_of(process.pid), "a worker runs")[0])
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_completely_within_five_seconds(config: Path, number: int) -> None:
-    with started("serve", "--config", str(config)) as (process, url):
+    with started("serve", "--config", str(config), as_installed=True) as (process, url):
         assert is_serving(url)
         worker = only_child(process)
         process.send_signal(number)
         assert process.wait(timeout=5) == 0
         assert not is_alive(worker)
-    proof = subprocess.run(
-        [LINESIDE, "audit", "verify", "--config", str(config)], capture_output=True, text=True
-    )
+    proof = fork_server.run("audit", "verify", "--config", config)
     assert proof.returncode == 0, proof.stderr
 
 
@@ -147,8 +152,7 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
 
 
 def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
-    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
-    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
         address = url.replace("http", "ws", 1) + "/live"
         headers = {"Authorization": f"Bearer {token}"}
@@ -185,8 +189,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
 
 
 def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
-    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
-    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
 
         def bus() -> Any:
@@ -212,7 +215,7 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
-        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+        done = fork_server.run("serve", "--config", config)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert f"port {port} of 127.0.0.1 is in use by another program" in done.stderr
@@ -222,7 +225,7 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
 def test_a_demo_on_a_busy_port_names_its_option() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        done = subprocess.run([LINESIDE, "demo", "--port", port], capture_output=True, text=True)
+        done = fork_server.run("demo", "--port", port)
         # These tests may run under another make, which passes its options down.
         environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
         command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
@@ -245,7 +248,7 @@ def test_an_impossible_address_is_reported(host: str, words: str) -> None:
 
 def test_two_servers_never_share_their_data(config: Path) -> None:
     with started("serve", "--config", str(config)):
-        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+        done = fork_server.run("serve", "--config", config)
     assert done.returncode == 1
     assert "another Lineside server uses" in done.stderr
 
@@ -258,7 +261,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 
 def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with started("demo", "--units", "3", "--port", "0") as (process, url):
+    with started("demo", "--units", "3", "--port", "0", as_installed=True) as (process, url):
 
         def line() -> Any:
             return httpx.get(f"{url}/api/v1/line", trust_env=False).json()

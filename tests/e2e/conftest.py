@@ -18,7 +18,6 @@ from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, exp
 from tests.e2e import site as sites
 from tests.e2e.limits import PAGE_MS
 from tests.e2e.site import AT_REST, PASSWORD, Site
-from tests.e2e.warm import WarmProcess
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -54,20 +53,6 @@ class OpensPages(Protocol):
     """``browser_page("operator", viewport={"width": 360, "height": 740})``; no role: not signed in."""
 
     def __call__(self, role: str | None = ..., site: Site | None = ..., **context: Any) -> Page: ...
-
-
-@pytest.fixture(scope="session", autouse=True)
-def processes_forked_warm() -> Iterator[None]:
-    """Each import of the program takes seconds of a core. That the command starts from nothing is tested in
-    tests/path and by the benchmarks. With another environment it starts so here, too."""
-
-    def start(arguments: list[str], log: Path, environment: dict[str, str] | None = None) -> sites.Running:
-        return started_anew(arguments, log, environment) if environment else WarmProcess(arguments, log)
-
-    started_anew = sites.start_command
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sites, "start_command", start)
-        yield
 
 
 @pytest.fixture(scope="module")

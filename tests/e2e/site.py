@@ -1,6 +1,7 @@
 """A complete plant for a test: simulated units at a port, ``lineside serve`` on them, and users of each role.
 
-Each part is a separate process and communicates as on a machine: a device path, HTTP, the command.
+Each part is a separate process and communicates as on a machine: a device path, HTTP, the command. They are
+forked (`tests.fork_server`).
 """
 
 from __future__ import annotations
@@ -8,12 +9,10 @@ from __future__ import annotations
 import atexit
 import json
 import os
-import re
 import shutil
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +22,7 @@ from functools import cache
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any, Protocol
+from typing import IO, Any
 
 import httpx
 
@@ -35,14 +34,15 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.simulator.control import Remote
 from bus.simulator.demo import demo_line
+from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S, UNIT_S
+from tests.fork_server import ForkedProcess
 
-LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
 AT_REST = ("--no-script", "--turnaround-ms", "20")
-"""Units to which nothing happens but what the test does. They respond as late as drives do, so that the three
-processes of a line take a core a third as long for as long as it is there."""
+"""Units to which nothing happens but what the test does. They respond as late as drives do, so that the
+processes of a line do half as much for as long as it is there."""
 
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
@@ -56,23 +56,6 @@ def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_
     raise AssertionError(f"not within {within:g} s: {what}")
 
 
-class Running(Protocol):
-    """A started process: the part of ``subprocess.Popen`` that sites use."""
-
-    @property
-    def pid(self) -> int:
-        """Its process id."""
-
-    def poll(self) -> int | None:
-        """Return its exit code, negative after a signal, or None while it runs."""
-
-    def wait(self, timeout: float) -> int:
-        """Return its exit code once it has ended."""
-
-    def send_signal(self, sig: int) -> None:
-        """Send a signal, unless it has ended."""
-
-
 @dataclass
 class Line:
     """A process of simulated units. ``port`` is the value for lineside.toml, ``remote`` operates the
@@ -81,7 +64,7 @@ class Line:
 
     port: str
     remote: Remote
-    process: Running
+    process: ForkedProcess
 
     def close(self) -> None:
         """Power off."""
@@ -91,45 +74,32 @@ class Line:
 
 def start_line(folder: Path, units: int, *options: str, name: str = "line") -> Line:
     """``lineside simulate`` behind a path that stays when the cable is pulled and plugged again."""
-    link, log = folder / f"tty-{name}", folder / f"simulate-{name}.log"
-    arguments = ["simulate", "--units", str(units), "--link", str(link), "--control", "0", *options]
-    process = start_command(arguments, log)
-
-    def control() -> int:
-        assert process.poll() is None, f"lineside simulate ended:\n{log.read_text()}"
-        found = re.search(r"^control .*:(\d+)\n", log.read_text(), re.MULTILINE)
-        return int(found[1]) if found else 0
-
-    remote = Remote(eventually(control, "simulated units", within=START_S))
+    link = folder / f"tty-{name}"
+    called = ("simulate", "--units", str(units), "--link", link, "--control", "0", *options)
+    process = fork_server.start(*called, stdout=subprocess.PIPE)
+    assert process.stdout is not None
     # A real unit responds in time, whatever the load of the host.
     with suppress(PermissionError):
-        for thread in Path(f"/proc/{process.pid}/task").iterdir():
-            os.setpriority(os.PRIO_PROCESS, int(thread.name), -10)
-    return Line(str(link), remote, process)
+        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
+    port = process.stdout.readline().strip()
+    control = process.stdout.readline().rpartition(":")[2]
+    assert control, "lineside simulate did not start; its error output stands above"
+    return Line(port, Remote(int(control)), process)
 
 
-def start_command(arguments: list[str], log: Path, environment: dict[str, str] | None = None) -> Running:
-    """Start ``lineside ARGUMENTS``, with its output added to ``log``."""
-    with log.open("ab") as output:
-        return subprocess.Popen([LINESIDE, *arguments], stdout=output, stderr=output, env=environment)
-
-
-def end(process: Running, number: int = signal.SIGTERM) -> int:
+def end(process: ForkedProcess, number: int = signal.SIGTERM) -> int:
     """Send a signal and wait; what the process returned."""
-    process.send_signal(number)
+    if process.poll() is None:
+        process.send_signal(number)
     status = process.wait(timeout=START_S)
-    if isinstance(process, subprocess.Popen):
-        for stream in (process.stdout, process.stderr, process.stdin):
-            if stream is not None:
-                stream.close()
+    if process.stdout is not None:
+        process.stdout.close()
     return status
 
 
 def command(config: Path, *arguments: str, text: str = "") -> str:
     """Run ``lineside …`` with ``text`` on its standard input; its output."""
-    done = subprocess.run(
-        [LINESIDE, *arguments, "--config", str(config)], input=text, capture_output=True, text=True
-    )
+    done = fork_server.run(*arguments, "--config", config, text=text)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -137,7 +107,7 @@ def command(config: Path, *arguments: str, text: str = "") -> str:
 @cache
 def people() -> tuple[Path, dict[str, str]]:
     """Return the data of a new site with one user and one token for each role, and the tokens. Made once,
-    copied for every site. The templates are compiled, too, which otherwise each server repeats.
+    copied for every site. Templates and catalogs are compiled, too, which otherwise each server repeats.
     """
     folder = Path(mkdtemp(prefix="lineside-people-"))
     atexit.register(shutil.rmtree, folder)
@@ -152,6 +122,8 @@ def people() -> tuple[Path, dict[str, str]]:
     environment = templates.environment("en")
     for name in environment.list_templates():
         environment.get_template(name)
+    for language in templates.languages:
+        language.term("Line")
     return folder / "data", tokens
 
 
@@ -178,21 +150,21 @@ class Site:
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
-    server: Running | None = None
+    server: ForkedProcess | None = None
+    log: IO[bytes] | None = None
 
     @property
     def config(self) -> Path:
         """Its lineside.toml."""
         return self.folder / "lineside.toml"
 
-    @property
-    def _log(self) -> Path:
-        return self.folder / "serve.log"
-
     def start(self) -> None:
         """Start ``lineside serve`` and wait until it responds."""
-        environment = {**os.environ, **self.environment} if self.environment else None
-        self.server = start_command(["serve", "--config", str(self.config)], self._log, environment)
+        self.log = (self.folder / "serve.log").open("ab")
+        environment = {**os.environ, **self.environment}
+        self.server = fork_server.start(
+            *("serve", "--config", self.config), stdout=self.log, stderr=self.log, env=environment
+        )
         eventually(self._responds, f"a response from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:
@@ -202,7 +174,9 @@ class Site:
     def stop(self, number: int = signal.SIGTERM) -> int:
         """End the server by a signal; what it returned."""
         assert self.server is not None
+        assert self.log is not None
         status = end(self.server, number)
+        self.log.close()
         self.server = None
         return status
 
@@ -239,7 +213,7 @@ class Site:
     def _responds(self) -> bool:
         assert self.server is not None
         if self.server.poll() is not None:
-            raise AssertionError("lineside serve ended:\n" + self._log.read_text()[-4000:])
+            raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
         # A light client: it polls fifty times a second while the server starts, and that is measured.
         connection = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
@@ -270,7 +244,7 @@ def site(
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
     units are a process, which a busy machine may delay. ``environment``: more variables of the server's
-    environment, which is then a new process of the command.
+    environment.
     """
     made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
     try:

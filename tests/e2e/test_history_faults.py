@@ -38,20 +38,22 @@ NOTHING_WRITTEN = (0, resource.RLIM_INFINITY)
 
 
 @pytest.fixture(scope="module")
-def clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Sets the clock of the site by so many seconds."""
+def clock(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Sets the clock of every site that is started afterwards, by so many seconds."""
     folder = tmp_path_factory.mktemp("clock")
     (folder / "sitecustomize.py").write_text(CLOCK)
     result = folder / "seconds"
     result.write_text("0")
-    return result
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PYTHONPATH", str(folder))
+        environment.setenv("TEST_CLOCK_SET_BY", str(result))
+        yield result
 
 
 @pytest.fixture(scope="module")
 def site(clock: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    environment = {"PYTHONPATH": str(clock.parent), "TEST_CLOCK_SET_BY": str(clock)}
-    folder = tmp_path_factory.mktemp("troubled")
-    with one_site(folder, 2, line_options=("--no-script",), environment=environment) as made:
+    clock.write_text("0")
+    with one_site(tmp_path_factory.mktemp("troubled"), 2, line_options=("--no-script",)) as made:
         yield made
 
 
