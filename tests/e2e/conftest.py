@@ -125,7 +125,7 @@ class KeptPage:
 
 @pytest.fixture(scope="module")
 def kept_pages(browser: Browser) -> Iterator[dict[str, KeptPage]]:
-    """The pages of ``shared_page``, by what they were asked for."""
+    """The pages of ``shared_page``, by role and context."""
     assert browser.is_connected()
     pages: dict[str, KeptPage] = {}
     yield pages
@@ -167,7 +167,7 @@ def shared_page(
 def new_page(
     browser: Browser, served: Site, role: str | None, complaints: list[str], context: dict[str, Any]
 ) -> Page:
-    """Return a page in a context of its own; the errors that it logs are added to ``complaints``."""
+    """Return a page in a new context; the errors that it logs are added to ``complaints``."""
     state = signed_in(browser, served, role) if role else None
     # Without a graphics card, what moves for no reason but its looks is most of a test's time.
     context = {"reduced_motion": "reduce", **context}
