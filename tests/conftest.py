@@ -20,7 +20,7 @@ from jinja2 import Environment
 
 import app.auth.passwords
 import app.database.connection
-import app.messages.language
+import app.messages.languages
 from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.database.private import make_file, make_folder
@@ -38,10 +38,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 
+# httpx looks for it with every request to an app of this process; it is not installed, and not needed.
+sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
+# Nothing that is collected or imported for it is garbage, then or in a test.
+gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """What thousands of test functions hold stays: the garbage collector need not visit it in each test."""
+    """Keep the garbage collector from visiting it in each test."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -67,7 +74,7 @@ def templates_compiled_once() -> Iterator[None]:
 def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.messages.language, "_parsed", cache(app.messages.language._parsed))
+        patch.setattr(app.messages.languages, "_parsed", cache(app.messages.languages._parsed))
         yield
 
 
