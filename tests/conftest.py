@@ -21,7 +21,7 @@ from jinja2 import Environment
 
 import app.auth.passwords
 import app.database.connection
-import app.messages.language
+import app.messages.languages
 from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.database.private import make_file, make_folder
@@ -75,7 +75,7 @@ def templates_compiled_once() -> Iterator[None]:
 def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.messages.language, "_parsed", cache(app.messages.language._parsed))
+        patch.setattr(app.messages.languages, "_parsed", cache(app.messages.languages._parsed))
         yield
 
 
