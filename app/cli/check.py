@@ -12,7 +12,6 @@ from bus.messages import Message
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(check)
 
 
