@@ -161,3 +161,28 @@ async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> No
     before = screen.shown[ALARM_GROUP]["changed"]
     estop(house, active=True)
     assert hub.screen("en").shown[ALARM_GROUP]["changed"] != before
+
+
+async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    await house.services.alarms.write()
+    text = await page(viewer, "/alarms/performance?days=1")
+    assert "Alarms in 10 minutes, peak" in text
+    assert "Emergency stop active" in text
+    found = (await viewer.get("/api/v1/alarms/performance")).json()
+    figures = {figure["code"]: figure for figure in found["figures"]}
+    assert figures["annunciated"]["value"] == figures["standing"]["value"] == 1
+    assert (figures["urgent_share"]["at_most"], figures["urgent_share"]["met"]) == (0.01, False)
+    assert [top["alarm"] for top in found["most_frequent"]] == [ESTOP]
+    rows = (await page(viewer, "/api/v1/alarms/performance.csv")).splitlines()
+    assert rows[:2] == ["code,value,at_most,at_least,met", "annunciated,1,,,"]
+    assert len(rows) == len(figures) + 1
+
+
+async def test_figures_are_of_a_month_at_most(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    refused = await viewer.get(
+        "/api/v1/alarms/performance", params={"from": "2026-01-01T00:00:00Z", "to": "2026-03-01T00:00:00Z"}
+    )
+    assert (refused.status_code, refused.json()["detail"]) == (422, "at most 31 days at once")

@@ -90,7 +90,8 @@ class Figure:
 @dataclass(frozen=True, slots=True)
 class AlarmCounts:
     """From the journal, over a span of ``span_s``, and the states at present. ``in_windows``: alarms
-    annunciated in each window of ten minutes that has any; ``top_ten``: how often the ten most frequent came."""
+    annunciated in each window of ten minutes that has any; ``top_ten``: how often the ten most frequent
+    came."""
 
     span_s: float
     in_windows: Mapping[int, int]
