@@ -16,6 +16,7 @@ from app.alarms.api import MOST_MINUTES, Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, Figure
+from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import present_value
 from app.alarms.store import JournalEntry
 from app.errors import Problem
@@ -35,16 +36,6 @@ MOST_ROWS = 100
 """In the summary: as many as are acknowledged together at most."""
 ON_A_PAGE = 100
 SEE_OTHER = 303
-SHOWN_STATES = (
-    "unack_active",
-    "ack_active",
-    "rtn_unack",
-    "latched_unack",
-    "latched_ack",
-    "shelved",
-    "suppressed",
-    "out_of_service",
-)
 TypedReason = Annotated[OneLine, Form(max_length=200)]
 AlarmFilter = Annotated[str, Query(max_length=80)]
 
@@ -123,7 +114,7 @@ async def alarms_page(
         **_listed(alarms, chosen),
         chosen=chosen,
         query=urlencode(chosen),
-        states=[(each, _state(each)) for each in SHOWN_STATES],
+        states=[(each, _state(each)) for each in PRESENT_STATES],
         places=_places(alarms),
         changed=screen.shown[ALARM_GROUP]["changed"],
         left_out=left_out,

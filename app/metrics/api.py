@@ -10,6 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from starlette.responses import Response
 
+from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import AnchorStatus
 from app.audit.log import Event, EventLog
 from app.live.browsers.hub import Hub
@@ -40,6 +41,7 @@ class MetricSources:
     hub: Hub
     counts: Counts
     anchor: Callable[[], AnchorStatus]
+    alarms: LineAlarms
 
 
 router = APIRouter(include_in_schema=False)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import product
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.rules.priority import PRIORITIES
+from app.alarms.rules.states import PRESENT_STATES
 from app.live.state.bus_live import BusLive
 from app.metrics.api import MetricSources
 from bus.contract import UnitFigures
@@ -37,10 +42,22 @@ class _LineCollector(Collector):
         for outcome, count in measured.counts.commands.items():
             commands.add_metric([outcome], count)
         yield commands
+        yield _of_alarms(measured.alarms)
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
+
+
+def _of_alarms(alarms: LineAlarms) -> Metric:
+    present = Counter((alarm.facts.state, alarm.definition.priority) for alarm in alarms.present())
+    labels = ["state", "priority"]
+    family = GaugeMetricFamily(
+        "lineside_alarms", "Alarms that are not normal, by state and priority", labels=labels
+    )
+    for state, priority in product(PRESENT_STATES, PRIORITIES):
+        family.add_metric([state, priority], present[state, priority])
+    return family
 
 
 def _figures(bus: BusLive) -> Iterable[UnitFigures]:

@@ -178,6 +178,9 @@ async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     rows = (await page(viewer, "/api/v1/alarms/performance.csv")).splitlines()
     assert rows[:2] == ["code,value,at_most,at_least,met", "annunciated,1,,,"]
     assert len(rows) == len(figures) + 1
+    metrics = await page(viewer, "/metrics")
+    assert 'lineside_alarms{priority="urgent",state="unack_active"} 1.0' in metrics
+    assert 'lineside_alarms{priority="low",state="shelved"} 0.0' in metrics
 
 
 async def test_figures_are_of_a_month_at_most(house: House) -> None:

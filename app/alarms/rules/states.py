@@ -16,6 +16,17 @@ AlarmState = Literal[
     "suppressed",
     "out_of_service",
 ]
+PRESENT_STATES: tuple[AlarmState, ...] = (
+    "unack_active",
+    "ack_active",
+    "rtn_unack",
+    "latched_unack",
+    "latched_ack",
+    "shelved",
+    "suppressed",
+    "out_of_service",
+)
+"""All but normal."""
 BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
 AlarmTrigger = Literal[
     "rise",
