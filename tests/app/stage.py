@@ -69,7 +69,7 @@ from bus.contract import (
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
-from tests.app.played_sources import NoGoldenSets, NoRecipes
+from tests.app.played_sources import NoAlarms, NoGoldenSets, NoRecipes
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -245,6 +245,7 @@ class Stage:
             {settings.name: self.guards},
             {settings.name: NoGoldenSets()},
             NoRecipes(),
+            NoAlarms(),
             lambda _translator, _now: "",
             lambda: self.history.status.message,
         )
