@@ -81,7 +81,8 @@ class LineAlarms:
                 await each.write()
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
-        """Call ``subscriber`` with each alarm that has changed."""
+        """Call ``subscriber`` with each alarm that has changed, of every bus and of the site, on the event
+        loop and before the journal is written. This is where all that follows from transitions begins."""
         for each in self._lists:
             each.subscribe(subscriber)
 
