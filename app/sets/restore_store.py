@@ -1,4 +1,4 @@
-"""Restores at rest: each row on disk before it is sent and again with its outcome."""
+"""Stores restores: each row before it is sent, and again with its outcome."""
 
 from __future__ import annotations
 
