@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 
+from app.alarm_settings import AlarmSettings
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.store import AlarmStore
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.safeguards.service import AccountLookup, Safeguards
@@ -40,6 +43,8 @@ class BusDependencies:
     database: Database
     history: HistoryIntake
     sets: SetStore
+    alarms: AlarmStore
+    own_alarms: tuple[AlarmSettings, ...]
     rights: Withdrawals
     sessions: SessionEnds
     find_account: AccountLookup
@@ -82,6 +87,8 @@ class BusService:
         self.reader = ParameterReader(live, self.commands)
         self.drift = BusDrift(live, site.sets, site.events)
         self.sets = SetKeeper(live, self.reader, self.drift, site.sets, site.events, site.rights)
+        own_alarms = [alarm for alarm in site.own_alarms if alarm.bus == name]
+        self.alarms = BusAlarms(live, own_alarms, site.alarms, lambda unit: bool(self.drift.of(unit)))
         self.set_schedule = SetSchedule(live, self.sets, site.events, site.local_time)
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
 
@@ -93,6 +100,7 @@ class BusService:
         """What runs as long as the server does."""
         return (
             self.recorder.follow,
+            self.alarms.follow,
             partial(self.set_schedule.follow, SERVER),
             partial(self.sets.learn_marked, SERVER),
         )

@@ -10,6 +10,8 @@ from importlib.metadata import version
 from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
+from app.alarms import api as alarms_api
+from app.alarms import pages as alarms_pages
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -59,6 +61,8 @@ FEATURES = (
     audit_pages,
     feed,
     live_api,
+    alarms_api,
+    alarms_pages,
     live_socket,
     live_pages,
     commands_api,

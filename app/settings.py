@@ -19,6 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from app.alarm_settings import AlarmSettings, refuse_misplaced
 from app.messages.languages import catalogs
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
@@ -162,6 +163,7 @@ class Settings(StrictModel):
     history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
+    alarm: tuple[AlarmSettings, ...] = ()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
 
@@ -193,6 +195,11 @@ class Settings(StrictModel):
             names.add(bus.name)
             ports[port] = bus.name
         return buses
+
+    @model_validator(mode="after")
+    def _alarms_have_their_units(self) -> Settings:
+        refuse_misplaced(self.alarm, self.bus)
+        return self
 
 
 def _same_device(port: str) -> str:

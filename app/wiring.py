@@ -12,6 +12,10 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
+from app.alarms.banner import AlarmBanner
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.site_alarms import SiteAlarms, site_conditions
+from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
 from app.audit.configuration import change_since_last
 from app.audit.keys import open_keys
@@ -81,6 +85,7 @@ class Services:
     live: LiveState
     sources: Sources
     history: History
+    alarms: LineAlarms
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
@@ -114,7 +119,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     live, history = LiveState(settings.bus, unix_now()), History(settings)
     recorder = ChangeRecorder(events)
     record_history_faults(history, recorder)
-    sets = SetStore(database)
+    sets, alarm_store = SetStore(database), AlarmStore(database)
     of_site = BusDependencies(
         events=events,
         database=database,
@@ -124,11 +129,16 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         find_account=accounts.find,
         control_required=site.control,
         sets=sets,
+        alarms=alarm_store,
+        own_alarms=settings.alarm,
         local_time=partial(datetime.now, ZoneInfo(site.zone)),
         record=CommandRecord(events, database, unix_now),
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+    conditions = site_conditions(lambda: history.status, partial(_anchor_status, anchoring))
+    of_buses = {name: bus.alarms for name, bus in buses.items()}
+    alarms = LineAlarms(of_buses, SiteAlarms(conditions, alarm_store), alarm_store, events)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
@@ -138,6 +148,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         guards={name: bus.safeguards for name, bus in buses.items()},
         drift={name: bus.drift for name, bus in buses.items()},
         recipes=recipes,
+        alarms=AlarmBanner(alarms),
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )
@@ -157,6 +168,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         live=live,
         sources=sources,
         history=history,
+        alarms=alarms,
         buses=buses,
         recorder=recorder,
         workers=workers,
@@ -193,6 +205,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         *((services.anchoring.follow,) if services.anchoring else ()),
         services.events.repeated.follow,
         services.recorder.follow,
+        services.alarms.site.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,
         services.onsets.follow,
@@ -213,6 +226,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        await services.alarms.write()
         await _end(services)
 
 
@@ -242,6 +256,7 @@ async def _begin(services: Services) -> None:
         )
     for bus in services.buses.values():
         await bus.load()
+    await services.alarms.load()
     await services.restores.load()
     await services.swaps.load()
     await services.recipes.load_marks()

@@ -15,6 +15,7 @@ TABLES = {
     "sets": "parameter sets: a backup on the wire",
     "history": "history: stored, packed, drawn",
     "history_kill": "history: killed fifty times",
+    "alarms": "alarms: 255 units with 20 each, and a flood",
     "start": "the start: from nothing to the first live value",
 }
 LONG = {"screen_memory"}

@@ -6,6 +6,7 @@ from typing import Literal
 
 EventKind = Literal[
     "access_refused",
+    "alarm",
     "audit",
     "block",
     "bus",

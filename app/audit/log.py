@@ -119,9 +119,10 @@ class EventLog:
         message: str | Message = "",
         at: UnixTime | None = None,
         count: int = 1,
+        also: Also | None = None,
     ) -> int:
-        """Store a complete event; ``at``: when, if not just now, and ``count``: how often. Returns the
-        event's number."""
+        """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also`` what
+        belongs to it, in the same transaction. Returns the event's number."""
         entry = self._entry(
             kind,
             who=who,
@@ -138,7 +139,7 @@ class EventLog:
             count=count if count > 1 else None,
             **({} if at is None or not is_moment(at) else {"time": at}),
         )
-        return (await self._append_all([entry]))[0]
+        return (await self._append_all([entry], also))[0]
 
     async def count(
         self,

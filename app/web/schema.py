@@ -16,6 +16,7 @@ from app.web.schema_problem import problem_schemas
 
 DESCRIPTIONS = {
     "idempotency-key": "Id of this command, 1 to 200 characters: sent twice, the command is executed once.",
+    "alarm_id": "Id of an occurrence of an alarm.",
     "before": "Only entries before this id: next of the page before.",
     "bus": "Name of a bus in lineside.toml.",
     "format": "Of the times or of the file.",
@@ -30,6 +31,7 @@ DESCRIPTIONS = {
     "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",
     "points": "Points of the response, 1 to 20000.",
     "recipe_id": "Id of a version of a recipe.",
+    "priority": "Only alarms of this priority.",
     "refresh": "Read all parameters from the unit now.",
     "resolution": "auto: values if they are stored for the complete span, else minutes.",
     "restore_id": "Id of a restore.",
@@ -38,6 +40,7 @@ DESCRIPTIONS = {
     "secrets": "With the operator password (#21).",
     "series": "bus/unit/value, such as dry-end/1/actual; several times.",
     "set_id": "Id of a parameter set.",
+    "state": "Only alarms in this state; when left out, all that are not normal.",
     "timeout_s": "Time that the command may wait for the wire, 0.05 to 30 s; 2 s when left out.",
     "to": "End of the span, ISO 8601 with zone; now when left out.",
     "tolerance": "Raw counts that still pass as equal.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from app.live.screen.fields import Translator
-from app.live.screen.sources import Drifted, Sources, UnitSubscriber
+from app.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
 from bus.messages import Message
 
 
@@ -41,6 +41,21 @@ class NoGoldenSets:
         """Never."""
 
 
+class NoAlarms:
+    """Nothing is wrong."""
+
+    def banner(self, _translator: Translator) -> dict[str, str]:
+        """Nothing."""
+        return {}
+
+    def mark(self, _bus: str, _unit: int) -> str:
+        """Nothing."""
+        return ""
+
+    def on_change(self, _subscriber: AlarmChangeSubscriber) -> None:
+        """Never."""
+
+
 class NoRecipes:
     """No recipe was loaded."""
 
@@ -58,4 +73,4 @@ def played_sources(
     controls = {} if controls is None else controls
     guards = {bus: PlayedGuards(bus, blocks or {}, controls) for bus in buses}
     drift = {bus: NoGoldenSets() for bus in guards}
-    return Sources(guards, drift, NoRecipes(), lambda _translator, _now: "", lambda: None)
+    return Sources(guards, drift, NoRecipes(), NoAlarms(), lambda _translator, _now: "", lambda: None)

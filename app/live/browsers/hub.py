@@ -17,7 +17,7 @@ from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
 from app.live.screen.fields import Translator, frame_fields, health_fields, unit_key
-from app.live.screen.screen import LINE_GROUP, Groups, Screen
+from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
 from app.live.state.bus_live import LiveState
@@ -27,6 +27,8 @@ from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
 from bus.instants import Clock, MonotonicClock, monotonic_now
 
 HEARTBEAT_S = 1.0
+ALARM_PAUSE_S = 0.05
+"""From an alarm to the pages: what a flood of them costs is bounded by it."""
 WATCH_UPDATES_A_SECOND = 5.0
 MAX_WATCH_BURST = 50
 """To each worker, which units are watched."""
@@ -70,10 +72,13 @@ class Hub:
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
         self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
         self._watched_is_due = False
+        self._alarms_due: asyncio.TimerHandle | None = None
+        self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
             bus.subscribe(partial(self._on_updates, name))
             sources.guards[name].on_block(partial(self.refresh_unit, name))
             sources.drift[name].on_change(partial(self.refresh_unit, name))
+        sources.alarms.on_change(self._on_alarm)
 
     @property
     def connected(self) -> int:
@@ -97,6 +102,7 @@ class Hub:
             now = self._clock()
             screen.refresh(now)
             screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)})
+            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
@@ -137,6 +143,23 @@ class Hub:
     def refresh_unit(self, bus: str, unit: int) -> None:
         """Something that no worker reports has changed, for example a block."""
         self._render(bus, [unit], include_bus=False)
+
+    def _on_alarm(self, bus: str | None, unit: int | None) -> None:
+        """Several that change together, or in a flood, are shown together."""
+        if bus is not None and unit is not None:
+            self._alarmed_units.add((bus, unit))
+        if self._alarms_due is None:
+            self._alarms_due = asyncio.get_running_loop().call_later(ALARM_PAUSE_S, self._show_alarms)
+
+    def _show_alarms(self) -> None:
+        self._alarms_due = None
+        units, self._alarmed_units = self._alarmed_units, set()
+        for readers in self._read():
+            screen = readers.screen
+            groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator))
+            for bus, unit in units:
+                groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
+            readers.publish(groups)
 
     async def beat(self) -> None:
         """Send the heartbeat of every page, indefinitely."""

@@ -23,6 +23,7 @@ from bus.messages import listed
 Groups = dict[str, Fields]
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
+ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""
 MOST_DEPARTED = 3
@@ -110,6 +111,7 @@ class Screen:
             "check": check_text(cause, self.translator),
             "blocked": blocked,
             "drift": drifted.key,
+            "alarm": self.sources.alarms.mark(bus_name, number),
         }
 
     def _recipe(self, bus_name: str) -> str:

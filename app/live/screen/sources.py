@@ -6,12 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from app.live.screen.fields import Translator
+from app.live.screen.fields import Fields, Translator
 from bus.instants import UnixTime
 from bus.messages import Message
 
 UnitSubscriber = Callable[[int], None]
 """Called with the address of a unit of a bus of which something changed."""
+
+AlarmChangeSubscriber = Callable[[str | None, int | None], None]
+"""Called with the bus and the unit of an alarm; None: of the site, or of the bus."""
 
 
 class Drifted(NamedTuple):
@@ -45,6 +48,19 @@ class GoldenDrift(Protocol):
         """Call ``subscriber`` when the differences of a unit have changed."""
 
 
+class AlarmMarks(Protocol):
+    """What the pages show of the alarms."""
+
+    def banner(self, translator: Translator) -> Fields:
+        """The most important of those that wait for an acknowledgement, in the reader's language."""
+
+    def mark(self, bus: str, unit: int) -> str:
+        """The priority of a unit's most important alarm and whether it is acknowledged; empty without one."""
+
+    def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
+        """Call ``subscriber`` when an alarm has changed."""
+
+
 class LoadedRecipes(Protocol):
     """Which recipe each bus runs."""
 
@@ -61,5 +77,6 @@ class Sources:
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
+    alarms: AlarmMarks
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]

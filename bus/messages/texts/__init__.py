@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from bus.messages.texts import (
     accounts,
+    alarms,
     audit,
     command_line,
     commands,
@@ -25,6 +26,7 @@ from bus.messages.texts.plural import Plural as Plural
 
 GROUPS: tuple[dict[str, EnglishText], ...] = (
     accounts.TEXTS,
+    alarms.TEXTS,
     audit.TEXTS,
     command_line.TEXTS,
     commands.TEXTS,

@@ -48,6 +48,20 @@ TEXTS: dict[str, EnglishText] = {
     "setting_panel_idle_days": "panel_idle_days is longer than panel_total_days; write at most as many",
     "configuration_keys_known": "known here: {keys}",
     "configuration_key_unknown": "unknown key {key} in {table}; {right}",
+    "setting_alarm_of_bit": 'alarm {name}: {value} is on or off; write state = "on" or "off", no limit',
+    "setting_alarm_of_number": "alarm {name}: {value} is a number; write above or below instead of state",
+    "setting_alarm_one_state": 'alarm {name}: write state = "on" or "off"',
+    "setting_alarm_one_limit": "alarm {name}: write one condition: above, below or both, or change_per_s",
+    "setting_alarm_deadband_of_rate": (
+        "alarm {name}: deadband belongs to above and below; use off_delay_s with change_per_s"
+    ),
+    "setting_alarm_limits_reversed": "alarm {name}: below is not less than above; no value would be inside",
+    "setting_alarm_deadband_wide": (
+        "alarm {name}: deadband is wider than the limits leave room for; the alarm would never clear"
+    ),
+    "setting_alarm_bus": "alarm {name}: there is no bus {bus}; name one that is configured",
+    "setting_alarm_unit": "alarm {name}: bus {bus} has no unit {unit}; name one that is configured",
+    "setting_alarm_name": "alarm {name} is given twice for bus {bus}; give each its own name",
     # What ``lineside check`` finds of a configuration on this machine.
     "machine_user": "user {user}",
     "check_configuration": "{file}: {site}",

@@ -1,0 +1,205 @@
+"""The alarms of one bus: from what its worker reports to transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from app.alarm_settings import AlarmSettings
+from app.alarms.alarm import Alarm
+from app.alarms.alarm_list import AlarmList
+from app.alarms.catalogue import BUS_ALARMS, UNIT_ALARMS, built_in
+from app.alarms.conditions import bus_conditions, has_foreign
+from app.alarms.definition import AlarmDefinition, key_of, own_key
+from app.alarms.own import OwnCondition, own_definition
+from app.alarms.rules.count_window import CountWindow
+from app.alarms.rules.suppression import Suppressors, is_at_rest
+from app.alarms.store import AlarmStore, StoredAlarm
+from app.alarms.unit_monitor import UnitMonitor
+from app.live.state.bus_live import BusLive
+from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
+
+CLOCK_STEP_S = 1.0
+"""A greater difference between the two clocks of this machine is a step of the one that can be set."""
+_OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
+"""Alarms that suppress on all of the bus."""
+
+
+class BusAlarms:
+    """Detects, suppresses and keeps the alarms of one bus. ``has_drift``: whether a unit differs from its
+    golden set. Call :meth:`load` before the first update."""
+
+    def __init__(
+        self,
+        live: BusLive,
+        own: Iterable[AlarmSettings],
+        store: AlarmStore,
+        has_drift: Callable[[int], bool],
+        clock: Clock = unix_now,
+        monotonic: MonotonicClock = monotonic_now,
+    ) -> None:
+        self.bus = live.settings.name
+        self._live = live
+        self._clock, self._monotonic = clock, monotonic
+        self._own = {own_key(each.bus, each.unit, each.name): OwnCondition(each) for each in own}
+        self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
+        self.list = AlarmList(self._definitions(), store)
+        self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
+        self._foreign = CountWindow()
+        self._worker_lost, self._port_lost, self._no_unit_responds, self._second_master = (
+            self.list.alarms[key_of(self.bus, None, code)]
+            for code in ("worker_lost", "port_lost", "no_unit_responds", "second_master")
+        )
+        self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
+        for alarm in self.list.alarms.values():
+            if alarm.definition.unit is not None:
+                self._by_unit[alarm.definition.unit].append(alarm)
+        self._estops: set[int] = set()
+        self._suppressors = Suppressors()
+        self._ahead_s = clock() - UnixTime(float(monotonic()))
+        self.list.subscribe(self._on_alarm)
+        live.subscribe(self._see)
+
+    def _definitions(self) -> Iterable[AlarmDefinition]:
+        yield from (built_in(code, self.bus) for code in BUS_ALARMS)
+        for unit in self._live.units:
+            yield from (built_in(code, self.bus, unit) for code in UNIT_ALARMS)
+        yield from (own_definition(own.settings) for own in self._own.values())
+
+    def _monitor(self, unit: int, has_drift: Callable[[int], bool]) -> UnitMonitor:
+        alarms = {code: self.list.alarms[key_of(self.bus, unit, code)] for code in UNIT_ALARMS}
+        own = [
+            (self.list.alarms[key], condition)
+            for key, condition in self._own.items()
+            if condition.settings.unit == unit
+        ]
+        live = self._live.units[unit]
+        return UnitMonitor(self._live, live, alarms, own, self._observe, has_drift)
+
+    def load(self, stored: Mapping[str, StoredAlarm]) -> None:
+        """Take up the states that the last run left."""
+        now = self._clock()
+        self.list.load(stored, now)
+        self._estops |= {
+            unit
+            for unit in self._by_unit
+            if self.list.alarms[key_of(self.bus, unit, "estop_active")].facts.active
+        }
+        self._suppressors = self._suppressing()
+        self._suppress(self.list.alarms.values(), now)
+
+    def present(self, alarm: Alarm) -> Message | None:
+        """The present value of what an alarm of the configuration is about."""
+        own, unit = self._own.get(alarm.definition.key), alarm.definition.unit
+        if own is None or unit is None:
+            return None
+        return own.present(self._live, self._live.units[unit])
+
+    def unit_names(self) -> Mapping[int, str]:
+        """The name of each unit on the floor."""
+        return self._unit_names
+
+    async def follow(self) -> None:
+        """Run what time brings, and keep the journal, without end."""
+        await self.list.follow(self.tick, self._clock)
+
+    def tick(self) -> None:
+        """What time alone has changed."""
+        now = self._clock()
+        self._notice_step(now)
+        self._see_links(now)
+        for monitor in self._monitors.values():
+            monitor.see_parameters(now)
+        self._suppress_again(now)
+
+    def _notice_step(self, now: UnixTime) -> None:
+        ahead_s = now - UnixTime(float(self._monotonic()))
+        step_s = ahead_s - self._ahead_s
+        if abs(step_s) > CLOCK_STEP_S:
+            self._ahead_s = ahead_s
+            self.list.clock_stepped(step_s)
+            for monitor in self._monitors.values():
+                monitor.clock_stepped(step_s)
+
+    # --- what the worker reports ----------------------------------------------------------------------
+
+    def _see(self, updates: Sequence[Update]) -> None:
+        now = self._clock()
+        read: set[int] = set()
+        for update in updates:
+            match update:
+                case Reading() if update.unit in self._monitors:
+                    self._monitors[update.unit].see_reading(now)
+                case UnitLink() if update.unit in self._monitors:
+                    self._see_bus(now)
+                    self._monitors[update.unit].see_link(now)
+                case ParameterValue() | Staged() if update.unit in self._monitors:
+                    read.add(update.unit)
+                case BusLink():
+                    self._see_bus(now)
+                case BusFigures():
+                    self._see_figures(update, now)
+        for unit in read:
+            self._monitors[unit].see_parameters(now)
+        if self._no_unit_responds.holds:
+            self._see_links(now)
+
+    def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
+        """A suppression begins before the alarm rises, so that it is never annunciated."""
+        if holds and not alarm.holds and self._suppresses(alarm):
+            self.list.suppress(alarm, True, now)
+        self.list.observe(alarm, holds, now)
+
+    def _see_bus(self, now: UnixTime) -> None:
+        for code, holds in bus_conditions(self._live, now).items():
+            self._observe(self.list.alarms[key_of(self.bus, None, code)], holds, now)
+
+    def _see_links(self, now: UnixTime) -> None:
+        self._see_bus(now)
+        for monitor in self._monitors.values():
+            monitor.see_link(now)
+
+    def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
+        for unit in figures.units:
+            if unit.unit in self._monitors:
+                self._monitors[unit.unit].see_figures(unit, now)
+        self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
+        self._observe(self._second_master, has_foreign(self._foreign), now)
+
+    # --- suppression ----------------------------------------------------------------------------------
+
+    def _on_alarm(self, alarm: Alarm) -> None:
+        code, unit = alarm.definition.code, alarm.definition.unit
+        if code in _OF_BUS:
+            self._suppress_again(self._clock())
+        elif code == "estop_active" and unit is not None and alarm.facts.active != (unit in self._estops):
+            self._estops ^= {unit}
+            self._suppress(self._by_unit[unit], self._clock())
+
+    def _suppress_again(self, now: UnixTime) -> None:
+        """Where what suppresses on the bus has changed, every alarm is concerned."""
+        found = self._suppressing()
+        if found != self._suppressors:
+            self._suppressors = found
+            self._suppress(self.list.alarms.values(), now)
+
+    def _suppress(self, alarms: Iterable[Alarm], now: UnixTime) -> None:
+        """An alarm that is neither active nor about to be is left alone."""
+        for alarm in alarms:
+            concerned = alarm.facts.suppressed or alarm.facts.active or bool(alarm.holds)
+            self.list.suppress(alarm, concerned and self._suppresses(alarm), now)
+
+    def _suppresses(self, alarm: Alarm) -> bool:
+        definition = alarm.definition
+        return self._suppressors.suppress(definition.group, definition.unit)
+
+    def _suppressing(self) -> Suppressors:
+        readings = (unit.reading for unit in self._live.units.values())
+        return Suppressors(
+            worker_lost=self._worker_lost.facts.active,
+            port_lost=self._port_lost.facts.active,
+            no_unit_responds=self._no_unit_responds.facts.active,
+            at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
+            estops=self._estops,
+        )

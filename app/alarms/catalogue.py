@@ -1,0 +1,89 @@
+"""The built-in alarms as data: attributes and the record of their rationalization."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from app.alarms.definition import AlarmDefinition, Rationalization, key_of
+from app.alarms.rules.facts import PLAIN, AlarmAttributes
+from app.alarms.rules.priority import Consequence, TimeToRespond
+from app.alarms.rules.suppression import SuppressionGroup
+from bus.messages import Message
+
+UnitAlarm = Literal[
+    "unit_offline",
+    "link_degraded",
+    "estop_active",
+    "not_at_speed",
+    "running_without_run",
+    "ratio_out_of_limits",
+    "not_in_remote",
+    "parameter_drift",
+    "duplicate_address",
+    "staged_left",
+]
+BusAlarm = Literal["port_lost", "no_unit_responds", "worker_lost", "second_master"]
+SiteAlarm = Literal["history_degraded", "audit_degraded", "disk_low"]
+BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
+UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
+BUS_ALARMS: tuple[BusAlarm, ...] = get_args(BusAlarm)
+SITE_ALARMS: tuple[SiteAlarm, ...] = get_args(SiteAlarm)
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltInAlarm:
+    """One row: how severe, how soon, and how it behaves. Its texts are messages named after its code."""
+
+    severity: Consequence
+    time_to_respond: TimeToRespond
+    attributes: AlarmAttributes = PLAIN
+    group: SuppressionGroup | None = None
+
+
+BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
+    "unit_offline": BuiltInAlarm("major", "minutes", group="unit"),
+    "link_degraded": BuiltInAlarm("minor", "shift", AlarmAttributes(off_delay_s=60), group="unit"),
+    "estop_active": BuiltInAlarm("severe", "minutes", group="unit"),
+    "not_at_speed": BuiltInAlarm(
+        "major", "minutes", AlarmAttributes(on_delay_s=10, off_delay_s=2), group="speed"
+    ),
+    "running_without_run": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2), group="unit"),
+    "ratio_out_of_limits": BuiltInAlarm("major", "half_hour", group="unit"),
+    "not_in_remote": BuiltInAlarm("minor", "half_hour", AlarmAttributes(on_delay_s=5), group="unit"),
+    "parameter_drift": BuiltInAlarm("major", "shift"),
+    "duplicate_address": BuiltInAlarm("severe", "half_hour", AlarmAttributes(latching=True)),
+    "staged_left": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=60), group="unit"),
+    "port_lost": BuiltInAlarm("severe", "minutes", group="bus"),
+    "no_unit_responds": BuiltInAlarm(
+        "severe", "minutes", AlarmAttributes(on_delay_s=3, off_delay_s=5), group="cable"
+    ),
+    "worker_lost": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2)),
+    "second_master": BuiltInAlarm("severe", "half_hour", AlarmAttributes(off_delay_s=60), group="bus"),
+    "history_degraded": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=5)),
+    "audit_degraded": BuiltInAlarm("major", "shift"),
+    "disk_low": BuiltInAlarm("major", "shift", AlarmAttributes(on_delay_s=5)),
+}
+
+
+def built_in(code: BuiltIn, bus: str | None, unit: int | None = None) -> AlarmDefinition:
+    """The definition of a built-in alarm at its place."""
+    row = BUILT_IN[code]
+    record = Rationalization(
+        Message(f"alarm_{code}_cause"),
+        Message(f"alarm_{code}_consequence"),
+        Message(f"alarm_{code}_response"),
+        row.severity,
+        row.time_to_respond,
+    )
+    return AlarmDefinition(
+        key=key_of(bus, unit, code),
+        code=code,
+        name=Message(f"alarm_{code}"),
+        bus=bus,
+        unit=unit,
+        priority=record.priority,
+        record=record,
+        attributes=row.attributes,
+        group=row.group,
+    )

@@ -1,0 +1,55 @@
+"""What an alarm is, apart from how it is now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from hashlib import blake2b
+
+from app.alarms.rules.facts import PLAIN, AlarmAttributes
+from app.alarms.rules.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
+from app.alarms.rules.suppression import SuppressionGroup
+from bus.messages import Message
+
+SITE = "_"
+"""In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rationalization:
+    """Why there is this alarm and what a person does about it (ISA-18.2-2016, clause 9)."""
+
+    cause: Message
+    consequence: Message
+    response: Message
+    severity: Consequence
+    time_to_respond: TimeToRespond
+
+    @property
+    def priority(self) -> AlarmPriority:
+        """By the matrix."""
+        return MATRIX[self.severity, self.time_to_respond]
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmDefinition:
+    """One alarm of a unit, a bus or the site. ``key`` identifies it for good, also after a restart."""
+
+    key: str
+    code: str
+    name: str | Message
+    bus: str | None
+    unit: int | None
+    priority: AlarmPriority
+    record: Rationalization
+    attributes: AlarmAttributes = PLAIN
+    group: SuppressionGroup | None = None
+
+
+def key_of(bus: str | None, unit: int | None, code: str) -> str:
+    """The key of a built-in alarm."""
+    return ".".join((bus or SITE, *(() if unit is None else (str(unit),)), code))
+
+
+def own_key(bus: str, unit: int, name: str) -> str:
+    """The key of an alarm of the site, whose name may have any characters."""
+    return key_of(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")

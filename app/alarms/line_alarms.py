@@ -1,0 +1,220 @@
+"""Every alarm of the site and its buses, and what people do with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from heapq import nsmallest
+from typing import NamedTuple
+
+from app.alarms.alarm import Alarm
+from app.alarms.alarm_list import AlarmList, AlarmSubscriber
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.rules import changes
+from app.alarms.rules.changes import Changed, NoTransitionError
+from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
+from app.alarms.rules.priority import PRIORITIES
+from app.alarms.site_alarms import SiteAlarms
+from app.alarms.store import AlarmStore, JournalWriting
+from app.audit.log import EventLog
+from app.errors import Problem, StoreError
+from app.web.access import Person
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message
+
+MINUTE_S = 60
+Act = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
+
+
+class FoundAlarm(NamedTuple):
+    """An alarm and the list that it is in."""
+
+    alarm: Alarm
+    list: AlarmList
+
+
+class LineAlarms:
+    """What a person does is in the audit log, the journal and the alarm together, or nowhere."""
+
+    def __init__(
+        self,
+        buses: Mapping[str, BusAlarms],
+        site: SiteAlarms,
+        store: AlarmStore,
+        events: EventLog,
+        clock: Clock = unix_now,
+    ) -> None:
+        self.buses = buses
+        self.site = site
+        self.store = store
+        self._events = events
+        self._clock = clock
+        self._lists = (site.list, *(bus.list for bus in buses.values()))
+        self._present: dict[str, Alarm] = {}
+        self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
+        self.subscribe(self._note)
+
+    async def load(self) -> None:
+        """Take up the states that the last run left; once at start."""
+        stored = await self.store.load()
+        self.site.load(stored)
+        for bus in self.buses.values():
+            bus.load(stored)
+        for alarm in self.every():
+            self._note(alarm)
+
+    def _note(self, alarm: Alarm) -> None:
+        definition, is_present = alarm.definition, alarm.facts.state != "normal"
+        indexes = [self._present]
+        if definition.bus is not None and definition.unit is not None:
+            indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))
+        for index in indexes:
+            if is_present:
+                index[definition.key] = alarm
+            else:
+                index.pop(definition.key, None)
+
+    async def write(self) -> None:
+        """Bring to disk what is not there yet, as far as it can be; the server ends."""
+        with suppress(StoreError):
+            for each in self._lists:
+                await each.write()
+
+    def subscribe(self, subscriber: AlarmSubscriber) -> None:
+        """Call ``subscriber`` with each alarm that has changed."""
+        for each in self._lists:
+            each.subscribe(subscriber)
+
+    def every(self) -> Iterator[Alarm]:
+        """All of them."""
+        for each in self._lists:
+            yield from each.alarms.values()
+
+    def present(self) -> list[Alarm]:
+        """Those that are not normal, the most important and newest first."""
+        return sorted(self._present.values(), key=_rank)
+
+    def first_waiting(self, most: int) -> tuple[int, list[Alarm]]:
+        """How many wait for an acknowledgement, and the first of them."""
+        waiting = [alarm for alarm in self._present.values() if alarm.is_unacknowledged]
+        return len(waiting), nsmallest(most, waiting, key=_rank)
+
+    def annunciated(self, bus: str, unit: int) -> list[Alarm]:
+        """Those of a unit that nothing hides, the most important first."""
+        of_unit = self._of_unit.get((bus, unit))
+        if not of_unit:
+            return []
+        return sorted((alarm for alarm in of_unit.values() if not alarm.facts.is_hidden), key=_rank)
+
+    def place(self, bus: str | None, unit: int | None) -> str:
+        """The name of a unit or bus, which may be configured no longer; empty for the site."""
+        if bus is None:
+            return ""
+        names = self.buses[bus].unit_names() if bus in self.buses else {}
+        return bus if unit is None else names.get(unit, f"{bus}/{unit}")
+
+    def find(self, alarm_id: str) -> FoundAlarm:
+        """The alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""
+        key, _, occurrence = alarm_id.rpartition(".")
+        for each in self._lists:
+            alarm = each.alarms.get(key)
+            if alarm is None or not occurrence.isdecimal() or not occurrence.isascii():
+                continue
+            if occurrence != str(alarm.facts.occurrence):
+                raise Problem(
+                    409, "superseded", Message.of("alarm_superseded", name=alarm.definition.name), id=alarm.id
+                )
+            return FoundAlarm(alarm, each)
+        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
+
+    async def acknowledge(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
+        """A person has seen this occurrence."""
+        return await self._act(person, alarm_id, changes.acknowledge, "event_alarm_acknowledged", comment)
+
+    async def reset(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
+        """End a latch."""
+        return await self._act(person, alarm_id, changes.reset, "event_alarm_reset", comment)
+
+    async def shelve(
+        self, person: Person, alarm_id: str, reason: str, minutes: int, *, once: bool = False
+    ) -> Alarm:
+        """Hide it for a time; ``once``: or until its condition ends."""
+
+        def act(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
+            return changes.shelve(facts, at + minutes * MINUTE_S, at, once=once)
+
+        return await self._act(person, alarm_id, act, "event_alarm_shelved", reason, hides=True)
+
+    async def unshelve(self, person: Person, alarm_id: str, reason: str = "") -> Alarm:
+        """Annunciate it again."""
+        return await self._act(person, alarm_id, changes.unshelve, "event_alarm_unshelved", reason)
+
+    async def remove(self, person: Person, alarm_id: str, reason: str) -> Alarm:
+        """Take it out of service."""
+
+        def act(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
+            return changes.remove_from_service(facts, at)
+
+        return await self._act(person, alarm_id, act, "event_alarm_removed", reason, hides=True)
+
+    async def return_(self, person: Person, alarm_id: str, reason: str = "") -> Alarm:
+        """Return it to service."""
+        return await self._act(person, alarm_id, changes.return_to_service, "event_alarm_returned", reason)
+
+    async def _act(
+        self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool = False
+    ) -> Alarm:
+        async with self.find(alarm_id).list.writing:
+            return await self._act_now(person, alarm_id, act, what, reason, hides=hides)
+
+    async def _act_now(
+        self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool
+    ) -> Alarm:
+        alarm, of = self.find(alarm_id)
+        before = (alarm.facts, alarm.hidden_by, alarm.reason)
+        try:
+            changed = act(alarm.facts, alarm.definition.attributes, self._clock())
+        except NoTransitionError:
+            raise _not_in_state(alarm) from None
+        if hides:
+            alarm.hidden_by, alarm.reason = person.name, reason
+        of.change(alarm, changed, person.name, reason)
+        after = alarm.facts
+        entries, alarms = of.take_unwritten()
+        definition = alarm.definition
+        try:
+            await self._events.record(
+                kind="alarm",
+                who=person.name,
+                origin=person.via,
+                bus=definition.bus,
+                unit=definition.unit,
+                what=Message.of(what, name=definition.name),
+                message=reason,
+                also=JournalWriting(entries, alarms),
+            )
+        except StoreError:
+            of.give_back([entry for entry in entries if entry.who != person.name], alarms)
+            if alarm.facts is after:
+                facts, alarm.hidden_by, alarm.reason = before
+                of.restore(alarm, facts)
+            raise
+        return alarm
+
+
+def _not_in_state(alarm: Alarm) -> Problem:
+    state = alarm.facts.state
+    message = Message.of(
+        "alarm_not_in_state", name=alarm.definition.name, state=Message(f"alarm_state_{state}")
+    )
+    return Problem(409, "not_in_state", message, state=state, id=alarm.id)
+
+
+def _rank(alarm: Alarm) -> tuple[bool, int, float]:
+    """What waits for an acknowledgement first, then by priority, the newest first."""
+    risen_at = alarm.facts.risen_at
+    return (
+        not alarm.is_unacknowledged,
+        PRIORITIES.index(alarm.definition.priority),
+        -float(risen_at or UnixTime(0.0)),
+    )

@@ -1,0 +1,151 @@
+"""The site's own alarms: their definitions, and whether the condition of one holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from decimal import Decimal
+
+from app.alarm_settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
+from app.alarms.definition import AlarmDefinition, Rationalization, own_key
+from app.alarms.rules.facts import AlarmAttributes
+from app.alarms.rules.limits import ChangeRate, LimitRule
+from app.alarms.rules.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
+from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
+from app.live.state.conditions import bits_of
+from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW
+from bus.catalogue.values import MOST_DECIMALS, analog_input_value
+from bus.contract import Reading
+from bus.messages import Message, number, term
+
+ANALOG_DECIMALS = 3
+"""An analog input is compared in thousandths of its unit."""
+_OF_PRIORITY: dict[AlarmPriority, tuple[Consequence, TimeToRespond]] = {
+    priority: place for place, priority in reversed(MATRIX.items())
+}
+_CODES = {"deviation": "deviation", "analog": "analog_out_of_limits"}
+_NO_LIMIT = LimitRule(None, None)
+_RECORD_TEXTS = ("cause", "consequence", "response")
+
+
+def own_definition(settings: AlarmSettings) -> AlarmDefinition:
+    """The definition of an alarm of the configuration; its texts are the site's."""
+    severity, time_to_respond = _OF_PRIORITY[settings.priority]
+    cause, consequence, response = (
+        Message.of("alarm_own_text", text=text) if text else Message("alarm_own_without_text")
+        for text in (getattr(settings, name) for name in _RECORD_TEXTS)
+    )
+    is_speed = settings.value in SPEED_VALUES
+    return AlarmDefinition(
+        key=own_key(settings.bus, settings.unit, settings.name),
+        code=_own_code(settings),
+        name=settings.name,
+        bus=settings.bus,
+        unit=settings.unit,
+        priority=settings.priority,
+        record=Rationalization(cause, consequence, response, severity, time_to_respond),
+        attributes=AlarmAttributes(
+            on_delay_s=settings.on_delay_s,
+            off_delay_s=settings.off_delay_s,
+            realarm_s=settings.realarm_s,
+            latching=settings.latch,
+        ),
+        group="speed"
+        if is_speed and (settings.below is not None or settings.value == "deviation")
+        else "unit",
+    )
+
+
+def _own_code(settings: AlarmSettings) -> str:
+    if settings.state is not None:
+        return "state_too_long"
+    if settings.change_per_s is not None:
+        return "change_too_fast"
+    return _CODES.get(settings.value, "value_out_of_limits")
+
+
+def _analog(unit: UnitLive, reading: Reading) -> int | None:
+    low, high = unit.parameter_raw(ANALOG_IN_LOW), unit.parameter_raw(ANALOG_IN_HIGH)
+    if low is None or high is None:
+        return None
+    return round(1000 * analog_input_value(reading.analog, low, high))
+
+
+_VALUES: dict[str, Callable[[UnitLive, Reading], int | None]] = {
+    "actual": lambda _, reading: reading.actual,
+    "commanded": lambda _, reading: reading.commanded,
+    "deviation": lambda _, reading: abs(reading.actual - reading.commanded),
+}
+
+
+@dataclass(slots=True)
+class OwnCondition:
+    """One of them. Limits are compared in integers; they are made again when the unit's decimals change."""
+
+    settings: AlarmSettings
+    of_state: bool = field(init=False)
+    """Whether it is about an input or an output: only a change of the status bytes can change it."""
+    _value: Callable[[UnitLive, Reading], int | None] = field(init=False)
+    _rate: ChangeRate = field(default_factory=ChangeRate)
+    _decimals: int | None = None
+    _rule: LimitRule = _NO_LIMIT
+
+    def __post_init__(self) -> None:
+        self.of_state = self.settings.state is not None
+        self._value = _VALUES.get(self.settings.value, _analog)
+
+    def holds(
+        self, bus: BusLive, unit: UnitLive, reading: Reading, decimals: int | None, active: bool
+    ) -> bool | None:
+        """Whether it holds by a reading; None while what it needs was not read. ``decimals``: of the unit's
+        speeds, None while they are not known."""
+        settings = self.settings
+        if self.of_state:
+            return self._bit(bus, reading) == (settings.state == "on")
+        value = self._value(unit, reading)
+        if settings.value == "analog":
+            decimals = ANALOG_DECIMALS
+        if value is None or decimals is None:
+            return None
+        if settings.change_per_s is not None:
+            per_s = self._rate.see(value, float(reading.at))
+            return None if per_s is None else per_s > settings.change_per_s * 10**decimals
+        if decimals != self._decimals:
+            self._decimals, self._rule = decimals, _rule_of(settings, decimals)
+        return self._rule.holds(value, active)
+
+    def forget(self) -> None:
+        """The values were not known for a while."""
+        self._rate.forget()
+
+    def present(self, bus: BusLive, unit: UnitLive) -> Message | None:
+        """The present value as the unit shows it; None while it is not known."""
+        if unit.reading is None:
+            return None
+        if self.of_state:
+            return term("on") if self._bit(bus, unit.reading) else term("off")
+        value = self._value(unit, unit.reading)
+        decimals = ANALOG_DECIMALS if self.settings.value == "analog" else known_decimals(bus, unit)
+        if value is None or decimals is None:
+            return None
+        shown = Decimal(value).scaleb(-decimals)
+        return number(shown.normalize() if self.settings.value == "analog" else shown)
+
+    def _bit(self, bus: BusLive, reading: Reading) -> bool:
+        bits, value = bits_of(bus, reading), self.settings.value
+        if value in INPUT_VALUES:
+            return bits.inputs[value]
+        return bits.outputs[int(value.removeprefix("output.")) - 1]
+
+
+def known_decimals(bus: BusLive, unit: UnitLive) -> int | None:
+    """The decimals of the speeds of a unit; None while they are not known."""
+    decimals = speed_decimals(bus, unit)
+    return None if decimals is None or decimals > MOST_DECIMALS else decimals
+
+
+def _rule_of(settings: AlarmSettings, decimals: int) -> LimitRule:
+    def raw(limit: Decimal | None) -> int | None:
+        return None if limit is None else round(limit.scaleb(decimals))
+
+    return LimitRule(raw(settings.above), raw(settings.below), raw(settings.deadband) or 0)

@@ -1,0 +1,124 @@
+"""One alarm as independent facts; its state follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from app.alarms.rules.states import FACTS_OF, STATE_OF, AlarmState, AlarmTrigger, BaseFacts, BaseState
+from bus.instants import UnixTime
+
+LONGEST_SHELVING_S = 12 * 3600.0
+"""A shift: what is shelved longer belongs out of service."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmAttributes:
+    """How an alarm behaves (ISA-18.2-2016, clause 10). Durations in seconds."""
+
+    on_delay_s: float = 0.0
+    off_delay_s: float = 0.0
+    realarm_s: float | None = None
+    """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
+    longest_shelving_s: float = LONGEST_SHELVING_S
+    latching: bool = False
+    """It stays after its condition has ended, until a person resets it."""
+    needs_acknowledgement: bool = True
+
+
+PLAIN = AlarmAttributes()
+"""No delay, no latch, to be acknowledged."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmFacts:
+    """``occurrence`` counts how often it has risen; an acknowledgement names one of them."""
+
+    active: bool = False
+    acknowledged: bool = True
+    latched: bool = False
+    suppressed: bool = False
+    out_of_service: bool = False
+    shelved_until: UnixTime | None = None
+    shelved_once: bool = False
+    """Shelved until its condition ends, at most until ``shelved_until``."""
+    occurrence: int = 0
+    since: UnixTime | None = None
+    """When it got into its state."""
+    risen_at: UnixTime | None = None
+    """When its occurrence began."""
+    acknowledged_at: UnixTime | None = None
+    """When it was acknowledged while active."""
+    changing_since: UnixTime | None = None
+    """Since when its condition is other than ``active``: a delay runs."""
+    unknown_since: UnixTime | None = None
+    """Since when nothing is known of its condition."""
+
+    @property
+    def base(self) -> BaseState:
+        """The state that it would have if nothing hid it."""
+        return STATE_OF[BaseFacts(self.active, self.acknowledged, self.latched)]
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether it is detected and recorded, and not annunciated."""
+        return self.suppressed or self.out_of_service or self.shelved_until is not None
+
+    @property
+    def state(self) -> AlarmState:
+        """Its state. Of several that hide it, the one that a person has to end is named."""
+        if self.out_of_service:
+            return "out_of_service"
+        if self.shelved_until is not None:
+            return "shelved"
+        return "suppressed" if self.suppressed else self.base
+
+    def with_base(self, base: BaseState) -> AlarmFacts:
+        """These facts in another base state."""
+        facts = FACTS_OF[base]
+        return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A change of an alarm. ``before`` equals ``after`` where only something hidden has changed."""
+
+    at: UnixTime
+    trigger: AlarmTrigger
+    occurrence: int
+    before: AlarmState
+    after: AlarmState
+
+
+def due_at(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When the next transition comes by time alone; None: never."""
+    times = (detection_due(facts, attributes), facts.shelved_until, realarm_due(facts, attributes))
+    return min((time for time in times if time is not None), default=None)
+
+
+def detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When a running delay ends."""
+    if facts.changing_since is None:
+        return None
+    return facts.changing_since + (attributes.off_delay_s if facts.active else attributes.on_delay_s)
+
+
+def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
+    """When an acknowledged alarm is annunciated again."""
+    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden:
+        return None
+    return facts.acknowledged_at + attributes.realarm_s if attributes.needs_acknowledgement else None
+
+
+def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
+    """The same after the clock was set by ``step_s``: every running time keeps its length."""
+
+    def moved(time: UnixTime | None) -> UnixTime | None:
+        return None if time is None else time + step_s
+
+    return replace(
+        facts,
+        shelved_until=moved(facts.shelved_until),
+        changing_since=moved(facts.changing_since),
+        acknowledged_at=moved(facts.acknowledged_at),
+        unknown_since=moved(facts.unknown_since),
+    )

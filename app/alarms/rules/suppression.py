@@ -1,0 +1,39 @@
+"""Suppression by design: what another alarm, or a line at rest, makes meaningless. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
+"""``bus``: follows from a lost worker; ``cable``: also from a lost port; ``unit``: also from a bus on which
+no unit responds; ``speed``: also from an e-stop of the unit, and means nothing on a line at rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suppressors:
+    """What holds on one bus now."""
+
+    worker_lost: bool = False
+    port_lost: bool = False
+    no_unit_responds: bool = False
+    at_rest: bool = False
+    estops: Collection[int] = ()
+    """The units whose emergency stop is active."""
+
+    def suppress(self, group: SuppressionGroup | None, unit: int | None) -> bool:
+        """Whether an alarm of this group and unit is suppressed."""
+        if group is None:
+            return False
+        if self.worker_lost or (self.port_lost and group != "bus"):
+            return True
+        if self.no_unit_responds and group in ("unit", "speed"):
+            return True
+        return group == "speed" and (self.at_rest or unit in self.estops)
+
+
+def is_at_rest(commanded: Iterable[int | None]) -> bool:
+    """Whether zero is commanded to every unit; a unit that was never read is no proof of rest."""
+    speeds = list(commanded)
+    return bool(speeds) and all(speed == 0 for speed in speeds)

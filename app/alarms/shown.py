@@ -1,0 +1,167 @@
+"""An alarm and a transition as the API gives them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+from typing_extensions import TypeAliasType, TypedDict
+
+from app.alarms.alarm import Alarm
+from app.alarms.definition import Rationalization
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
+from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.alarms.store import JournalEntry
+from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_shown
+from bus.instants import UnixTime
+from bus.messages import Message, in_english
+
+AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
+AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
+AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
+ConsequenceShown = TypeAliasType("ConsequenceShown", Consequence)
+TimeToRespondShown = TypeAliasType("TimeToRespondShown", TimeToRespond)
+"""Named, so that clients have one enumeration of each."""
+WhenOrNull = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
+BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
+UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
+
+
+class AlarmShown(TypedDict):
+    """One alarm and its present occurrence."""
+
+    id: Annotated[str, Field(description="Names the occurrence: another one has another id.")]
+    name: str
+    code: str
+    bus: BusName
+    unit: UnitNumber
+    priority: AlarmPriorityShown
+    state: AlarmStateShown
+    active: Annotated[bool, Field(description="Whether its condition holds, its delays included.")]
+    acknowledged: bool
+    since: Annotated[str | None, Field(description="When it got into its state; null: it never had another.")]
+    unknown_since: Annotated[
+        str | None, Field(description="Since when its condition is not known; null: it is known.")
+    ]
+    value: Annotated[str | None, Field(description="The present value where it is about one.")]
+    value_message: MaybeMessage
+    message: Annotated[str, Field(description="What it is and what to do, English.")]
+    alarm_message: MessageShown
+    first_out: Annotated[bool, Field(description="It was the first of several that rose together.")]
+    shelved_until: WhenOrNull
+    hidden_by: Annotated[str | None, Field(description="Who shelved it or took it out of service.")]
+    reason: Annotated[str | None, Field(description="Why.")]
+
+
+class RationalizationShown(TypedDict):
+    """Why there is this alarm (ISA-18.2, clause 9). English."""
+
+    cause: str
+    cause_message: MessageShown
+    consequence: str
+    consequence_message: MessageShown
+    response: str
+    response_message: MessageShown
+    severity: ConsequenceShown
+    time_to_respond: TimeToRespondShown
+
+
+class AlarmTransitionShown(TypedDict):
+    """One change of an alarm."""
+
+    id: int
+    time: str
+    alarm: Annotated[str, Field(description="The id of the occurrence.")]
+    name: str
+    code: str
+    bus: BusName
+    unit: UnitNumber
+    priority: AlarmPriorityShown
+    trigger: AlarmTriggerShown
+    before: AlarmStateShown
+    after: AlarmStateShown
+    who: Annotated[str | None, Field(description="The user; null: no one acted.")]
+    reason: str | None
+
+
+def alarm_message(alarm: Alarm, value: Message | None) -> Message:
+    """What it is and what to do."""
+    definition = alarm.definition
+    if value is None:
+        return Message.of("alarm_text", name=definition.name, response=definition.record.response)
+    return Message.of(
+        "alarm_value_text", name=definition.name, value=value, response=definition.record.response
+    )
+
+
+def present_value(alarms: LineAlarms, alarm: Alarm) -> Message | None:
+    """The present value of what it is about; None where it is about none, or that is not known."""
+    bus = alarm.definition.bus
+    return None if bus is None else alarms.buses[bus].present(alarm)
+
+
+def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
+    """An alarm as it is now."""
+    definition, facts = alarm.definition, alarm.facts
+    value = present_value(alarms, alarm)
+    message = alarm_message(alarm, value)
+    by_person = facts.state in ("shelved", "out_of_service")
+    return {
+        "id": alarm.id,
+        "name": str(definition.name),
+        "code": definition.code,
+        "bus": definition.bus,
+        "unit": definition.unit,
+        "priority": definition.priority,
+        "state": facts.state,
+        "active": facts.active,
+        "acknowledged": facts.acknowledged,
+        "since": _time(facts.since),
+        "unknown_since": _time(facts.unknown_since),
+        "value": in_english(value) or None,
+        "value_message": maybe_shown(value),
+        "message": str(message),
+        "alarm_message": message_shown(message),
+        "first_out": alarm.first_out,
+        "shelved_until": _time(facts.shelved_until),
+        "hidden_by": alarm.hidden_by if by_person else None,
+        "reason": alarm.reason if by_person else None,
+    }
+
+
+def record_json(record: Rationalization) -> RationalizationShown:
+    """The record of an alarm."""
+    return {
+        "cause": str(record.cause),
+        "cause_message": message_shown(record.cause),
+        "consequence": str(record.consequence),
+        "consequence_message": message_shown(record.consequence),
+        "response": str(record.response),
+        "response_message": message_shown(record.response),
+        "severity": record.severity,
+        "time_to_respond": record.time_to_respond,
+    }
+
+
+def transition_json(entry: JournalEntry) -> AlarmTransitionShown:
+    """An entry of the journal."""
+    return {
+        "id": entry.id,
+        "time": iso(entry.at),
+        "alarm": f"{entry.alarm}.{entry.occurrence}",
+        "name": entry.name,
+        "code": entry.code,
+        "bus": entry.bus,
+        "unit": entry.unit,
+        "priority": entry.priority,
+        "trigger": entry.trigger,
+        "before": entry.before,
+        "after": entry.after,
+        "who": entry.who or None,
+        "reason": entry.reason or None,
+    }
+
+
+def _time(at: UnixTime | None) -> str | None:
+    return None if at is None else iso(at)

@@ -1,0 +1,148 @@
+"""Alarms at rest: the facts of each, and the journal of every transition."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
+
+from app.alarms.alarm import Alarm
+from app.alarms.definition import AlarmDefinition
+from app.alarms.rules.facts import AlarmFacts, Transition
+from app.alarms.rules.priority import AlarmPriority
+from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.database import Database
+from bus.instants import UnixTime
+
+_STORED_FACTS = tuple(
+    field.name for field in fields(AlarmFacts) if field.name not in ("changing_since", "unknown_since")
+)
+"""A delay begins again after a restart, and what nothing is known of is not known then either."""
+_FLAGS = ("active", "acknowledged", "latched", "suppressed", "out_of_service", "shelved_once")
+_OF_ALARM = ("first_out", "hidden_by", "reason")
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry:
+    """One transition, with what it needs to be read without the configuration of its time."""
+
+    at: UnixTime
+    alarm: str
+    occurrence: int
+    code: str
+    name: str
+    bus: str | None
+    unit: int | None
+    priority: AlarmPriority
+    trigger: AlarmTrigger
+    before: AlarmState
+    after: AlarmState
+    who: str = ""
+    reason: str = ""
+    id: int = 0
+
+
+def entry_of(
+    definition: AlarmDefinition, change: Transition, who: str = "", reason: str = ""
+) -> JournalEntry:
+    """The journal entry of a transition."""
+    return JournalEntry(
+        at=change.at,
+        alarm=definition.key,
+        occurrence=change.occurrence,
+        code=definition.code,
+        name=str(definition.name),
+        bus=definition.bus,
+        unit=definition.unit,
+        priority=definition.priority,
+        trigger=change.trigger,
+        before=change.before,
+        after=change.after,
+        who=who,
+        reason=reason,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class StoredAlarm:
+    """What the store keeps of an alarm."""
+
+    facts: AlarmFacts
+    first_out: bool
+    hidden_by: str
+    reason: str
+
+
+_COLUMNS = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+
+
+class AlarmStore:
+    """All access to the tables of alarms."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def load(self) -> dict[str, StoredAlarm]:
+        """The stored facts of each alarm, by its key."""
+        return await self._database.read(_load)
+
+    async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
+        """Transitions in order, and the facts that they led to, in one transaction."""
+        await self._database.write(JournalWriting(entries, alarms))
+
+    async def journal(self, limit: int, before: int | None) -> list[JournalEntry]:
+        """Transitions, newest first; ``before``: older than this entry."""
+        query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE id < ? ORDER BY id DESC LIMIT ?"
+        rows = await self._database.read(
+            lambda connection: connection.execute(query, (before or 2**62, limit)).fetchall()
+        )
+        return [JournalEntry(*row) for row in rows]
+
+    async def journal_of(self, alarm: str, limit: int) -> list[JournalEntry]:
+        """The newest transitions of one alarm."""
+        query = (
+            f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE alarm = ? ORDER BY id DESC LIMIT ?"
+        )
+        rows = await self._database.read(
+            lambda connection: connection.execute(query, (alarm, limit)).fetchall()
+        )
+        return [JournalEntry(*row) for row in rows]
+
+
+class JournalWriting:
+    """The rows of one transaction, made on the event loop, where the facts cannot change meanwhile."""
+
+    def __init__(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
+        self._entries = [astuple(entry)[:-1] for entry in entries]
+        self._facts = [_row_of(alarm) for alarm in alarms]
+
+    def __call__(self, connection: sqlite3.Connection) -> None:
+        marks = ", ".join("?" * len(_COLUMNS))
+        connection.executemany(
+            f"INSERT INTO alarm_journal ({', '.join(_COLUMNS)}) VALUES ({marks})", self._entries
+        )
+        columns = ("alarm", *_STORED_FACTS, *_OF_ALARM)
+        marks = ", ".join("?" * len(columns))
+        connection.executemany(
+            f"INSERT OR REPLACE INTO alarm_facts ({', '.join(columns)}) VALUES ({marks})", self._facts
+        )
+
+
+def _row_of(alarm: Alarm) -> tuple[object, ...]:
+    facts = asdict(alarm.facts)
+    return (
+        alarm.definition.key,
+        *(facts[name] for name in _STORED_FACTS),
+        *(getattr(alarm, name) for name in _OF_ALARM),
+    )
+
+
+def _load(connection: sqlite3.Connection) -> dict[str, StoredAlarm]:
+    columns = ", ".join(("alarm", *_STORED_FACTS, *_OF_ALARM))
+    return {row["alarm"]: _stored(row) for row in connection.execute(f"SELECT {columns} FROM alarm_facts")}
+
+
+def _stored(row: sqlite3.Row) -> StoredAlarm:
+    values = {name: row[name] for name in _STORED_FACTS}
+    facts = AlarmFacts(**values | {name: bool(values[name]) for name in _FLAGS})
+    return StoredAlarm(facts, bool(row["first_out"]), row["hidden_by"], row["reason"])

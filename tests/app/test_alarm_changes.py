@@ -1,0 +1,137 @@
+"""Random histories of one alarm against the model of the standard, and single transitions by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.alarms.rules import changes
+from app.alarms.rules.changes import Changed, NoTransitionError
+from app.alarms.rules.facts import AlarmAttributes, AlarmFacts, due_at, shifted
+from app.alarms.rules.states import FACTS_OF, TRANSITIONS
+from bus.instants import UnixTime
+from tests.app.alarm_model import FOREVER, ModelAlarm
+
+ACTS = ("acknowledge", "reset", "shelve", "unshelve", "remove", "return", "suppress", "unsuppress")
+STEPS = st.one_of(
+    st.tuples(st.just("observe"), st.sampled_from((True, False, True, False, None))),
+    st.tuples(st.sampled_from(ACTS), st.tuples(st.integers(1, 8), st.booleans())),
+)
+HISTORIES = st.lists(st.tuples(st.integers(1, 4), STEPS), max_size=40)
+
+
+def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: float, once: bool) -> Changed:
+    """One act of a person or of the suppression."""
+    match word:
+        case "acknowledge":
+            return changes.acknowledge(facts, how, UnixTime(at))
+        case "reset":
+            return changes.reset(facts, how, UnixTime(at))
+        case "shelve":
+            return changes.shelve(facts, UnixTime(end), UnixTime(at), once=once)
+        case "unshelve":
+            return changes.unshelve(facts, how, UnixTime(at))
+        case "remove":
+            return changes.remove_from_service(facts, UnixTime(at))
+        case "return":
+            return changes.return_to_service(facts, how, UnixTime(at))
+        case _:
+            return changes.suppress(facts, how, word == "suppress", UnixTime(at))
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    st.sampled_from((0.0, 2.5)),
+    st.sampled_from((0.0, 1.5)),
+    st.sampled_from((None, 3.125)),
+    st.booleans(),
+    st.booleans(),
+    HISTORIES,
+)
+def test_random_histories_equal_the_model_of_the_standard(
+    on_delay: float,
+    off_delay: float,
+    realarm: float | None,
+    latching: bool,
+    needs_ack: bool,
+    history: list[tuple[int, tuple[str, object]]],
+) -> None:
+    how = AlarmAttributes(on_delay, off_delay, realarm, latching=latching, needs_acknowledgement=needs_ack)
+    model = ModelAlarm(on_delay, off_delay, realarm or FOREVER, latching, needs_ack)
+    facts, journal, at = AlarmFacts(), list[str](), 0.0
+    for wait_s, (word, details) in history:
+        for _ in range(wait_s):
+            at += 1
+            facts, passed = changes.advance(facts, how, UnixTime(at))
+            journal += [each.trigger for each in passed]
+            assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
+        if word == "observe":
+            assert details in (True, False, None)
+            model.observed.append((at, details))  # type: ignore[arg-type]
+            facts, done = changes.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+        else:
+            assert isinstance(details, tuple)
+            end, once = (at + details[0] + 0.25, details[1]) if word == "shelve" else (FOREVER, False)
+            allowed = model.allows(word, at)
+            try:
+                facts, done = act(facts, how, word, at, end, once)
+            except NoTransitionError:
+                done = ()
+            assert bool(done) == allowed
+            if allowed:
+                model.acts.append((at, word, end, once))
+        journal += [each.trigger for each in done]
+        assert (facts.state, facts.occurrence) == (model.state(at), model.occurrences(at))
+    found = model.detections(at)
+    assert [word for word in journal if word in ("rise", "clear")] == [
+        "rise" if rises else "clear" for _, rises in found
+    ]
+
+
+def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does() -> None:
+    assert len(set(FACTS_OF.values())) == len(FACTS_OF)
+    for base in FACTS_OF:
+        facts = AlarmFacts().with_base(base)
+        for trigger, change in (("acknowledge", changes.acknowledge), ("reset", changes.reset)):
+            target = TRANSITIONS.get((base, trigger))  # type: ignore[arg-type]
+            if target is None:
+                with pytest.raises(NoTransitionError):
+                    change(facts, AlarmAttributes(), UnixTime(1))
+            else:
+                assert change(facts, AlarmAttributes(), UnixTime(1))[0].base == target.plain
+
+
+def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
+    how = AlarmAttributes(on_delay_s=2)
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))
+    facts, _ = changes.observe(facts, how, holds=None, at=UnixTime(2))
+    facts, _ = changes.observe(facts, how, holds=None, at=UnixTime(9))
+    assert (facts.state, facts.unknown_since) == ("normal", 2)
+    facts, _ = changes.observe(facts, how, holds=True, at=UnixTime(10))
+    facts, done = changes.advance(facts, how, UnixTime(12))
+    assert (facts.state, facts.unknown_since, done[0].at) == ("unack_active", None, 12)
+
+
+def test_a_transition_has_the_time_at_which_it_was_due() -> None:
+    how = AlarmAttributes(on_delay_s=5, off_delay_s=2)
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    assert due_at(facts, how) == 15
+    facts, done = changes.observe(facts, how, holds=False, at=UnixTime(40))
+    assert [(each.trigger, each.at) for each in done] == [("rise", 15)]
+    assert due_at(facts, how) == 42
+
+
+def test_what_hides_an_alarm_is_named_in_the_order_in_which_a_person_has_to_end_it() -> None:
+    facts = AlarmFacts(suppressed=True, shelved_until=UnixTime(9), out_of_service=True)
+    assert facts.state == "out_of_service"
+    assert replace(facts, out_of_service=False).state == "shelved"
+    assert AlarmFacts(suppressed=True).state == "suppressed"
+
+
+def test_running_times_keep_their_length_when_the_clock_is_set() -> None:
+    facts = AlarmFacts(shelved_until=UnixTime(100), changing_since=UnixTime(90))
+    later = shifted(facts, -50.0)
+    assert (later.shelved_until, later.changing_since, later.unknown_since) == (50, 40, None)

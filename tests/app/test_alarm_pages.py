@@ -1,0 +1,163 @@
+"""The pages of alarms as the server sends them, in both languages."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.alarms.banner import AlarmBanner
+from app.live.browsers.hub import Hub
+from app.live.screen.screen import ALARM_GROUP
+from app.web.access import Role
+from bus.contract import Reading
+from tests.app.complete_app import House, complete_app
+from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+from tests.app.screens import translator
+
+ESTOP = f"{BUS}.1.estop_active"
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path) as house:
+        await played_line(house.services)
+        house.services.buses[BUS].alarms.tick()
+        yield house
+
+
+def estop(house: House, *, active: bool, unit: int = 1) -> None:
+    live = house.services.live.buses[BUS]
+    live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)])
+
+
+async def page(client: httpx.AsyncClient, path: str) -> str:
+    response = await client.get(path)
+    assert response.status_code == 200, response.text
+    return response.text
+
+
+def state(house: House, key: str = ESTOP) -> str:
+    return house.services.alarms.buses[BUS].list.alarms[key].facts.state
+
+
+async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(house: House) -> None:
+    estop(house, active=True)
+    viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
+    for_viewer, for_operator = await page(viewer, "/alarms"), await page(operator, "/alarms")
+    assert "Emergency stop active" in for_viewer
+    assert "Acknowledge alarm" not in for_viewer
+    assert f'name="id" value="{ESTOP}.1"' in for_operator
+
+
+async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
+    estop(house, active=True)
+    operator = await house.signed_in(Role.OPERATOR)
+    done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "back": "priority=urgent"})
+    assert (done.status_code, done.headers["location"]) == (303, "/alarms?priority=urgent")
+    assert state(house) == "ack_active"
+
+
+async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    estop(house, active=True, unit=2)
+    shown = re.findall(rf'name="id" value="({BUS}[^"]+)"', await page(operator, "/alarms"))
+    estop(house, active=False)
+    estop(house, active=True)
+    done = await operator.post("/alarms/acknowledge", data={"id": sorted(set(shown))})
+    assert "left_out=1" in done.headers["location"]
+    assert (state(house), state(house, f"{BUS}.2.estop_active")) == ("unack_active", "ack_active")
+    assert "had changed and was not acknowledged" in await page(operator, done.headers["location"])
+
+
+async def test_the_list_is_filtered_by_place_priority_and_state(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    for query, is_in in (
+        (f"place={BUS}/1", True),
+        (f"place={BUS}/2", False),
+        ("priority=low", False),
+        ("state=unack_active", True),
+        ("state=shelved", False),
+    ):
+        assert ("Emergency stop active" in await page(viewer, f"/alarms/list?{query}")) is is_in
+
+
+async def test_one_page_has_the_record_and_shelves_with_a_reason(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    text = await page(operator, f"/alarms/{ESTOP}.1")
+    assert "Go to the machine, find the reason" in text
+    assert "Take alarm out of service" not in text
+    refused = await operator.post(f"/alarms/{ESTOP}.1/shelve", data={"minutes": "30", "reason": " "})
+    assert (refused.status_code, state(house)) == (422, "unack_active")
+    await operator.post(f"/alarms/{ESTOP}.1/shelve", data={"minutes": "30", "reason": "chatters"})
+    assert state(house) == "shelved"
+    assert "the-operator: chatters" in await page(operator, f"/alarms/{ESTOP}.1")
+    await operator.post(f"/alarms/{ESTOP}.1/unshelve")
+    assert state(house) == "unack_active"
+
+
+async def test_an_engineer_takes_it_out_of_service_and_returns_it(house: House) -> None:
+    engineer = await house.signed_in(Role.ENGINEER)
+    await engineer.post(f"/alarms/{ESTOP}.0/out-of-service", data={"reason": "rebuilt"})
+    assert state(house) == "out_of_service"
+    await engineer.post(f"/alarms/{ESTOP}.0/in-service")
+    assert state(house) == "normal"
+
+
+async def test_a_link_to_a_former_occurrence_leads_to_the_present_one(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    moved = await viewer.get(f"/alarms/{ESTOP}.0")
+    assert (moved.status_code, moved.headers["location"]) == (303, f"/alarms/{ESTOP}.1")
+
+
+async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    await house.services.alarms.write()
+    viewer.headers["Accept-Language"] = "de"
+    text = await page(viewer, "/alarms/journal")
+    assert "Not-Halt aktiv" in text
+    assert "aktiv, nicht quittiert" in text
+    assert "Alarmjournal" in text
+
+
+async def test_every_page_has_the_banner_and_the_tile_has_the_mark(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    text = await page(viewer, "/")
+    assert 'data-live="alarms_present.text1"' in text
+    assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in text
+    assert 'data-live="alarms_present.text3"' in await page(viewer, "/events")
+
+
+async def test_the_banner_names_at_most_three_the_most_important_first(house: House) -> None:
+    banner = AlarmBanner(house.services.alarms)
+    estop(house, active=True)
+    fields = banner.banner(translator())
+    name = house.services.alarms.place(BUS, 1)
+    assert (fields["waiting"], fields["priority1"], fields["text1"]) == (
+        "1",
+        "urgent",
+        f"{name} · Emergency stop active",
+    )
+    assert fields["text2"] == ""
+    assert banner.mark(BUS, 1) == "urgent waiting"
+    await (await house.signed_in(Role.OPERATOR)).post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
+    assert (banner.banner(translator())["waiting"], banner.mark(BUS, 1)) == ("", "urgent")
+
+
+async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:
+    hub = house.services.hub
+    assert isinstance(hub, Hub)
+    screen = hub.screen("en")
+    before = screen.shown[ALARM_GROUP]["changed"]
+    estop(house, active=True)
+    assert hub.screen("en").shown[ALARM_GROUP]["changed"] != before
