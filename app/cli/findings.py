@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from app.cli.audit_findings import audit_findings
 from app.cli.finding import Finding, can_make_folder, fault, is_visible, user
 from app.cli.listening import ListenError, listen
+from app.cli.notification_findings import notification_findings
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
 from bus.messages import Message
@@ -29,6 +30,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
         yield fault("check_no_bus")
     for bus in settings.bus:
         yield from _bus(bus)
+    yield from notification_findings(settings.notify)
 
 
 def _address(server: ServerSettings) -> Finding:

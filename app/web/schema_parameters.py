@@ -19,6 +19,7 @@ DESCRIPTIONS = {
     "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",
     "other_id": "Id of the other parameter set.",
     "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",
+    "maintenance_id": "Id of a maintenance.",
     "points": "Points of the response, 1 to 20000.",
     "recipe_id": "Id of a version of a recipe.",
     "priority": "Only alarms of this priority.",

@@ -21,11 +21,11 @@ def acknowledge_link(base: str, key: bytes, alarm_id: str, now: UnixTime) -> str
 
 
 def check_link(key: bytes, alarm_id: str, until: int, signature: str, now: UnixTime) -> None:
-    """Raises Problem 403 for a link that this dashboard did not make, and 410 for one that has expired."""
+    """Raises Problem 403 for a link that this dashboard did not make, or that has expired."""
     if not hmac.compare_digest(_signature(key, alarm_id, until).encode(), signature.encode()):
         raise Problem(403, "forbidden", Message("notify_link_invalid"))
     if float(now) > until:
-        raise Problem(410, "not_found", Message("notify_link_expired"))
+        raise Problem(403, "forbidden", Message("notify_link_expired"))
 
 
 def _signature(key: bytes, alarm_id: str, until: int) -> str:

@@ -39,6 +39,7 @@ class Notification:
         self.plan = NotificationPlan(settings.notify)
         self.store = NotificationStore(database)
         self.maintenance = Maintenance(self.store, events, clock)
+        self.buses = [bus.name for bus in settings.bus]
         self.local_time = local_time
         self._clock = clock
         self._key = b""

@@ -67,4 +67,12 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "diagnosis_late": "Responses of unit {units} come late or twice: a longer turnaround_ms may be needed.",
     "diagnosis_foreign": ("Unit {units} responds with another address or length: is it a DIGIMAX IV?"),
+    "check_notify_mail": "mail server {address} responds",
+    "check_notify_webhook": "webhook {address} responds",
+    "check_notify_apprise": "apprise knows the URL of {address}",
+    "check_notify_failed": "notification by {address}: {reason}",
+    "check_notify_no_links": (
+        "notify.dashboard_url is not set: messages of alarms have no link to acknowledge them"
+    ),
+    "check_secret_open": "{path} can be read by every user of this machine: run chmod o= {path}",
 }

@@ -35,6 +35,17 @@ TEXTS: dict[str, EnglishText] = {
     "event_maintenance_ended": "Notification resumed, maintenance ended",
     "maintenance_not_present": "This maintenance has ended by now. Nothing was changed.",
     "maintenance_needs_reason": "Give a reason. Nothing was changed.",
+    "notify_roster_gap": (
+        "Group {group}: no one is on duty from {first_day} {first} to {last_day} {last}. "
+        "In this time all of the group are notified."
+    ),
+    "day_0": "Monday",
+    "day_1": "Tuesday",
+    "day_2": "Wednesday",
+    "day_3": "Thursday",
+    "day_4": "Friday",
+    "day_5": "Saturday",
+    "day_6": "Sunday",
     "notify_endpoint_unknown": "there is no address '{endpoint}' in the configuration of notification",
     "notify_link_invalid": "This link is not valid. Open the page Alarms and acknowledge the alarm there.",
     "notify_link_expired": (
