@@ -1,4 +1,4 @@
-"""Who is notified of alarms, and how (``[notify]`` of lineside.toml)."""
+"""The people and programs that are notified of alarms, and how (``[notify]`` of lineside.toml)."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class AppriseSettings(StrictModel):
 
 
 class DutySettings(StrictModel):
-    """Who is on duty on these days; ``ends`` not after ``starts``: on the next day."""
+    """People on duty on these days; ``ends`` not after ``starts``: on the next day."""
 
     days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
     starts: ClockTime

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import islice
-
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.live.screen.fields import Fields, Translator
@@ -30,9 +28,8 @@ class AlarmBanner:
 
     def banner(self, translator: Translator) -> Fields:
         """How many wait for an acknowledgement, and the first three of them."""
-        waiting = [alarm for alarm in self._alarms.present() if alarm.is_unacknowledged]
-        fields = {"waiting": str(len(waiting)) if waiting else "", "changed": str(self._changed)}
-        shown = list(islice(waiting, MOST))
+        waiting, shown = self._alarms.first_waiting(MOST)
+        fields = {"waiting": str(waiting or ""), "changed": str(self._changed)}
         for place in range(MOST):
             alarm = shown[place] if place < len(shown) else None
             fields[f"priority{place + 1}"] = alarm.definition.priority if alarm else ""

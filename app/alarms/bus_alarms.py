@@ -22,7 +22,7 @@ from bus.messages import Message
 
 CLOCK_STEP_S = 1.0
 """A greater difference between the two clocks of this machine is a step of the one that can be set."""
-_OF_BUS = frozenset(("worker_lost", "port_lost"))
+_OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
 """Alarms that suppress on all of the bus."""
 
 
@@ -47,9 +47,9 @@ class BusAlarms:
         self.list = AlarmList(self._definitions(), store)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
-        self._worker_lost, self._port_lost, self._second_master = (
+        self._worker_lost, self._port_lost, self._no_unit_responds, self._second_master = (
             self.list.alarms[key_of(self.bus, None, code)]
-            for code in ("worker_lost", "port_lost", "second_master")
+            for code in ("worker_lost", "port_lost", "no_unit_responds", "second_master")
         )
         self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
         for alarm in self.list.alarms.values():
@@ -112,9 +112,8 @@ class BusAlarms:
         """What time alone has changed."""
         now = self._clock()
         self._notice_step(now)
-        self._see_bus(now)
+        self._see_links(now)
         for monitor in self._monitors.values():
-            monitor.see_link(now)
             monitor.see_parameters(now)
         self._suppress_again(now)
 
@@ -137,6 +136,7 @@ class BusAlarms:
                 case Reading() if update.unit in self._monitors:
                     self._monitors[update.unit].see_reading(now)
                 case UnitLink() if update.unit in self._monitors:
+                    self._see_bus(now)
                     self._monitors[update.unit].see_link(now)
                 case ParameterValue() | Staged() if update.unit in self._monitors:
                     read.add(update.unit)
@@ -146,6 +146,8 @@ class BusAlarms:
                     self._see_figures(update, now)
         for unit in read:
             self._monitors[unit].see_parameters(now)
+        if self._no_unit_responds.holds:
+            self._see_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
         """A suppression begins before the alarm rises, so that it is never annunciated."""
@@ -156,6 +158,11 @@ class BusAlarms:
     def _see_bus(self, now: UnixTime) -> None:
         for code, holds in bus_conditions(self._live, now).items():
             self._observe(self.list.alarms[key_of(self.bus, None, code)], holds, now)
+
+    def _see_links(self, now: UnixTime) -> None:
+        self._see_bus(now)
+        for monitor in self._monitors.values():
+            monitor.see_link(now)
 
     def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
         for unit in figures.units:
@@ -196,6 +203,7 @@ class BusAlarms:
         return Suppressors(
             worker_lost=self._worker_lost.facts.active,
             port_lost=self._port_lost.facts.active,
+            no_unit_responds=self._no_unit_responds.facts.active,
             at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
             estops=self._estops,
         )

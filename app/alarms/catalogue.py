@@ -23,7 +23,7 @@ UnitAlarm = Literal[
     "duplicate_address",
     "staged_left",
 ]
-BusAlarm = Literal["port_lost", "worker_lost", "second_master"]
+BusAlarm = Literal["port_lost", "no_unit_responds", "worker_lost", "second_master"]
 SiteAlarm = Literal["history_degraded", "audit_degraded", "disk_low", "notification_failed"]
 BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
 UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
@@ -55,6 +55,9 @@ BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
     "duplicate_address": BuiltInAlarm("severe", "half_hour", AlarmAttributes(latching=True)),
     "staged_left": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=60), group="unit"),
     "port_lost": BuiltInAlarm("severe", "minutes", group="bus"),
+    "no_unit_responds": BuiltInAlarm(
+        "severe", "minutes", AlarmAttributes(on_delay_s=3, off_delay_s=5), group="cable"
+    ),
     "worker_lost": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2)),
     "second_master": BuiltInAlarm("severe", "half_hour", AlarmAttributes(off_delay_s=60), group="bus"),
     "history_degraded": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=5)),

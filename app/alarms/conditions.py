@@ -46,12 +46,26 @@ BY_PARAMETER: dict[UnitAlarm, UnitCondition] = {
 
 
 def unit_offline(bus: BusLive, unit: UnitLive, now: UnixTime) -> bool | None:
-    """Whether a unit does not respond; not known while its bus cannot be read."""
+    """Whether a unit does not respond; not known while its bus cannot be read, or no unit of it responds."""
     if bus_cause(bus, now) is not None:
         return None
-    if unit.reading is None:
-        return True if now - bus.link_onset.at > offline_after_s(scan_s_of(bus)) else None
-    return {"online": False, "offline": True}.get(unit_link_now(bus, unit, now))
+    lost_at = _lost_at(bus, unit, now)
+    if lost_at is None:
+        return False if unit_link_now(bus, unit, now) == "online" else None
+    return True if len(bus.units) == 1 or _has_response_after(bus, lost_at) else None
+
+
+def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:
+    """When a unit was found not to respond; None: it was not."""
+    if unit.reading is not None and unit.link.link == "offline":
+        return unit.link.at
+    seen_at = bus.link_onset.at if unit.reading is None else unit.reading.at
+    lost_at = seen_at + offline_after_s(scan_s_of(bus))
+    return lost_at if now > lost_at else None
+
+
+def _has_response_after(bus: BusLive, at: UnixTime) -> bool:
+    return any(unit.reading is not None and unit.reading.at > at for unit in bus.units.values())
 
 
 def bus_conditions(bus: BusLive, now: UnixTime) -> dict[BusAlarm, bool | None]:
@@ -59,7 +73,17 @@ def bus_conditions(bus: BusLive, now: UnixTime) -> dict[BusAlarm, bool | None]:
     cause = bus_cause(bus, now)
     worker_lost = cause is not None and cause.code in ("worker_lost", "worker_silent")
     port_lost = None if worker_lost else cause is not None
-    return {"worker_lost": worker_lost, "port_lost": port_lost}
+    no_unit_responds = None if cause is not None else has_no_response(bus, now)
+    return {"worker_lost": worker_lost, "port_lost": port_lost, "no_unit_responds": no_unit_responds}
+
+
+def has_no_response(bus: BusLive, now: UnixTime) -> bool:
+    """Whether no unit of several has responded since one was found lost. Where only that one is lost, the
+    next response of another ends it."""
+    if len(bus.units) == 1:
+        return False
+    lost = (_lost_at(bus, unit, now) for unit in bus.units.values())
+    return any(at is not None and not _has_response_after(bus, at) for at in lost)
 
 
 def is_degraded(window: CountWindow) -> bool | None:

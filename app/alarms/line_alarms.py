@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from heapq import nsmallest
 from typing import NamedTuple
 
 from app.alarms.alarm import Alarm
@@ -92,6 +93,11 @@ class LineAlarms:
     def present(self) -> list[Alarm]:
         """Those that are not normal, the most important and newest first."""
         return sorted(self._present.values(), key=_rank)
+
+    def first_waiting(self, most: int) -> tuple[int, list[Alarm]]:
+        """How many wait for an acknowledgement, and the first of them."""
+        waiting = [alarm for alarm in self._present.values() if alarm.is_unacknowledged]
+        return len(waiting), nsmallest(most, waiting, key=_rank)
 
     def annunciated(self, bus: str, unit: int) -> list[Alarm]:
         """Those of a unit that nothing hides, the most important first."""

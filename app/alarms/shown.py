@@ -10,9 +10,10 @@ from typing_extensions import TypeAliasType, TypedDict
 from app.alarms.alarm import Alarm
 from app.alarms.definition import Rationalization
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.rules.priority import AlarmPriority
+from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry
+from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
 from app.web.shape import iso
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
@@ -20,6 +21,8 @@ from bus.messages import Message, in_english
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
+ConsequenceShown = TypeAliasType("ConsequenceShown", Consequence)
+TimeToRespondShown = TypeAliasType("TimeToRespondShown", TimeToRespond)
 """Named, so that clients have one enumeration of each."""
 WhenOrNull = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
@@ -43,7 +46,9 @@ class AlarmShown(TypedDict):
         str | None, Field(description="Since when its condition is not known; null: it is known.")
     ]
     value: Annotated[str | None, Field(description="The present value where it is about one.")]
+    value_message: MaybeMessage
     message: Annotated[str, Field(description="What it is and what to do, English.")]
+    alarm_message: MessageShown
     first_out: Annotated[bool, Field(description="It was the first of several that rose together.")]
     shelved_until: WhenOrNull
     hidden_by: Annotated[str | None, Field(description="Who shelved it or took it out of service.")]
@@ -54,10 +59,13 @@ class RationalizationShown(TypedDict):
     """Why there is this alarm (ISA-18.2, clause 9). English."""
 
     cause: str
+    cause_message: MessageShown
     consequence: str
+    consequence_message: MessageShown
     response: str
-    severity: Annotated[str, Field(description="minor, major or severe.")]
-    time_to_respond: Annotated[str, Field(description="minutes, half_hour or shift.")]
+    response_message: MessageShown
+    severity: ConsequenceShown
+    time_to_respond: TimeToRespondShown
 
 
 class AlarmTransitionShown(TypedDict):
@@ -98,6 +106,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
     """An alarm as it is now."""
     definition, facts = alarm.definition, alarm.facts
     value = present_value(alarms, alarm)
+    message = alarm_message(alarm, value)
     by_person = facts.state in ("shelved", "out_of_service")
     return {
         "id": alarm.id,
@@ -112,7 +121,9 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "since": _time(facts.since),
         "unknown_since": _time(facts.unknown_since),
         "value": in_english(value) or None,
-        "message": str(alarm_message(alarm, value)),
+        "value_message": maybe_shown(value),
+        "message": str(message),
+        "alarm_message": message_shown(message),
         "first_out": alarm.first_out,
         "shelved_until": _time(facts.shelved_until),
         "hidden_by": alarm.hidden_by if by_person else None,
@@ -124,8 +135,11 @@ def record_json(record: Rationalization) -> RationalizationShown:
     """The record of an alarm."""
     return {
         "cause": str(record.cause),
+        "cause_message": message_shown(record.cause),
         "consequence": str(record.consequence),
+        "consequence_message": message_shown(record.consequence),
         "response": str(record.response),
+        "response_message": message_shown(record.response),
         "severity": record.severity,
         "time_to_respond": record.time_to_respond,
     }

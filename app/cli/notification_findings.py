@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Iterator
 from pathlib import Path
 
 from app.alarms.notification import apprise_url, webhook
-from app.alarms.notification.endpoints import Endpoint, NotificationPlan
+from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
 from app.alarms.notification.mail import MailServer
 from app.alarms.notification.overview import gap_messages
 from app.alarms.notification.secret_file import NotDeliveredError, can_others_read
@@ -30,13 +30,15 @@ def notification_findings(settings: NotifySettings) -> Iterator[Finding]:
             yield Finding(Message.of("check_secret_open", path=str(path)))
     if settings.smtp is not None:
         place = f"{settings.smtp.host}:{settings.smtp.port}"
-        yield _tried("check_notify_mail", place, MailServer(settings.smtp).test())
+        reached = Message.of("check_notify_mail", address=place)
+        yield _tried(place, MailServer(settings.smtp).test(), reached)
     for endpoint in plan.endpoints.values():
         if endpoint.settings is not None:
-            yield _tried(f"check_notify_{endpoint.kind}", endpoint.address, _reach(endpoint))
+            reached = Message.of(f"check_notify_{endpoint.kind}", address=endpoint.address)
+            yield _tried(endpoint.address, _reach(endpoint), reached)
 
 
-async def _reach(endpoint: Endpoint) -> None:
+async def _reach(endpoint: NotificationEndpoint) -> None:
     match endpoint.settings:
         case WebhookSettings() as settings:
             await webhook.reach(settings)
@@ -44,13 +46,13 @@ async def _reach(endpoint: Endpoint) -> None:
             apprise_url.opened(settings)
 
 
-def _tried(code: str, address: str, attempt: Awaitable[None]) -> Finding:
+def _tried(address: str, attempt: Awaitable[None], reached: Message) -> Finding:
     try:
         asyncio.run(_bounded(attempt))
     except NotDeliveredError as error:
         message = Message.of("check_notify_failed", address=address, reason=error.message)
         return Finding(message, is_fault=True)
-    return Finding(Message.of(code, address=address))
+    return Finding(reached)
 
 
 async def _bounded(attempt: Awaitable[None]) -> None:

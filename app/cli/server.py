@@ -17,6 +17,7 @@ from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
 from app.server.stamping import StampingProtocol
+from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
 
@@ -86,12 +87,11 @@ class Server(uvicorn.Server):
 def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames."""
+    protocol = partial(StampingProtocol, watch=watch, open_connections=connections, upgrades=Starts())
     return uvicorn.Config(
         app,
         loop="none",
-        http=cast(
-            type[asyncio.Protocol], partial(StampingProtocol, watch=watch, open_connections=connections)
-        ),
+        http=cast(type[asyncio.Protocol], protocol),
         ws=WebSocketProtocol,
         ws_per_message_deflate=False,
         ws_max_size=MOST_MESSAGE_BYTES,

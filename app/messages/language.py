@@ -55,6 +55,10 @@ class Language:
             return self.catalog.npgettext(code, english.one, english.many, count)
         return english and self.catalog.pgettext(code, english)
 
+    def read(self) -> None:
+        """Read the catalog now, in any thread, rather than with the first text."""
+        _ = self.catalog
+
     @cached_property
     def catalog(self) -> gettext.GNUTranslations:
         """Its texts."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from typing import Protocol
 
 from starlette.types import Scope
 
@@ -23,24 +24,34 @@ MOST_OF_ACCOUNT = 400
 MOST_IN_ALL = 2000
 
 
+class ConnectionHolder(Protocol):
+    """The protocol that serves a connection."""
+
+    def give_way(self) -> None:
+        """End it now."""
+
+    def is_idle(self) -> bool:
+        """Whether the client keeps the server waiting."""
+
+
 @dataclass(eq=False, slots=True)
 class Connection:
     """One open connection. ``address``: the other end's, which is a trusted proxy's behind one."""
 
     address: str
-    drop: Callable[[], None]
-    """End it now."""
-    is_waiting: Callable[[], bool]
-    """Whether it is the client's turn."""
+    holder: ConnectionHolder | None
+    """None once it has ended: the protocol refers to it, and neither would go before the next collection."""
     account: str = ""
     """Of whom it has shown a valid credential."""
 
-    def release(self) -> None:
-        """It has ended: no longer refer to its protocol, which refers to it."""
-        self.drop, self.is_waiting = _nothing, bool
+    def drop(self) -> None:
+        """End it now."""
+        if self.holder is not None:
+            self.holder.give_way()
 
-
-def _nothing() -> None: ...
+    def is_idle(self) -> bool:
+        """Whether the client keeps the server waiting."""
+        return self.holder is not None and self.holder.is_idle()
 
 
 class Connections:
@@ -90,7 +101,7 @@ class Connections:
 
     def _drop_one(self, group: dict[Connection, None]) -> None:
         oldest = next(iter(group))
-        dropped = next((connection for connection in group if connection.is_waiting()), oldest)
+        dropped = next((connection for connection in group if connection.is_idle()), oldest)
         self.close(dropped)
         dropped.drop()
 

@@ -27,7 +27,7 @@ class CountedProtocol(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing is awaited any more."""
         self._open_connections.close(self.connection)
-        self.connection.release()
+        self.connection.holder = None
         super().connection_lost(exc)
 
     def resume_writing(self) -> None:

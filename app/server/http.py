@@ -21,6 +21,7 @@ from app.server.refusal import (
     TOO_SLOW,
     Refusal,
 )
+from app.server.starting import Starts, sender_of
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
@@ -36,8 +37,10 @@ class BeyondBoundsError(Exception):
 class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     """One connection. The server calls :meth:`check` once a second."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, upgrades: Starts, **options: Any) -> None:
         super().__init__(*args, **options)
+        self._upgrades = upgrades
+        self._cancel_upgrade: Callable[[], object] = bool
         self._refusal = MALFORMED
         self._is_ending = False
         self._offered: dict[str, Any] = {}
@@ -48,12 +51,13 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().connection_made(transport)
         self._pace = Pace(self.loop.time())
         address = self.client[0] if self.client else ""
-        self.connection = Connection(address, self._give_way, self._is_clients_turn)
+        self.connection = Connection(address, self)
         self._open_connections.open(self.connection)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing refers to this protocol any more but itself."""
         super().connection_lost(exc)
+        self._cancel_upgrade()
         self._offered.clear()
 
     def check(self, now: float) -> None:
@@ -85,7 +89,17 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         self._refuse(self._refusal)
 
     def handle_websocket_upgrade(self) -> None:
+        """In turn: to begin a WebSocket takes longer than to read its request, and a burst of them would
+        stand in front of the requests of others."""
+        self.transport.pause_reading()
+        sender = sender_of(self.headers) or self.connection.address
+        self._cancel_upgrade = self._upgrades.run(sender, self._upgrade)
+
+    def _upgrade(self) -> None:
         """The WebSocket goes on with the connection."""
+        if self.transport.is_closing():
+            return
+        self.transport.resume_reading()
         protocol = self.config.ws_protocol_class
         assert protocol is not None
 
@@ -162,8 +176,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         begun = self._pace.awaited is Awaited.HEAD and self._is_responding()
         return begun or bool(self.pipeline) or self.flow.read_paused
 
-    def _is_clients_turn(self) -> bool:
-        return self._pace.awaited is not Awaited.NOTHING or self.flow.write_paused
+    def is_idle(self) -> bool:
+        """As :class:`app.server.connections.ConnectionHolder`."""
+        return self._pace.is_idle(self.loop.time()) or self.flow.write_paused
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
@@ -177,7 +192,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     # --- its end -------------------------------------------------------------------------------------
 
-    def _give_way(self) -> None:
+    def give_way(self) -> None:
         """Make room at once."""
         if self._is_responding() and (
             self.pipeline or self.cycle.response_started or not self.cycle.more_body

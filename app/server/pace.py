@@ -30,6 +30,8 @@ class Awaited(Enum):
 WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.REST: 5.0, Awaited.NEXT: 5.0}
 """For a body this is how long it may fall behind the least rate."""
 LONGEST_BODY_S = 300.0
+PROMPT_S = 0.25
+"""A client that has just connected sends its request in the next moment."""
 
 
 @dataclass(slots=True)
@@ -43,6 +45,10 @@ class Pace:
     def expect(self, awaited: Awaited, now: float) -> None:
         """Await this from now on."""
         self.awaited, self.since, self.received = awaited, now, 0
+
+    def is_idle(self, now: float) -> bool:
+        """Whether the client keeps the server waiting."""
+        return self.awaited is not Awaited.NOTHING and now - self.since > PROMPT_S
 
     def is_overdue(self, now: float) -> bool:
         """Whether the client has taken too long."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import OrderedDict, deque
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -19,6 +19,7 @@ _CREDENTIALS = (b"authorization", b"cookie")
 
 class Starts:
     """``await turn(key)``: at once where nothing was begun in this iteration, else when the key is next.
+    ``run(key, start)`` is the same for a function.
 
     After a turn of a key that has more waiting, the event loop stays free for as long as the turn took:
     a command needs the loop some twenty times, and would otherwise wait for another turn each time.
@@ -30,14 +31,29 @@ class Starts:
 
     async def turn(self, key: object) -> None:
         """Wait for the turn of ``key``; the keys that wait have their turns one after the other."""
+        turn = self._turn(key)
+        if turn is not None:
+            await turn
+
+    def run(self, key: object, start: Callable[[], None]) -> Callable[[], object]:
+        """Call ``start`` in the turn of ``key``. The function returned cancels that."""
+        turn = self._turn(key)
+        if turn is None:
+            start()
+            return bool
+        turn.add_done_callback(lambda turn: None if turn.cancelled() else start())
+        return turn.cancel
+
+    def _turn(self, key: object) -> asyncio.Future[None] | None:
+        """None: it is now."""
         loop = asyncio.get_running_loop()
         if not self._is_taken:
             self._is_taken = True
             loop.call_soon(self._next)
-            return
+            return None
         turn: asyncio.Future[None] = loop.create_future()
         self._waiting.setdefault(key, deque()).append(turn)
-        await turn
+        return turn
 
     def _next(self) -> None:
         while self._waiting:

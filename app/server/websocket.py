@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any, cast
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
@@ -30,6 +33,31 @@ MOST_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
 
 
+class Endings:
+    """Ends connections that are lost, one in each iteration of the event loop: to unwind the app of one takes
+    a millisecond, and a client with some hundred of them may drop them all at once."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Callable[[], None]] = deque()
+
+    def add(self, end: Callable[[], None]) -> None:
+        """Call ``end`` in its turn."""
+        self._waiting.append(end)
+        if len(self._waiting) == 1:
+            asyncio.get_running_loop().call_soon(self._next)
+
+    def _next(self) -> None:
+        try:
+            self._waiting[0]()
+        finally:
+            self._waiting.popleft()
+            if self._waiting:
+                asyncio.get_running_loop().call_soon(self._next)
+
+
+_endings = Endings()
+
+
 class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     """Handshake, control frames, close and every ``send`` are uvicorn's; only complete frames that are ready
     may bypass it. It writes what it has in the same turn too, so the two cannot mix within a message.
@@ -45,8 +73,19 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         """A client that does not read is waited for after one message, not after 64 KiB of them."""
         super().connection_made(transport)
         self.transport.set_write_buffer_limits(high=0)
-        self.connection.drop = self.transport.abort
-        self.connection.is_waiting = lambda: False
+        self.connection.holder = self
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The client has gone, or was dropped."""
+        _endings.add(partial(super().connection_lost, exc))
+
+    def give_way(self) -> None:
+        """Make room at once."""
+        self.transport.abort()
+
+    def is_idle(self) -> bool:
+        """A page or a worker sends when it has something."""
+        return False
 
     def check(self, now: float) -> None:
         """End the connection of a client that does not read. ``now``: the loop's time."""

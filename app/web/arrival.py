@@ -23,6 +23,9 @@ from bus.messages import Message, number
 BEGUN_AT = "lineside.begun_at"
 """Key in the ``state`` of an ASGI scope: the moment at which the app began with a request."""
 SENT_AT = "lineside-sent-at"
+_CLICKED_AT = ("lineside-clicked-at", "lineside-asked-at")
+_CLICKED_AT_IN_QUERY = ("clicked_at", "asked_at")
+"""The second of each is of a page that was opened before version 0.2 and is open still."""
 MOST_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -101,7 +104,9 @@ def _moment(text: str) -> UnixTime | None:
 
 def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
     """Seconds since the epoch by the server's clock, as sent to the page; None without one."""
-    value = connection.headers.get("lineside-clicked-at") or connection.query_params.get("clicked_at", "")
+    headers, query = connection.headers, connection.query_params
+    given = [headers.get(name) for name in _CLICKED_AT] + [query.get(name) for name in _CLICKED_AT_IN_QUERY]
+    value = next((each for each in given if each), "")
     with suppress(ValueError, OverflowError):
         at = UnixTime(float(value))
         return at if at == at else None

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-CONTRACT_VERSION = 3
+CONTRACT_VERSION = 4
 BUFFER_AGE_S = 7 * 86_400.0
 """How old an update may be that a worker kept while the app was away. An older one is refused."""
 

@@ -16,6 +16,10 @@ DEEPEST = 8
 """Messages inside messages."""
 LONGEST_TEXT = 4_000
 """Characters of a value, and of a message once it is rendered."""
+LARGEST = 50_000
+"""Of a message with all that is in it: the characters of its texts, and `VALUE_SIZE` for each value. What 255
+units have to report together is half of this."""
+VALUE_SIZE = 20
 NUMBER = "number"
 """Code of a decimal number: ``value`` is written with a point, each language shows it with its own sign."""
 TERM = "term"
@@ -37,7 +41,7 @@ class Message(msgspec.Struct, frozen=True):
 
     A text in ``params`` is shown as it is: it may come from a request, from a person or from another process.
     What has to be translated is a message itself. A list is joined: messages by semicolons, else by commas.
-    Raises ValueError when it is nested too deeply.
+    Raises ValueError when it is nested too deeply, or too large.
     """
 
     code: MessageCode
@@ -45,15 +49,15 @@ class Message(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, code: str, /, **params: ParamValue) -> Message:
-        """The message, its params as keywords. What would be nested too deeply becomes text in English, as
-        another process may have sent it."""
-        if not _is_within(DEEPEST, params.values()):
-            params = {name: shown(value, ENGLISH)[:LONGEST_TEXT] for name, value in params.items()}
-        return cls(code, params)
+        """The message, its params as keywords. What would be nested too deeply, or too large, becomes text in
+        English, as another process may have sent it."""
+        try:
+            return cls(code, params)
+        except ValueError:
+            return cls(code, {name: shown(value, ENGLISH)[:LONGEST_TEXT] for name, value in params.items()})
 
     def __post_init__(self) -> None:
-        if not _is_within(DEEPEST, self.params.values()):
-            raise ValueError(f"messages are nested more than {DEEPEST} deep")
+        _check_bounds(self.params.values())
 
     def __hash__(self) -> int:
         return hash((self.code, str(self.params)))
@@ -127,12 +131,20 @@ def shown(value: ParamValue, catalog: Catalog) -> str:
             return str(value)
 
 
-def _is_within(deepest: int, values: Iterable[object]) -> bool:
-    """Whether no message in ``values`` holds more than ``deepest`` levels of others."""
-    for value in values:
-        if isinstance(value, Message):
-            if not deepest or not _is_within(deepest - 1, value.params.values()):
-                return False
-        elif isinstance(value, list) and not _is_within(deepest, value):
-            return False
-    return True
+def _check_bounds(values: Iterable[object]) -> None:
+    """Raises ValueError for ``values`` of a message that hold more than `DEEPEST` levels of others, or more
+    than `LARGEST` together: the state of every unit keeps one."""
+    size, waiting = 0, [(value, 0) for value in values]
+    while waiting:
+        value, depth = waiting.pop()
+        size += VALUE_SIZE
+        if isinstance(value, str):
+            size += len(value)
+        elif isinstance(value, list):
+            waiting += [(each, depth) for each in value]
+        elif isinstance(value, Message):
+            if depth == DEEPEST:
+                raise ValueError(f"messages are nested more than {DEEPEST} deep")
+            waiting += [(each, depth + 1) for each in value.params.values()]
+        if size > LARGEST:
+            raise ValueError(f"a message is larger than {LARGEST}")

@@ -76,7 +76,8 @@ class BusWorker:
         self._figures = self.line.figures()
         self._results: OrderedDict[str, Result | None] = OrderedDict()
         self._frames: list[TracedFrame] = []
-        self._interpreter = Interpreter(bus.dialect)
+        self._dialect = bus.dialect
+        self._interpreter = Interpreter(self._dialect)
         self._reading_traces: set[asyncio.Task[None]] = set()
         self._leaving = False
 
@@ -192,7 +193,7 @@ class BusWorker:
     # --- reports -------------------------------------------------------------------------------
 
     def _take(self, events: list[LineUpdate]) -> None:
-        self._emit([update_of(event, self.bus.dialect) for event in events])
+        self._emit([update_of(event, self._dialect) for event in events])
 
     def _emit(self, updates: list[Update]) -> None:
         for update in updates:
@@ -229,7 +230,7 @@ class BusWorker:
 
     async def _read_trace(self, command_id: str, action: ReadTrace) -> None:
         """In small pieces, so that the wire waits for none of it."""
-        interpreter = Interpreter(self.bus.dialect)
+        interpreter = Interpreter(self._dialect)
         frames = []
         for passed in self.line.trace.since(action.since):
             frames.append(interpreter.frame(passed))

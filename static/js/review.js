@@ -10,6 +10,8 @@ const LAPSE_MS = 30_000;
 const dialog = document.getElementById("review");
 const content = document.getElementById("review-body");
 let endings = [];
+/** The last thing clicked that only reads, before the first message of the server. */
+let early = null;
 
 function opened() {
   close();
@@ -132,11 +134,20 @@ function showNoResponse() {
 /** End the review when the connection is lost; a pending command is reported as unknown after the reconnect.
  * What is typed in a field without a review stays. */
 function lost() {
+  early = null;
   if (!dialog.open) return;
   const form = content.querySelector("[data-pending]");
   if (!form) return dismiss();
   unanswered(form);
   dialog.close();
+}
+
+function repeatEarly() {
+  const source = early;
+  early = null;
+  if (!source?.isConnected) return;
+  if (source.matches("form")) source.requestSubmit();
+  else source.click();
 }
 
 /** A form that the browser sends: not while the server does not respond, and with the moment of the press,
@@ -180,6 +191,7 @@ export function start() {
   document.addEventListener("lineside:lost", lost);
   document.addEventListener("lineside:found", () => {
     if (!dialog.open && content.querySelector("[data-unanswered]")) show();
+    repeatEarly();
   });
   document.addEventListener("lineside:idle", () => {
     if (!content.querySelector("[data-pending]")) dismiss();
@@ -193,8 +205,11 @@ export function start() {
   });
   document.addEventListener("htmx:before:request", (event) => {
     const { request, sourceElement: source } = event.detail.ctx;
-    // What only reads may come before the first word.
-    if (!isLive() && !(request.method === "GET" && isAutomatic(source))) return event.preventDefault();
+    // What only reads may come before the first message of the server; a click that reads is repeated then.
+    if (!isLive() && !(request.method === "GET" && isAutomatic(source))) {
+      if (request.method === "GET" && document.body.dataset.link !== "lost") early = source;
+      return event.preventDefault();
+    }
     if (source.matches("[data-review]")) lock(source);
   });
   document.addEventListener("htmx:after:swap", (event) => {

@@ -1,4 +1,4 @@
-"""A mail server and a receiver of webhooks, real ones on this machine, that do what a test says."""
+"""A mail server and a receiver of webhooks, real ones on this machine, as a test sets them."""
 
 from __future__ import annotations
 

@@ -1,14 +1,15 @@
-"""Connections are accepted one in each iteration of the event loop."""
+"""Connections are accepted a few in each iteration of the event loop."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
+from collections import Counter
 from collections.abc import AsyncIterator
 
 import pytest
 
-from app.server.accepting import accept_connections
+from app.server.accepting import AT_ONCE, accept_connections
 
 COUNT = 50
 
@@ -56,7 +57,7 @@ async def test_a_burst_is_spread_over_iterations(listening: socket.socket) -> No
             Counted.iteration += 1
             await asyncio.sleep(0)
     accepting.cancel()
-    assert len(set(Counted.made)) == COUNT
+    assert max(Counter(Counted.made).values()) <= AT_ONCE < COUNT
     for client in clients:
         assert client.recv(10) == b"hello"
         client.close()

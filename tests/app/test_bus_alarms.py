@@ -84,6 +84,63 @@ def test_a_lost_port_suppresses_its_units_and_they_neither_clear_nor_rise(bus: A
     assert bus.state("1.estop_active") == "unack_active"
 
 
+def lose_all(bus: AlarmBus) -> None:
+    """The units are lost one after another, as a scan finds them: the others count as online until then."""
+    for unit in (3, 1, 2):
+        bus.wait(0.5)
+        bus.apply(UnitLink(unit=unit, at=bus.now, link="offline"))
+
+
+def test_that_no_unit_responds_is_one_alarm_and_not_one_for_each(bus: AlarmBus) -> None:
+    bus.wait(1, 1, inputs=RUN)
+    lose_all(bus)
+    bus.wait(3)
+    assert bus.state("no_unit_responds") == "unack_active"
+    assert bus.state("1.estop_active") == "suppressed"
+    assert bus.present() == {"no_unit_responds", "1.estop_active"}
+    assert bus.alarm("2.unit_offline").facts.occurrence == 0
+
+
+def test_the_units_that_stay_away_when_the_others_respond_again_are_alarms_then(bus: AlarmBus) -> None:
+    lose_all(bus)
+    bus.wait(3)
+    bus.apply(*(UnitLink(unit=unit, at=bus.now, link="online") for unit in (1, 2)))
+    bus.wait(5, 1, 2)
+    assert bus.state("3.unit_offline") == "suppressed"
+    bus.wait(2, 1, 2)
+    assert bus.present() == {"no_unit_responds", "3.unit_offline"}
+    assert bus.state("no_unit_responds") == "rtn_unack"
+    assert bus.state("3.unit_offline") == "unack_active"
+
+
+def test_a_unit_that_was_lost_before_the_others_keeps_its_alarm(bus: AlarmBus) -> None:
+    bus.wait(12, 2, 3)
+    bus.wait(14)
+    assert bus.present() == {"1.unit_offline", "no_unit_responds"}
+    assert bus.state("1.unit_offline") == "suppressed"
+    bus.apply(BusLink(at=bus.now, link="closed"))
+    assert bus.state("no_unit_responds") == "suppressed"
+    assert bus.state("port_lost") == "unack_active"
+
+
+def test_a_unit_lost_alone_is_an_alarm_as_soon_as_another_responds(bus: AlarmBus) -> None:
+    bus.now += 0.1
+    bus.apply(UnitLink(unit=3, at=bus.now, link="offline"))
+    assert bus.present() == set()
+    bus.now += 0.03
+    bus.read(1)
+    assert bus.present() == {"3.unit_offline"}
+    bus.wait(10, 1, 2)
+    assert bus.present() == {"3.unit_offline"}
+
+
+def test_the_only_unit_of_a_bus_is_its_own_alarm(database: Database) -> None:
+    bus = AlarmBus(database, units=1)
+    bus.connect()
+    bus.wait(12)
+    assert bus.present() == {"1.unit_offline"}
+
+
 def test_a_lost_worker_suppresses_its_port(bus: AlarmBus) -> None:
     bus.live.lose_worker(bus.now)
     bus.wait(6)

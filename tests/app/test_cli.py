@@ -17,6 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli import COMMANDS, cli
+from tests import fork_server
 
 PATIENCE_S = 60.0
 """This machine may be busy."""
@@ -228,9 +229,8 @@ def test_a_store_that_is_none(lineside: Shell) -> None:
         code, _, err = lineside(*words)
         assert code == 1, words
         assert "it is not a Lineside store, or it is damaged" in err
-    call = [sys.executable, "-m", "app.cli", "serve", "--config", str(lineside.config)]
     lineside.config.write_text("[server]\nport = 0\n" + CONFIG)
-    served = subprocess.run(call, capture_output=True, text=True)
+    served = fork_server.run("serve", "--config", lineside.config)
     assert (served.returncode, served.stdout) == (1, "")
     assert "it is not a Lineside store, or it is damaged" in served.stderr
 
@@ -260,7 +260,7 @@ def test_a_worker_without_its_bus(lineside: Shell) -> None:
     ],
 )
 def test_an_impossible_call_prints_one_line(words: list[str], code: int, error: str) -> None:
-    done = subprocess.run([sys.executable, "-m", "app.cli", *words], capture_output=True, text=True)
+    done = fork_server.run(*words)
     assert (done.returncode, done.stderr.count("\n")) == (code, 1)
     assert done.stderr.startswith("lineside: ")
     assert error in done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +13,7 @@ import typer
 from typer.testing import CliRunner
 
 from app.cli import scan
+from tests import fork_server
 
 PATIENCE_MS = 400
 """On a busy machine the simulated unit may have to wait its turn."""
@@ -25,13 +25,15 @@ scan.register(cli)
 @contextmanager
 def simulated(*options: str) -> Iterator[str]:
     """One unit played by the command; the port to open."""
-    call = (sys.executable, "-m", "app.cli", "simulate", "--units", "1", "--no-script", *options)
-    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+    called = ("simulate", "--units", "1", "--no-script", *options)
+    process = fork_server.start(*called, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    with process.stdout as output:
         try:
-            yield process.stdout.readline().strip()
+            yield output.readline().strip()
         finally:
             process.terminate()
+            process.wait()
 
 
 def scanned(*dialect: str, patience_ms: int = PATIENCE_MS) -> dict[str, Any]:

@@ -22,13 +22,28 @@ from app.server.connections import (
 from app.server.pace import LEAST_RATE, LONGEST_BODY_S, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
 
+@dataclass(frozen=True)
+class Held:
+    """A protocol that notes that its connection was ended."""
+
+    name: str
+    dropped: list[str]
+    idle: bool
+
+    def give_way(self) -> None:
+        self.dropped.append(self.name)
+
+    def is_idle(self) -> bool:
+        return self.idle
+
+
 @dataclass
 class World:
     connections: Connections = field(default_factory=lambda: Connections([ip_network("10.0.0.5")]))
     dropped: list[str] = field(default_factory=list)
 
-    def open(self, name: str, address: str = "192.0.2.7", *, waiting: bool = True) -> Connection:
-        connection = Connection(address, lambda: self.dropped.append(name), lambda: waiting)
+    def open(self, name: str, address: str = "192.0.2.7", *, idle: bool = True) -> Connection:
+        connection = Connection(address, Held(name, self.dropped, idle))
         self.connections.open(connection)
         return connection
 
@@ -66,10 +81,10 @@ def test_among_many_addresses_the_one_with_the_most_gives_way(world: World) -> N
 
 
 def test_a_connection_being_served_gives_way_last(world: World) -> None:
-    world.open("served", waiting=False)
+    world.open("served", idle=False)
     world.open_many(MOST_OF_ADDRESS)
     assert world.dropped == ["192.0.2.7 0"]
-    served = [world.open(f"served {n}", "198.51.100.1", waiting=False) for n in range(MOST_OF_ADDRESS + 1)]
+    served = [world.open(f"served {n}", "198.51.100.1", idle=False) for n in range(MOST_OF_ADDRESS + 1)]
     assert world.dropped[1:] == ["served 0"]
     assert len(served) == MOST_OF_ADDRESS + 1
 

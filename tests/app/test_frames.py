@@ -67,7 +67,7 @@ async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
     loop = asyncio.get_running_loop()
 
     def protocol() -> WebSocketProtocol:
-        connection = Connection("127.0.0.1", lambda: None, lambda: False)
+        connection = Connection("127.0.0.1", None)
         return WebSocketProtocol(config, state, {}, connection=connection, open_connections=Connections())
 
     async with await loop.create_server(protocol, "127.0.0.1", 0) as server:

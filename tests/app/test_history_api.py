@@ -283,6 +283,19 @@ async def test_parquet_without_pyarrow_is_refused_in_words(
     assert (await client.get("/history/export", params={**params, "format": "csv"})).status_code == 200
 
 
+async def test_a_pyarrow_that_does_not_fit_is_refused_like_none(
+    client: httpx.AsyncClient, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "pyarrow").mkdir()
+    (tmp_path / "pyarrow/__init__.py").write_text("raise AttributeError('_ARRAY_API not found')")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pyarrow"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    params = {"series": ["dry-end/1/actual"], "format": "parquet"}
+    response = await client.get("/history/export", params=params)
+    assert (response.status_code, response.json()["code"]) == (501, "no_parquet")
+
+
 async def test_an_export_by_minutes_has_least_greatest_and_average(
     client: httpx.AsyncClient, history: History
 ) -> None:

@@ -15,7 +15,7 @@ from bus.settings import BusSettings, UnitSettings
 
 
 @pytest.mark.parametrize("open_store", [True, False], ids=["a store", "none that opens"])
-async def test_files_are_packed_templates_read_and_the_store_queried(
+async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
 ) -> None:
     monkeypatch.setattr(warming, "AFTER_S", 0.0)
@@ -33,3 +33,4 @@ async def test_files_are_packed_templates_read_and_the_store_queried(
     assert cache is not None
     read = {name for _, name in cache}
     assert {"base.html", "trends/page.html", "components/frame.html"} <= read
+    assert all("catalog" in vars(language) for language in templates.languages)

@@ -14,7 +14,8 @@ from uvicorn.server import ServerState
 
 from app.server.connections import EXTENSION, MOST_OF_ADDRESS, Connections
 from app.server.http import MOST_HEAD_BYTES, MOST_HEADERS, MOST_PIPELINED, HttpProtocol
-from app.server.pace import LEAST_RATE, STALL_S, WITHIN_S, Awaited
+from app.server.pace import LEAST_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
+from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
 GET = HEAD + b"\r\n"
@@ -31,6 +32,7 @@ class Site:
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
+    upgrades: Starts = field(default_factory=Starts)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0
     received: int = 0
@@ -95,8 +97,9 @@ async def served() -> AsyncIterator[Site]:
             super().data_received(data)
 
     def protocol() -> HttpProtocol:
-        site.protocols.append(Counting(config, state, {}, open_connections=site.connections))
-        return site.protocols[-1]
+        protocol = Counting(config, state, {}, open_connections=site.connections, upgrades=site.upgrades)
+        site.protocols.append(protocol)
+        return protocol
 
     server = await asyncio.get_running_loop().create_server(protocol, "127.0.0.1", 0)
     site.port = server.sockets[0].getsockname()[1]
@@ -283,10 +286,24 @@ async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
     site.go.clear()
     served, _ = await site.connect(GET)
     await until(lambda: site.requests)
-    for _ in range(MOST_OF_ADDRESS):
+    for _ in range(MOST_OF_ADDRESS - 1):
         await site.connect()
+    for protocol in site.protocols:
+        protocol._pace.since -= 2 * PROMPT_S
+    await site.connect()
     site.go.set()
     assert b"200 OK" in await served.readuntil(b"hi")
+
+
+async def test_a_client_that_has_just_connected_does_not_give_way_to_a_burst(site: Site) -> None:
+    site.go.clear()
+    for _ in range(MOST_OF_ADDRESS):
+        await site.connect(GET)
+    reader, writer = await site.connect()
+    await site.connect(GET)
+    site.go.set()
+    writer.write(GET)
+    assert b"200 OK" in await reader.readuntil(b"hi")
 
 
 async def test_who_has_signed_in_does_not_give_way_to_strangers(site: Site) -> None:

@@ -10,6 +10,7 @@ import pytest
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.command_ids import key_of, new_command_id
+from app.live.screen.screen import Screen
 from app.live.state.live_state import LiveState
 from app.settings import Site
 from app.web.assets import Assets, static_dir, templates_dir
@@ -89,6 +90,23 @@ async def test_the_same_text_goes_to_all_of_a_language(world: World) -> None:
     world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
     (first,), (second,) = await one.next(), await other.next()
     assert first is second
+
+
+async def test_a_page_that_opens_beside_another_renders_nothing_again(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await sent(world.join("anna"))
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    monkeypatch.delattr(Screen, "refresh")
+    first, *_ = await sent(world.join("bernd"))
+    assert first["f"]["dry/1"]["actual"] == "121.0"
+
+
+async def test_a_page_that_opens_alone_shows_what_was_reported_while_none_was_open(world: World) -> None:
+    world.hub.leave(world.join("anna"))
+    world.live.buses["dry"].apply([reading(1, at=100.1, actual=1210)])
+    first, *_ = await sent(world.join("bernd"))
+    assert first["f"]["dry/1"]["actual"] == "121.0"
 
 
 async def test_a_heartbeat_comes_each_second_with_the_server_s_time(world: World) -> None:

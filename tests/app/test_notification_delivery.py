@@ -9,9 +9,9 @@ from app.alarms.notification.rules.delivery import (
     GIVE_UP_S,
     LONGEST_RETRY_S,
     TRANSITIONS,
+    DeliveryTurn,
     EndpointLoad,
     Retry,
-    Turn,
     next_turn,
     retry_after_s,
     trigger_of_failure,
@@ -25,40 +25,40 @@ def at(seconds: float) -> UnixTime:
     return NOW - seconds
 
 
-def turn(load: EndpointLoad, flood: int = 2) -> Turn:
+def turn(load: EndpointLoad, flood: int = 2) -> DeliveryTurn:
     return next_turn(load, flood, 60.0, NOW)
 
 
 def test_nothing_waits_for_something_new() -> None:
-    assert turn(EndpointLoad([], [], [])) == Turn()
+    assert turn(EndpointLoad([], [], [])) == DeliveryTurn()
 
 
 def test_a_new_item_is_a_message_at_once() -> None:
-    assert turn(EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)])) == Turn(items=(1,))
+    assert turn(EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)])) == DeliveryTurn(items=(1,))
 
 
 def test_a_flood_is_collected() -> None:
     sent = [at(60), at(30)]
-    assert turn(EndpointLoad([(1, at(59)), (2, at(0))], [], sent)) == Turn(wait_s=1.0)
-    assert turn(EndpointLoad([(1, at(60)), (2, at(0))], [], sent)) == Turn(items=(1, 2))
-    assert turn(EndpointLoad([(1, at(0))], [], [at(601), at(602)])) == Turn(items=(1,))
+    assert turn(EndpointLoad([(1, at(59)), (2, at(0))], [], sent)) == DeliveryTurn(wait_s=1.0)
+    assert turn(EndpointLoad([(1, at(60)), (2, at(0))], [], sent)) == DeliveryTurn(items=(1, 2))
+    assert turn(EndpointLoad([(1, at(0))], [], [at(601), at(602)])) == DeliveryTurn(items=(1,))
 
 
-def test_a_program_gets_each_by_itself() -> None:
+def test_a_program_gets_each_alone() -> None:
     load = EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)] * 100, collects=False)
-    assert turn(load) == Turn(items=(1,))
+    assert turn(load) == DeliveryTurn(items=(1,))
 
 
-def test_what_is_new_goes_before_what_was_refused() -> None:
+def test_new_items_go_before_those_that_were_refused() -> None:
     retries = [Retry(7, 3, at(0)), Retry(8, 1, at(0)), Retry(9, 1, at(-5))]
-    assert turn(EndpointLoad([(1, at(60))], retries, [])) == Turn(items=(1,))
-    assert turn(EndpointLoad([(1, at(50))], retries, [])) == Turn(retry=8)
-    assert turn(EndpointLoad([], retries[2:], [])) == Turn(wait_s=5.0)
+    assert turn(EndpointLoad([(1, at(60))], retries, [])) == DeliveryTurn(items=(1,))
+    assert turn(EndpointLoad([(1, at(50))], retries, [])) == DeliveryTurn(retry=8)
+    assert turn(EndpointLoad([], retries[2:], [])) == DeliveryTurn(wait_s=5.0)
 
 
 def test_a_clock_that_was_set_back_delays_no_retry() -> None:
-    assert turn(EndpointLoad([], [Retry(7, 1, at(-LONGEST_RETRY_S - 1))], [])) == Turn(retry=7)
-    assert turn(EndpointLoad([(1, at(-3600))], [], [at(60), at(30)])) == Turn(items=(1,))
+    assert turn(EndpointLoad([], [Retry(7, 1, at(-LONGEST_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
+    assert turn(EndpointLoad([(1, at(-3600))], [], [at(60), at(30)])) == DeliveryTurn(items=(1,))
 
 
 def test_the_wait_doubles_up_to_a_quarter_of_an_hour() -> None:
@@ -89,6 +89,6 @@ def test_there_is_always_a_turn_or_an_end_of_the_wait(
     load = EndpointLoad([(n, at(0)) for n in range(items)], several, [at(1)] * sent, collects)
     found = turn(load)
     is_idle = not items and not several
-    assert is_idle == (found == Turn())
+    assert is_idle == (found == DeliveryTurn())
     if found.wait_s is not None:
         assert 0 < found.wait_s <= LONGEST_RETRY_S

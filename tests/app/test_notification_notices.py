@@ -1,4 +1,4 @@
-"""Who is notified of what and when, against a second model that looks at each second."""
+"""Which address is notified of what and when, against a second model that looks at each second."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_a_latched_alarm_is_escalated_after_its_condition_has_ended() -> None:
     assert to(followed([], 1600, episodes=done.open)) == [("chief", 600.0)]
 
 
-def test_what_is_hidden_is_not_notified_and_what_comes_back_is() -> None:
+def test_a_hidden_alarm_is_not_notified_and_one_that_comes_back_is() -> None:
     hidden = entry(1, "rise", "shelved", "shelved")
     assert to(followed([hidden], 1001)) == []
     assert to(followed([hidden, entry(2, "unshelve", "shelved", "unack_active")], 1001)) == [("anna", 0.0)]
@@ -105,7 +105,7 @@ def test_one_address_is_notified_once_of_rules_that_come_due_together() -> None:
     assert to(followed([RISE], 2000, rules)) == [("anna", 0.0), ("bert", 0.0)]
 
 
-def test_nothing_is_notified_in_a_maintenance_and_what_is_left_after_it_is() -> None:
+def test_nothing_is_notified_in_a_maintenance_and_those_left_after_it_are() -> None:
     quiet = [QuietSpan(UnixTime(900.0), UnixTime(2000.0), "b")]
     first = followed([RISE], 1999, quiet=quiet)
     assert to(first) == []

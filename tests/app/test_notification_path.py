@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.store import Delivery
+from app.alarms.notification.outbox import NotificationDelivery
 from app.errors import StoreError
 from app.notify_settings import NotifySettings
 from app.web.access import Role
@@ -49,14 +49,14 @@ class Path_:
         found = await self.house.events("notification")
         return [event for event in found if f"Notification {state}" in str(event["what"])]
 
-    async def ended(self, state: str, count: int = 1) -> list[Delivery]:
+    async def ended(self, state: str, count: int = 1) -> list[NotificationDelivery]:
         """The deliveries in a state, once there are so many."""
         notification = self.house.services.notification
         async with asyncio.timeout(LIMIT_S):
             while True:
                 attempted = notification.dispatcher.attempted
                 found = [
-                    each for each in await notification.store.deliveries(100, None) if each.state == state
+                    each for each in await notification.outbox.deliveries(100, None) if each.state == state
                 ]
                 if len(found) >= count:
                     return found
@@ -131,7 +131,7 @@ async def test_nothing_is_notified_twice(path: Path_) -> None:
     notifier._cursor = 0  # as after a crash between reading the journal and writing the outbox
     await notifier.advance()
     assert len(await path.ended("delivered", 2)) == 2
-    assert await path.house.services.notification.store.waiting() == {}
+    assert await path.house.services.notification.outbox.waiting() == {}
 
 
 async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> None:
@@ -171,7 +171,7 @@ async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
     async with running(tmp_path, *servers) as path:
-        store = path.house.services.notification.store
+        store = path.house.services.notification.outbox
         now = UnixTime(time.time())
         await store.add([OutboxItem("test:crash", "mail:duty@plant", "test", now)])
         ((item, _),) = (await store.load_of("mail:duty@plant", now, collects=True)).items
@@ -209,7 +209,7 @@ async def test_a_flood_is_one_message_for_people_and_each_for_programs(
         path = Path_(house, *servers)
         await path.estop(active=True)
         delivered = await path.ended("delivered", 2)
-        store = house.services.notification.store
+        store = house.services.notification.outbox
         items = [replace(each.items[0], key=f"more:{n}") for each in delivered for n in range(4)]
         await store.add(items)
         house.services.notification.dispatcher.wake()
@@ -219,7 +219,7 @@ async def test_a_flood_is_one_message_for_people_and_each_for_programs(
         assert digest.get_content().count("urgent: Unwind · Emergency stop active") == 4
 
 
-async def test_an_escalation_goes_to_who_is_on_duty(
+async def test_an_escalation_goes_to_people_on_duty(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
     smtp = {"host": "127.0.0.1", "port": servers[0].port, "security": "none", "sender": "lineside@plant"}

@@ -33,7 +33,7 @@ def filled_in(roster: DutyRoster) -> list[set[str]]:
 
 
 @given(st.lists(periods, max_size=3), st.integers(0, 7 * DAY - 1))
-def test_who_is_on_duty_equals_a_week_filled_in(several: list[DutyPeriod], minute: int) -> None:
+def test_people_on_duty_equal_a_week_filled_in(several: list[DutyPeriod], minute: int) -> None:
     roster = DutyRoster(periods=tuple(several))
     week = filled_in(roster)
     local = MONDAY + timedelta(minutes=minute)

@@ -71,7 +71,9 @@ async def test_a_url_that_is_a_secret_is_in_a_file(key: Path, tmp_path: Path) ->
         (b"", "No connection"),
     ],
 )
-async def test_what_is_no_success_is_reported_in_words(key: Path, response: bytes, words: str) -> None:
+async def test_a_response_without_success_is_reported_in_words(
+    key: Path, response: bytes, words: str
+) -> None:
     async with receiver(response=response) as played:
         assert words in await refusal(played.url, key)
         assert len(played.received) == 1

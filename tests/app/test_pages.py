@@ -112,10 +112,11 @@ async def test_a_press_without_its_review_is_refused(house: House) -> None:
     assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
 
 
-async def test_an_old_click_sends_nothing_and_reports_it(house: House) -> None:
+@pytest.mark.parametrize("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
+async def test_an_old_click_sends_nothing_and_reports_it(house: House, header: str) -> None:
     client = await house.program(Role.OPERATOR)
     form = {"raw": "100", "id": "a1", "how": "now", "reviewed_at": "1.0", "was": ""}
-    late = await client.post("/units/dry-end/1/speed", data=form, headers={"Lineside-Clicked-At": "1.0"})
+    late = await client.post("/units/dry-end/1/speed", data=form, headers={header: "1.0"})
     assert (late.status_code, "too late" in late.text) == (503, True)
     expired = await client.post("/units/dry-end/1/speed", data=form)
     assert (expired.status_code, "expired" in expired.text) == (409, True)

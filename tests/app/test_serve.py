@@ -26,6 +26,7 @@ from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
 from app.settings import load
+from tests import fork_server
 
 ROOT = Path(__file__).resolve().parents[2]
 LINESIDE = Path(sys.executable).with_name("lineside")
@@ -112,9 +113,7 @@ def test_it_ends_completely_within_five_seconds(config: Path, number: int) -> No
         process.send_signal(number)
         assert process.wait(timeout=5) == 0
         assert not is_alive(worker)
-    proof = subprocess.run(
-        [LINESIDE, "audit", "verify", "--config", str(config)], capture_output=True, text=True
-    )
+    proof = fork_server.run("audit", "verify", "--config", config)
     assert proof.returncode == 0, proof.stderr
 
 
@@ -147,8 +146,7 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
 
 
 def test_an_open_page_does_not_hold_the_end_up(config: Path) -> None:
-    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
-    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
         address = url.replace("http", "ws", 1) + "/live"
         headers = {"Authorization": f"Bearer {token}"}
@@ -185,8 +183,7 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
 
 
 def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
-    create = [LINESIDE, "token", "create", "t", "--role", "viewer", "--config", str(config)]
-    token = subprocess.run(create, capture_output=True, text=True, check=True).stdout.strip()
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
 
         def bus() -> Any:
@@ -212,7 +209,7 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         config.write_text(config.read_text().replace("port = 0", f"port = {port}"))
-        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+        done = fork_server.run("serve", "--config", config)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert f"port {port} of 127.0.0.1 is in use by another program" in done.stderr
@@ -222,7 +219,7 @@ def test_a_busy_port_prints_one_line_and_exits_with_1(config: Path) -> None:
 def test_a_demo_on_a_busy_port_names_its_option() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        done = subprocess.run([LINESIDE, "demo", "--port", port], capture_output=True, text=True)
+        done = fork_server.run("demo", "--port", port)
         # These tests may run under another make, which passes its options down.
         environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
         command = ["make", "--no-print-directory", "demo", f"PORT={port}"]
@@ -245,7 +242,7 @@ def test_an_impossible_address_is_reported(host: str, words: str) -> None:
 
 def test_two_servers_never_share_their_data(config: Path) -> None:
     with started("serve", "--config", str(config)):
-        done = subprocess.run([LINESIDE, "serve", "--config", str(config)], capture_output=True, text=True)
+        done = fork_server.run("serve", "--config", config)
     assert done.returncode == 1
     assert "another Lineside server uses" in done.stderr
 

@@ -18,6 +18,7 @@ from app.server import stamping
 from app.server.connections import Connections
 from app.server.loop_watch import LoopWatch
 from app.server.stamping import ARRIVED_AT, StampingProtocol
+from app.server.starting import Starts
 from app.server.tcp_wait import TcpWait, tcp_wait
 from tests.app.stage import until
 
@@ -92,7 +93,9 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
     config, state = uvicorn.Config(note, lifespan="off", log_level="critical"), ServerState()
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
-        lambda: StampingProtocol(config, state, {}, watch=watch, open_connections=Connections()),
+        lambda: StampingProtocol(
+            config, state, {}, watch=watch, open_connections=Connections(), upgrades=Starts()
+        ),
         "127.0.0.1",
         0,
     )

@@ -58,6 +58,17 @@ async def test_after_a_turn_of_a_sender_with_more_the_loop_is_free_as_long(
     assert (begun, later) == (["a", "a", "a", "b"], [])
 
 
+async def test_a_function_runs_in_its_turn_unless_it_is_cancelled() -> None:
+    starts, begun = Starts(), list[int]()
+    cancels = [starts.run("a", lambda n=n: begun.append(n)) for n in range(5)]  # type: ignore[misc]
+    assert begun == [0]
+    for cancel in (cancels[0], cancels[2]):
+        cancel()
+    async with asyncio.timeout(10):
+        await starts.turn("a")
+    assert begun == [0, 1, 3, 4]
+
+
 async def test_who_gave_up_waiting_costs_the_others_nothing() -> None:
     starts = Starts()
     tasks = [asyncio.create_task(starts.turn("a")) for _ in range(5)]

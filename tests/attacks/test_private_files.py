@@ -17,6 +17,7 @@ from app.database.private import make_file, make_private, write_file
 from app.errors import StoreError as Refusal
 from bus import __main__ as worker
 from bus.worker import parent
+from tests import fork_server
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 CONFIG = """\
@@ -46,8 +47,7 @@ def loose(folder: Path) -> list[str]:
 
 def lineside(folder: Path, *words: str, text: str = "") -> str:
     """Run the command with a umask that removes no permission."""
-    called = [LINESIDE, *words, "--config", str(folder / "lineside.toml")]
-    done = subprocess.run(called, input=text, capture_output=True, text=True, umask=0)
+    done = fork_server.run(*words, "--config", folder / "lineside.toml", text=text, umask=0)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -11,7 +11,6 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,8 +20,9 @@ from typing import Any
 
 import pytest
 
+from tests import fork_server
 from tests.e2e.limits import START_S
-from tests.e2e.site import LINESIDE, end, eventually, free_port, people
+from tests.e2e.site import end, eventually, free_port, people
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
 
@@ -190,7 +190,7 @@ def test_what_waited_for_the_start_is_not_sent_and_what_follows_at_once_is_not_l
         f'[[bus]]\nname = "dry-end"\nport = "{tmp_path}/absent"\n[[bus.unit]]\nid = 1\nname = "Unwind"\n'
     )
     with (tmp_path / "serve.log").open("ab") as log:
-        server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
+        server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
     try:
         early = eventually(lambda: _connected(connect, port), "the port open", within=START_S)
         early.set_speed(301)

@@ -19,6 +19,7 @@ from app.server.connections import EXTENSION, Connections
 from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
 from app.server.pace import STALL_S
+from app.server.starting import Starts
 from app.server.websocket import (
     FEED_PATH,
     MOST_FRAMES_AT_ONCE,
@@ -107,8 +108,11 @@ async def site() -> AsyncIterator[Site]:
         site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
     )
     loop = asyncio.get_running_loop()
+    upgrades = Starts()
     server = await loop.create_server(
-        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections), "127.0.0.1", 0
+        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections, upgrades=upgrades),
+        "127.0.0.1",
+        0,
     )
     site.port = server.sockets[0].getsockname()[1]
     yield site
@@ -180,6 +184,23 @@ async def test_frames_before_the_response_to_the_handshake_end_the_connection(
     site.accepts.set()
     await until_gone(site.state)
     assert (site.messages, faults) == ([], [])
+
+
+async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Site) -> None:
+    burst = [await asyncio.open_connection("127.0.0.1", site.port) for _ in range(60)]
+    site.writers += [writer for _, writer in burst]
+    for _, writer in burst:
+        writer.write(HANDSHAKE.format(path="/live").encode())
+    reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+    site.writers.append(writer)
+    writer.write(HANDSHAKE.format(path="/live").replace("Host:", "Cookie: a=b\r\nHost:").encode())
+    assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
+    assert len(site.protocols) < 40
+    for gone, writer in burst[50:]:
+        writer.transport.abort()
+        await gone.read()
+    for reader, _ in burst[:50]:
+        assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
 
 
 async def test_fragments_count_together(site: Site) -> None:

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from bus.messages import Message, joined, number
-from bus.messages.message import DEEPEST, LONGEST_TEXT
+from bus.messages.message import DEEPEST, LARGEST, LONGEST_TEXT
 
 _DECODE = msgspec.msgpack.Decoder(Message).decode
 
@@ -68,6 +68,8 @@ def test_it_survives_the_wire() -> None:
         {"code": "x", "params": {"a": float("nan")}},
         {"code": "x", "params": {"a": {"b": 1}}},
         {"code": "x", "params": {str(n): n for n in range(21)}},
+        {"code": "x", "params": {"a": ["y" * LONGEST_TEXT] * (1 + LARGEST // LONGEST_TEXT)}},
+        {"code": "x", "params": {str(n): [1] * 500 for n in range(20)}},
     ],
 )
 def test_params_beyond_the_bounds_are_refused(hostile: dict[str, object]) -> None:
@@ -77,6 +79,19 @@ def test_params_beyond_the_bounds_are_refused(hostile: dict[str, object]) -> Non
 
 def test_the_deepest_is_taken() -> None:
     assert _DECODE(msgspec.msgpack.encode(nested(DEEPEST)))
+
+
+def test_the_results_of_every_unit_fit_into_one_message() -> None:
+    one = Message.of("unit_refused", unit=255, error=Message.of("illegal_speed", code=130, name="x" * 20))
+    several = joined([one] * 255)
+    assert several is not None
+    assert several.params == {"messages": [one] * 255}
+
+
+def test_what_would_be_too_large_is_text() -> None:
+    large = Message.of("x", a=["y" * (LARGEST // 10)] * 6)
+    together = Message.of("z", first=large, second=large)
+    assert all(isinstance(value, str) and len(value) <= LONGEST_TEXT for value in together.params.values())
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 import sys
 import time
 from collections.abc import AsyncIterator, Iterator
@@ -42,7 +41,9 @@ from bus.simulator.memory import Mode
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
+from tests import fork_server
 from tests.bus.fake_app import TOKEN, FakeApp
+from tests.fork_server import ForkedProcess
 
 UNITS = 3
 ROOT = Path(__file__).parents[2]
@@ -65,22 +66,23 @@ def config(line: LineServer, folder: Path, units: int = UNITS) -> Path:
 
 
 @asynccontextmanager
-async def worker(file: Path, app: FakeApp, *more: str) -> AsyncIterator[asyncio.subprocess.Process]:
+async def worker(file: Path, app: FakeApp) -> AsyncIterator[ForkedProcess]:
     """Run a worker process, which must end on SIGTERM."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "bus", "--config", str(file), "--bus", "b", "--app", app.url, *more),
+    process = fork_server.start(
+        *("--config", file, "--bus", "b", "--app", app.url),
+        program="bus",
         env={**os.environ, "LINESIDE_WORKER_TOKEN": TOKEN},
-        cwd=ROOT,
         stderr=asyncio.subprocess.PIPE,
     )
-    try:
-        yield process
-    finally:
-        if process.returncode is None:
-            process.send_signal(signal.SIGTERM)
-        errors = (await process.communicate())[1].decode()
-        print(errors)
-    assert process.returncode in (0, -signal.SIGKILL), errors
+    assert process.stderr is not None
+    with process.stderr as log:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            errors = await asyncio.to_thread(log.read)
+            print(errors)
+        assert await asyncio.to_thread(process.wait) == 0, errors
 
 
 @asynccontextmanager
@@ -292,7 +294,7 @@ async def test_a_refused_worker_logs_the_reason(line: LineServer, tmp_path: Path
         async with worker(config(line, tmp_path), app) as process:
             assert process.stderr is not None
             async with asyncio.timeout(20):
-                while b"install the same release" not in await process.stderr.readline():
+                while "install the same release" not in await asyncio.to_thread(process.stderr.readline):
                     pass
 
 

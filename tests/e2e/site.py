@@ -1,6 +1,7 @@
 """A complete plant for a test: simulated units at a port, ``lineside serve`` on them, and users of each role.
 
-Each part is a separate process and communicates as on a machine: a device path, HTTP, the command.
+Each part is a separate process and communicates as on a machine: a device path, HTTP, the command. They are
+forked (`tests.fork_server`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -34,9 +34,10 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.simulator.control import Remote
 from bus.simulator.demo import demo_line
+from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S, UNIT_S
+from tests.fork_server import ForkedProcess
 
-LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
 AT_REST = ("--no-script",)
@@ -62,7 +63,7 @@ class Line:
 
     port: str
     remote: Remote
-    process: subprocess.Popen[str]
+    process: ForkedProcess
 
     def close(self) -> None:
         """Power off."""
@@ -73,11 +74,8 @@ class Line:
 def start_line(folder: Path, units: int, *options: str, name: str = "line") -> Line:
     """``lineside simulate`` behind a path that stays when the cable is pulled and plugged again."""
     link = folder / f"tty-{name}"
-    process = subprocess.Popen(
-        [LINESIDE, "simulate", "--units", str(units), "--link", str(link), "--control", "0", *options],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    called = ("simulate", "--units", str(units), "--link", link, "--control", "0", *options)
+    process = fork_server.start(*called, stdout=subprocess.PIPE)
     assert process.stdout is not None
     # A real unit responds in time, whatever the load of the host.
     with suppress(PermissionError):
@@ -88,22 +86,19 @@ def start_line(folder: Path, units: int, *options: str, name: str = "line") -> L
     return Line(port, Remote(int(control)), process)
 
 
-def end(process: subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
+def end(process: ForkedProcess, number: int = signal.SIGTERM) -> int:
     """Send a signal and wait; what the process returned."""
     if process.poll() is None:
         process.send_signal(number)
     status = process.wait(timeout=START_S)
-    for stream in (process.stdout, process.stderr, process.stdin):
-        if stream is not None:
-            stream.close()
+    if process.stdout is not None:
+        process.stdout.close()
     return status
 
 
 def command(config: Path, *arguments: str, text: str = "") -> str:
     """Run ``lineside …`` with ``text`` on its standard input; its output."""
-    done = subprocess.run(
-        [LINESIDE, *arguments, "--config", str(config)], input=text, capture_output=True, text=True
-    )
+    done = fork_server.run(*arguments, "--config", config, text=text)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -111,7 +106,7 @@ def command(config: Path, *arguments: str, text: str = "") -> str:
 @cache
 def people() -> tuple[Path, dict[str, str]]:
     """Return the data of a new site with one user and one token for each role, and the tokens. Made once,
-    copied for every site. The templates are compiled, too, which otherwise each server repeats.
+    copied for every site. Templates and catalogs are compiled, too, which otherwise each server repeats.
     """
     folder = Path(mkdtemp(prefix="lineside-people-"))
     atexit.register(shutil.rmtree, folder)
@@ -126,6 +121,8 @@ def people() -> tuple[Path, dict[str, str]]:
     environment = templates.environment("en")
     for name in environment.list_templates():
         environment.get_template(name)
+    for language in templates.languages:
+        language.term("Line")
     return folder / "data", tokens
 
 
@@ -152,7 +149,7 @@ class Site:
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
-    server: subprocess.Popen[bytes] | None = None
+    server: ForkedProcess | None = None
     log: IO[bytes] | None = None
 
     @property
@@ -163,11 +160,9 @@ class Site:
     def start(self) -> None:
         """Start ``lineside serve`` and wait until it responds."""
         self.log = (self.folder / "serve.log").open("ab")
-        self.server = subprocess.Popen(
-            [LINESIDE, "serve", "--config", str(self.config)],
-            stdout=self.log,
-            stderr=self.log,
-            env={**os.environ, **self.environment},
+        environment = {**os.environ, **self.environment}
+        self.server = fork_server.start(
+            *("serve", "--config", self.config), stdout=self.log, stderr=self.log, env=environment
         )
         eventually(self._responds, f"a response from {self.url}", within=START_S)
 

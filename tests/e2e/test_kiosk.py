@@ -45,7 +45,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
     page.get_by_label("Name").fill("admin")
     page.get_by_label("Password").fill("collect house bakery stable")
     page.get_by_role("button", name="Log in").click()
-    for name, role in (("wall", None), ("desk", "operator")):
+    for name, role in (("wall", None), ("first", "operator")):
         form = page.locator('form[action="/users/panels"]')
         form.get_by_label("Name").fill(name)
         if role is not None:
@@ -55,7 +55,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
         form.get_by_role("button", name="Add the panel").click()
         expect(page.locator(f'[data-user="{name}"]')).to_contain_text("panel")
     context.close()
-    return {name: _signed_in(browser, site, name) for name in ("wall", "desk")}
+    return {name: _signed_in(browser, site, name) for name in ("wall", "first")}
 
 
 def _signed_in(browser: Browser, site: Site, name: str) -> Any:

@@ -114,6 +114,23 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     assert received_writes(own_site) == before
 
 
+CLICKED_EARLY = """async () => {
+  document.body.dataset.link = "";
+  document.querySelector('[hx-get="/line/zero"]').click();
+  await new Promise((resolve) => setTimeout(resolve, 300));
+  document.body.dataset.link = "live";
+  document.dispatchEvent(new Event("lineside:found"));
+}"""
+
+
+def test_a_click_that_reads_before_the_first_message_is_repeated_then(
+    own_site: Site, browser_page: OpensPages
+) -> None:
+    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    page.evaluate(CLICKED_EARLY)
+    expect(page.locator("#review")).to_be_visible()
+
+
 def test_a_typed_setpoint_stays_while_the_connection_is_lost(
     own_site: Site, browser_page: OpensPages
 ) -> None:

@@ -12,8 +12,9 @@ from typing import Any
 
 import httpx
 
+from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S
-from tests.e2e.site import LINESIDE, end, eventually, free_port, people
+from tests.e2e.site import end, eventually, free_port, people
 from tests.path.independent_unit import Cable, Unit, plugged
 
 
@@ -94,7 +95,7 @@ def dashboard(
         shutil.copytree(store, folder / "data")
         made.tokens.update(tokens)
         with (folder / "serve.log").open("ab") as log:
-            server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
+            server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:
                 eventually(lambda: _serves(made), f"a response; see {folder}/serve.log", within=START_S)
                 for unit in units:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.site import LINESIDE
+from tests import fork_server
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import FACTORY, Unit
 
@@ -388,9 +387,7 @@ def test_the_trace_shows_what_was_sent(plant: Dashboard) -> None:
     assert "10 02 01 84 00 00 0A 8C 10 03 E5" in text
     path = Path(plant.folder / "trace.txt")
     path.write_text(text)
-    read = subprocess.run(
-        [str(LINESIDE), "decode", "--json", "--file", str(path)], capture_output=True, text=True, check=True
-    )
+    read = fork_server.run("decode", "--json", "--file", path)
     decoded = json.loads(read.stdout)
     kept = [line for line in text.splitlines() if line.split("\t")[2]]
     assert len(decoded) >= len(kept), "every frame of it that is no secret, whole"

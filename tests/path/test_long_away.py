@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -19,8 +18,9 @@ from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Wa
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
+from tests import fork_server
 from tests.e2e.limits import PROCEDURE_S
-from tests.e2e.site import LINESIDE, command, end, eventually, free_port, people
+from tests.e2e.site import command, end, eventually, free_port, people
 
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
@@ -124,7 +124,7 @@ def configured(folder: Path, number: int) -> Path:
 def served(config: Path) -> Iterator[None]:
     """``lineside serve`` until the end of the block."""
     with (config.parent / "serve.log").open("wb") as log:
-        server = subprocess.Popen([LINESIDE, "serve", "--config", config], stdout=log, stderr=log)
+        server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
         try:
             yield
         finally:

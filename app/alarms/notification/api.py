@@ -11,18 +11,19 @@ from typing_extensions import TypeAliasType, TypedDict
 from app.alarms.notification.endpoints import EndpointKind
 from app.alarms.notification.maintenance import MOST_MINUTES
 from app.alarms.notification.notice import NoticeKind
+from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.overview import EndpointStatus, duties, endpoint_statuses
 from app.alarms.notification.rules.delivery import DeliveryState
 from app.alarms.notification.service import Notification
-from app.alarms.notification.store import Delivery, QuietRow
+from app.alarms.notification.store import QuietRow
 from app.web.absent import unknown_bus
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import MaybeMessage, MessageShown, message_shown
+from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
 from app.web.services import service
 from app.web.shape import StrictBody, iso
 from bus.instants import UnixTime
-from bus.messages import Message, in_english
+from bus.messages import in_english
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
@@ -87,7 +88,7 @@ class MaintenanceShown(TypedDict):
 
 
 class NotificationShown(TypedDict):
-    """The path of notification as it is now."""
+    """The path of notification, current."""
 
     endpoints: list[NotificationEndpointShown]
     groups: list[NotificationGroupShown]
@@ -148,7 +149,7 @@ async def get_notification_deliveries(
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> DeliveriesShown:
     """What was sent, or is to be."""
-    found = await notification.store.deliveries(limit + 1, before)
+    found = await notification.outbox.deliveries(limit + 1, before)
     following = found[limit - 1].id if len(found) > limit else None
     return {"deliveries": [_delivery(each) for each in found[:limit]], "next": following}
 
@@ -195,7 +196,7 @@ def _endpoint(status: EndpointStatus) -> NotificationEndpointShown:
         "works": status.works,
         "tried_at": _time(status.tried_at),
         "result": in_english(status.result),
-        "result_message": _maybe(status.result),
+        "result_message": maybe_shown(status.result),
         "waiting": status.waiting,
     }
 
@@ -212,7 +213,7 @@ def _maintenance(row: QuietRow) -> MaintenanceShown:
     }
 
 
-def _delivery(delivery: Delivery) -> DeliveryShown:
+def _delivery(delivery: NotificationDelivery) -> DeliveryShown:
     return {
         "id": delivery.id,
         "message_id": delivery.message_id,
@@ -222,14 +223,10 @@ def _delivery(delivery: Delivery) -> DeliveryShown:
         "created_at": iso(delivery.created_at),
         "tried_at": _time(delivery.tried_at) if delivery.attempts else None,
         "result": in_english(delivery.result),
-        "result_message": _maybe(delivery.result),
+        "result_message": maybe_shown(delivery.result),
         "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
         "alarms": [item.notice.id for item in delivery.items if item.notice is not None],
     }
-
-
-def _maybe(message: Message | None) -> MessageShown | None:
-    return None if message is None else message_shown(message)
 
 
 def _time(at: UnixTime | None) -> str | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from app.alarms.notification.notice import AlarmNotice, OutboxItem
-from app.alarms.notification.store import Delivery
+from app.alarms.notification.notice import OutboxItem
+from app.alarms.notification.outbox import NotificationDelivery
+from app.alarms.notification.rules.notices import UNACKNOWLEDGED
 from app.alarms.rules.priority import PRIORITIES
 from app.messages.language import Language
 from app.web.formats import Formats
@@ -41,26 +42,22 @@ class Composer:
     formats: Formats
     link: LinkMaker
 
-    def letter(self, delivery: Delivery, now: UnixTime) -> Letter:
+    def letter(self, delivery: NotificationDelivery, now: UnixTime) -> Letter:
         """One message of all items of a delivery."""
         items = sorted(delivery.items, key=_rank)
-        parts = [self._paragraph(item) for item in items]
+        footer = Message.of("notify_footer", site=self.site, id=delivery.message_id)
         return Letter(
             id=delivery.message_id,
             subject=_one_line(self.language.t(self._subject(items))),
-            body="\n\n".join((*parts, self._text("notify_footer", site=self.site, id=delivery.message_id)))
-            + "\n",
+            body="\n\n".join((*map(self._paragraph, items), self.language.t(footer))) + "\n",
             at=datetime.fromtimestamp(float(now), UTC),
-            is_urgent=any(
-                item.kind == "alarm" and item.notice is not None and item.notice.priority == "urgent"
-                for item in items
-            ),
+            is_urgent=any(item.kind == "alarm" and _is_urgent(item) for item in items),
         )
 
     def _subject(self, items: Sequence[OutboxItem]) -> Message:
-        if len(items) == 1 or items[0].notice is None:
+        if len(items) == 1:
             return self._subject_of(items[0])
-        urgent = sum(item.notice is not None and item.notice.priority == "urgent" for item in items)
+        urgent = sum(map(_is_urgent, items))
         return Message.of("notify_subject_digest", site=self.site, n=len(items), urgent=urgent)
 
     def _subject_of(self, item: OutboxItem) -> Message:
@@ -71,37 +68,35 @@ class Composer:
         return Message.of(
             f"notify_subject_{code}",
             priority=term(notice.priority),
-            place=self._place(notice),
+            place=notice.place or self.site,
             name=notice.name,
         )
 
     def _paragraph(self, item: OutboxItem) -> str:
+        lines = [self._subject_of(item), *self._lines(item)]
+        return "\n".join(_one_line(self.language.t(line)) for line in lines)
+
+    def _lines(self, item: OutboxItem) -> Iterator[Message]:
         notice = item.notice
         if notice is None:
-            return self._text(f"notify_body_{item.kind}", site=self.site)
-        at = self.formats.moment(UnixTime(notice.at))
-        lines = [self.language.t(self._subject_of(item)), self._text(f"notify_line_{item.kind}", time=at)]
+            yield Message.of(f"notify_body_{item.kind}", site=self.site)
+            return
+        yield Message.of(f"notify_line_{item.kind}", time=self.formats.moment(UnixTime(notice.at)))
         if item.kind == "alarm":
-            lines += [self._text("notify_line_cause", text=notice.cause)]
-            lines += [self._text("notify_line_response", text=notice.response)]
-        link = self.link(notice.id)
-        if link and (item.kind == "alarm" or notice.state in ("rtn_unack", "latched_unack")):
-            lines.append(self._text("notify_line_link", link=link))
-        return "\n".join(_one_line(line) for line in lines)
-
-    def _place(self, notice: AlarmNotice) -> str:
-        return notice.place or self.site
-
-    def _text(self, code: str, **params: Any) -> str:
-        return self.language.t(Message.of(code, **params))
+            yield Message.of("notify_line_cause", text=notice.cause)
+            yield Message.of("notify_line_response", text=notice.response)
+        link = self.link(notice.id) if notice.state in UNACKNOWLEDGED else ""
+        if link:
+            yield Message.of("notify_line_link", link=link)
 
 
-def hook_body(site: str, delivery: Delivery, now: UnixTime) -> dict[str, Any]:
+def hook_body(site: str, delivery: NotificationDelivery, now: UnixTime) -> dict[str, Any]:
     """The body of a webhook; its texts are English, as those of the API."""
     item = delivery.items[0]
     notice = item.notice
     body: dict[str, Any] = {"id": delivery.message_id, "kind": item.kind, "time": iso(now), "site": site}
     if notice is not None:
+        text = Message.of("alarm_text", name=notice.name, response=notice.response)
         body["escalated"] = notice.escalated
         body["alarm"] = {
             "id": notice.id,
@@ -113,10 +108,10 @@ def hook_body(site: str, delivery: Delivery, now: UnixTime) -> dict[str, Any]:
             "priority": notice.priority,
             "state": notice.state,
             "active": notice.active,
-            "acknowledged": notice.state not in ("unack_active", "rtn_unack", "latched_unack"),
+            "acknowledged": notice.state not in UNACKNOWLEDGED,
             "since": iso(UnixTime(notice.at)),
-            "message": f"{notice.name}. {notice.response}",
-            "reason": message_shown(notice.name),
+            "message": str(text),
+            "alarm_message": message_shown(text),
         }
     return body
 
@@ -125,6 +120,10 @@ def _rank(item: OutboxItem) -> tuple[int, bool, int]:
     """Alarms by priority, then what is about none, then all-clears."""
     priority = len(PRIORITIES) if item.notice is None else PRIORITIES.index(item.notice.priority)
     return priority if item.kind != "clear" else len(PRIORITIES) + 1, item.kind == "clear", item.id
+
+
+def _is_urgent(item: OutboxItem) -> bool:
+    return item.notice is not None and item.notice.priority == "urgent"
 
 
 def _one_line(text: str) -> str:

@@ -11,8 +11,9 @@ from datetime import datetime
 
 import structlog
 
-from app.alarms.notification.endpoints import Endpoint, NotificationPlan
+from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
 from app.alarms.notification.notice import OutboxItem
+from app.alarms.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.alarms.notification.rules.delivery import (
     FAILING_ATTEMPTS,
     TRANSITIONS,
@@ -23,7 +24,6 @@ from app.alarms.notification.rules.delivery import (
 from app.alarms.notification.rules.heartbeat import heartbeat_due
 from app.alarms.notification.secret_file import NotDeliveredError
 from app.alarms.notification.senders import Senders
-from app.alarms.notification.store import Delivery, NotificationStore
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.notify_settings import minute_of_day
@@ -43,7 +43,7 @@ class Dispatcher:
     def __init__(
         self,
         plan: NotificationPlan,
-        store: NotificationStore,
+        outbox: NotificationOutbox,
         senders: Senders,
         events: EventLog,
         local_time: Callable[[], datetime],
@@ -51,7 +51,7 @@ class Dispatcher:
     ) -> None:
         self.plan = plan
         self.failing: dict[str, Message] = {}
-        self._store = store
+        self._outbox = outbox
         self._senders = senders
         self._events = events
         self._local_time = local_time
@@ -74,24 +74,24 @@ class Dispatcher:
         """Deliver what there is, without end."""
         if not self.plan.endpoints:
             await asyncio.Event().wait()
-        await self._store.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
+        await self._outbox.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
         await self._find_failing()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._beat())
             for endpoint in self.plan.endpoints.values():
                 tasks.create_task(self._serve(endpoint))
 
-    async def test(self, endpoint: Endpoint) -> Delivery | None:
+    async def test(self, endpoint: NotificationEndpoint) -> NotificationDelivery | None:
         """Send a test message on the way of all others; its delivery after the first attempt, None where that
         takes longer than a person waits."""
         key = f"test:{secrets.token_hex(8)}"
-        await self._store.add([OutboxItem(key, endpoint.key, "test", self._clock())])
+        await self._outbox.add([OutboxItem(key, endpoint.key, "test", self._clock())])
         self.wake()
         with suppress(TimeoutError):
             async with asyncio.timeout(TEST_S):
                 while True:
                     attempted = self.attempted
-                    found = await self._store.of_items(key)
+                    found = await self._outbox.of_items(key)
                     if found and found[0].state != "sending":
                         return found[0]
                     await attempted.wait()
@@ -99,7 +99,7 @@ class Dispatcher:
 
     async def _find_failing(self) -> None:
         for key in self.plan.endpoints:
-            last = await self._store.last_of(key)
+            last = await self._outbox.last_of(key)
             is_over = last is None or last.state in ("delivered", "canceled")
             self._failures[key] = 0 if is_over or last is None else last.attempts
             self._judge(key, None if last is None else last.result)
@@ -110,7 +110,7 @@ class Dispatcher:
         else:
             self.failing.pop(key, None)
 
-    async def _serve(self, endpoint: Endpoint) -> None:
+    async def _serve(self, endpoint: NotificationEndpoint) -> None:
         while True:
             try:
                 await self._take_turn(endpoint)
@@ -118,22 +118,22 @@ class Dispatcher:
                 log.error("notifications wait", error=str(error))
                 await asyncio.sleep(STORE_RETRY_S)
 
-    async def _take_turn(self, endpoint: Endpoint) -> None:
+    async def _take_turn(self, endpoint: NotificationEndpoint) -> None:
         settings, wake = self.plan.settings, self._wakes[endpoint.key]
         wake.clear()
         now = self._clock()
-        load = await self._store.load_of(endpoint.key, now, collects=endpoint.kind != "webhook")
+        load = await self._outbox.load_of(endpoint.key, now, collects=endpoint.kind != "webhook")
         turn = next_turn(load, settings.flood, settings.digest_s, now)
         if turn.items:
-            await self._attempt(endpoint, await self._store.begin(endpoint.key, turn.items, now))
+            await self._attempt(endpoint, await self._outbox.begin(endpoint.key, turn.items, now))
         elif turn.retry is not None:
-            await self._attempt(endpoint, await self._store.resume(turn.retry))
+            await self._attempt(endpoint, await self._outbox.resume(turn.retry))
         else:
             with suppress(TimeoutError):
                 async with asyncio.timeout(turn.wait_s):
                     await wake.wait()
 
-    async def _attempt(self, endpoint: Endpoint, delivery: Delivery) -> None:
+    async def _attempt(self, endpoint: NotificationEndpoint, delivery: NotificationDelivery) -> None:
         failure: Message | None = None
         try:
             await self._senders.send(endpoint, delivery, self._clock())
@@ -146,7 +146,7 @@ class Dispatcher:
         attempted, self.attempted = self.attempted, asyncio.Event()
         attempted.set()
 
-    async def _conclude(self, endpoint: Endpoint, ended: Delivery) -> None:
+    async def _conclude(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
         """Until it is on disk: a message that has left must not leave again as the store was busy."""
         while True:
             try:
@@ -157,10 +157,10 @@ class Dispatcher:
             else:
                 return
 
-    async def _record(self, endpoint: Endpoint, ended: Delivery) -> None:
+    async def _record(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
         """The first failure is an event, and the end; those between would hide everything else."""
         if ended.state == "retrying" and ended.attempts > 1:
-            await self._store.conclude(ended)
+            await self._outbox.conclude(ended)
             return
         first = ended.items[0].notice if len(ended.items) == 1 else None
         await self._events.record(
@@ -171,7 +171,7 @@ class Dispatcher:
                 f"event_notification_{ended.state}", to=endpoint.address, subject=subject_of(ended)
             ),
             message=ended.result or "",
-            also=self._store.conclusion(ended),
+            also=self._outbox.conclusion(ended),
         )
 
     async def _beat(self) -> None:
@@ -183,12 +183,12 @@ class Dispatcher:
             if day:
                 at = self._clock()
                 keys = self.plan.present(now)
-                await self._store.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
+                await self._outbox.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
                 self.wake()
             before = now
 
 
-def subject_of(delivery: Delivery) -> Message:
+def subject_of(delivery: NotificationDelivery) -> Message:
     """What it is about, for the events."""
     first = delivery.items[0] if delivery.items else None
     if first is None or len(delivery.items) > 1:
@@ -199,7 +199,7 @@ def subject_of(delivery: Delivery) -> Message:
     return Message.of(f"notify_kind_{first.kind}", name=notice.name)
 
 
-def _ended(delivery: Delivery, failure: Message | None, now: UnixTime) -> Delivery:
+def _ended(delivery: NotificationDelivery, failure: Message | None, now: UnixTime) -> NotificationDelivery:
     attempts = delivery.attempts + 1
     trigger = "succeed" if failure is None else trigger_of_failure(delivery.created_at, now)
     return replace(

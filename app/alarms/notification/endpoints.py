@@ -25,7 +25,7 @@ EndpointKind = Literal["mail", "webhook", "apprise"]
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class NotificationEndpoint:
     """``address``: as people may see it; a URL is not shown, as it may be a secret."""
 
     kind: EndpointKind
@@ -53,7 +53,7 @@ def roster_of(group: GroupSettings) -> DutyRoster:
 
 
 class NotificationPlan:
-    """What the configuration says: endpoints by key, rosters by group, and rules."""
+    """The configuration: endpoints by key, rosters by group, and rules."""
 
     def __init__(self, settings: NotifySettings) -> None:
         self.settings = settings
@@ -61,11 +61,11 @@ class NotificationPlan:
         programs = [*map(_program, settings.webhook), *map(_program, settings.apprise)]
         mail = () if settings.smtp is None else settings.smtp.to
         people = dict.fromkeys((*mail, *(to for each in self.rosters.values() for to in each.addresses())))
-        every = [*(Endpoint("mail", address) for address in people), *programs]
+        every = [*(NotificationEndpoint("mail", address) for address in people), *programs]
         self.endpoints = {endpoint.key: endpoint for endpoint in every}
         self.rules = list(self._rules(programs))
 
-    def _rules(self, programs: Iterable[Endpoint]) -> Iterable[NotificationRule]:
+    def _rules(self, programs: Iterable[NotificationEndpoint]) -> Iterable[NotificationRule]:
         smtp = self.settings.smtp
         if smtp is not None and smtp.to:
             yield _rule(smtp.priorities, (), 0.0, _always(_mail(smtp.to)))
@@ -91,7 +91,7 @@ def _rule(
 
 
 def _mail(addresses: Iterable[str]) -> tuple[str, ...]:
-    return tuple(Endpoint("mail", address).key for address in addresses)
+    return tuple(NotificationEndpoint("mail", address).key for address in addresses)
 
 
 def _always(keys: tuple[str, ...]) -> Callable[[datetime], tuple[str, ...]]:
@@ -102,11 +102,11 @@ def _by_roster(roster: DutyRoster) -> Callable[[datetime], tuple[str, ...]]:
     return lambda local: _mail(roster.on_duty(local))
 
 
-def _program(settings: WebhookSettings | AppriseSettings) -> Endpoint:
-    """Its address is the host, or the name of the file, and what tells two of them apart."""
+def _program(settings: WebhookSettings | AppriseSettings) -> NotificationEndpoint:
+    """Its address is the host, or the name of the file, and a mark that distinguishes two of one name."""
     url = settings.url if isinstance(settings, WebhookSettings) else None
     source = url or str(settings.url_file)
     name = urlsplit(url).hostname if url else settings.url_file and settings.url_file.name
     mark = blake2b(source.encode(), digest_size=3).hexdigest()
     kind: EndpointKind = "webhook" if isinstance(settings, WebhookSettings) else "apprise"
-    return Endpoint(kind, f"{name}#{mark}", settings)
+    return NotificationEndpoint(kind, f"{name}#{mark}", settings)

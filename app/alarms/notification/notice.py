@@ -33,7 +33,7 @@ class AlarmNotice(msgspec.Struct, frozen=True):
     cause: Message
     response: Message
     escalated: bool = False
-    """Nobody has acknowledged it within the time of a rule."""
+    """It was not acknowledged within the time of a rule."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ TICK_S = 1.0
 
 
 class AlarmNotifier:
-    """What is in the journal is followed once: how far, and what it has led to, is one transaction.
+    """Each transition of the journal is followed once: how far, and what it has led to, is one transaction.
     ``place``: the name of a unit of the bus. ``wake`` is called after something was put into the outbox."""
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The path of notification as it is now: each address, who is on duty, and what is wrong with the roster."""
+"""The path of notification now: each address, who is on duty, and what is wrong with the roster."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class GroupDuty:
 
 async def endpoint_statuses(notification: Notification) -> list[EndpointStatus]:
     """Each address of the configuration."""
-    waiting = await notification.store.waiting()
+    waiting = await notification.outbox.waiting()
     found = []
     for key, endpoint in notification.plan.endpoints.items():
-        last = await notification.store.last_of(key)
+        last = await notification.outbox.last_of(key)
         is_tried = last is not None and last.attempts > 0
         found.append(
             EndpointStatus(

@@ -37,7 +37,7 @@ async def notification_page(
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
     """Whether the path works, who is on duty, maintenance, and what was sent."""
-    found = await notification.store.deliveries(ON_A_PAGE + 1, before)
+    found = await notification.outbox.deliveries(ON_A_PAGE + 1, before)
     addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
     return render(
         request,

@@ -9,10 +9,10 @@ import structlog
 
 from app.alarms.notification import apprise_url, webhook
 from app.alarms.notification.compose import Composer, hook_body
-from app.alarms.notification.endpoints import Endpoint
+from app.alarms.notification.endpoints import NotificationEndpoint
 from app.alarms.notification.mail import MailServer
+from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.secret_file import NotDeliveredError
-from app.alarms.notification.store import Delivery
 from app.notify_settings import AppriseSettings, SmtpSettings, WebhookSettings
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -32,7 +32,9 @@ class Senders:
         self._attempt_s = attempt_s
         self._mail = asyncio.Semaphore(MAIL_CONNECTIONS)
 
-    async def send(self, endpoint: Endpoint, delivery: Delivery, now: UnixTime) -> None:
+    async def send(
+        self, endpoint: NotificationEndpoint, delivery: NotificationDelivery, now: UnixTime
+    ) -> None:
         """Deliver. Raises NotDeliveredError; whether the message has arrived then is not known."""
         match endpoint.settings:
             case WebhookSettings() as settings:

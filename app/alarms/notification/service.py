@@ -9,9 +9,10 @@ from app.alarms.alarm_list import AlarmList
 from app.alarms.notification.acknowledge_link import acknowledge_link, check_link
 from app.alarms.notification.compose import Composer
 from app.alarms.notification.dispatcher import Dispatcher
-from app.alarms.notification.endpoints import Endpoint, NotificationPlan
+from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
 from app.alarms.notification.maintenance import Maintenance
 from app.alarms.notification.notifier import AlarmNotifier
+from app.alarms.notification.outbox import NotificationOutbox
 from app.alarms.notification.senders import Senders
 from app.alarms.notification.store import NotificationStore
 from app.audit.log import EventLog
@@ -38,6 +39,7 @@ class Notification:
     ) -> None:
         self.plan = NotificationPlan(settings.notify)
         self.store = NotificationStore(database)
+        self.outbox = NotificationOutbox(database)
         self.maintenance = Maintenance(self.store, events, clock)
         self.buses = [bus.name for bus in settings.bus]
         self.local_time = local_time
@@ -47,7 +49,7 @@ class Notification:
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
         senders = Senders(settings.notify.smtp, composer)
-        self.dispatcher = Dispatcher(self.plan, self.store, senders, events, local_time, clock)
+        self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, local_time, clock)
 
     async def load(self) -> None:
         """Once at start."""
@@ -70,7 +72,7 @@ class Notification:
             self._clock,
         )
 
-    def endpoint(self, key: str) -> Endpoint:
+    def endpoint(self, key: str) -> NotificationEndpoint:
         """The address of a key. Raises Problem 404."""
         endpoint = self.plan.endpoints.get(key)
         if endpoint is None:

@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-SuppressionGroup = Literal["bus", "unit", "speed"]
-"""``bus``: follows from a lost worker; ``unit``: from a lost port, too; ``speed``: also from an e-stop of the
-unit, and means nothing on a line at rest."""
+SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
+"""``bus``: follows from a lost worker; ``cable``: also from a lost port; ``unit``: also from a bus on which
+no unit responds; ``speed``: also from an e-stop of the unit, and means nothing on a line at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +17,7 @@ class Suppressors:
 
     worker_lost: bool = False
     port_lost: bool = False
+    no_unit_responds: bool = False
     at_rest: bool = False
     estops: Collection[int] = ()
     """The units whose emergency stop is active."""
@@ -26,6 +27,8 @@ class Suppressors:
         if group is None:
             return False
         if self.worker_lost or (self.port_lost and group != "bus"):
+            return True
+        if self.no_unit_responds and group in ("unit", "speed"):
             return True
         return group == "speed" and (self.at_rest or unit in self.estops)
 

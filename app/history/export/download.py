@@ -27,7 +27,7 @@ async def response(
     history: History, queries: Sequence[SeriesQuery], file: Format, resolution: ExportResolution
 ) -> StreamingResponse:
     """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
-    if file == "parquet" and not parquet_file.is_available():
+    if file == "parquet" and not await parquet_file.is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
     table = Table(queries, fineness, history.time_zone)

@@ -11,18 +11,35 @@ import io
 from collections.abc import AsyncIterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+import structlog
+
 from app.history.export.rows import ExportRow, Table
 
 if TYPE_CHECKING:
     import pyarrow
 
+log = structlog.get_logger()
 GROUP_ROWS = 20_000
 """Rows in memory before they are written as one row group."""
 
 
-def is_available() -> bool:
+def is_installed() -> bool:
     """Whether pyarrow, an extra, is installed."""
     return importlib.util.find_spec("pyarrow") is not None
+
+
+async def is_usable() -> bool:
+    """Whether it can be imported, too: with everything that it needs."""
+    return is_installed() and await asyncio.to_thread(_can_import)
+
+
+def _can_import() -> bool:
+    try:
+        importlib.import_module("pyarrow.parquet")
+    except Exception as error:  # a library that does not fit raises anything
+        log.warning("pyarrow cannot be used", error=repr(error))
+        return False
+    return True
 
 
 async def stream(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[bytes]:

@@ -33,7 +33,7 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         "trends/page.html",
         catalogue=_catalogue(history),
         values=VALUES,
-        has_parquet=parquet_file.is_available(),
+        has_parquet=parquet_file.is_installed(),
         memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
         preload=preload_address(history, request.query_params, micros(unix_now())),
     )

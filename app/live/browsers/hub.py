@@ -96,10 +96,14 @@ class Hub:
         readers = self._readers.get(language)
         if readers is None:
             readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
-        screen, now = readers.screen, self._clock()
-        readers.publish(screen.refresh(now))
-        readers.publish(screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)}))
-        readers.publish(screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator)))
+        screen = readers.screen
+        if not readers.browsers:
+            # With a page open it follows every report: to render a long line for each that opens takes the
+            # event loop milliseconds, and some hundred may open at once.
+            now = self._clock()
+            screen.refresh(now)
+            screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)})
+            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator))
         return screen
 
     def _new_screen(self, language: str) -> Screen:

@@ -53,6 +53,16 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_port_lost_cause": "The adapter was unplugged, has no power, or its network is interrupted.",
     "alarm_port_lost_consequence": "All drives of the bus keep their speed, neither monitored nor commanded.",
     "alarm_port_lost_response": "Check the adapter and its cable. Operate the units at their keypads.",
+    "alarm_no_unit_responds": "No unit responds",
+    "alarm_no_unit_responds_cause": (
+        "The cable is open or unplugged, the units have no power, or their baud rate differs."
+    ),
+    "alarm_no_unit_responds_consequence": (
+        "All drives of the bus keep their speed, neither monitored nor commanded."
+    ),
+    "alarm_no_unit_responds_response": (
+        "Check the cable at the adapter and the power of the units. Operate them at their keypads."
+    ),
     "alarm_worker_lost": "Bus worker lost",
     "alarm_worker_lost_cause": "The bus worker or its computer has stopped, or the network is interrupted.",
     "alarm_worker_lost_consequence": (

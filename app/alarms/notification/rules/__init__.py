@@ -1,1 +1,1 @@
-"""Who is notified of what, when, and how often it is tried. Pure: the time is passed in."""
+"""Which address gets which notice, when, and how often it is tried. Pure: the time is passed in."""

@@ -67,7 +67,7 @@ class EndpointLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class DeliveryTurn:
     """``items``: to be sent as one message; else ``retry``: the delivery to be tried; else ``wait_s``."""
 
     items: tuple[int, ...] = ()
@@ -76,19 +76,19 @@ class Turn:
     """None: until there is something to send."""
 
 
-def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> Turn:
-    """What is sent next. New items go before retries, so that one refused message holds up no other."""
+def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> DeliveryTurn:
+    """What follows for an address. New items go first, so that one refused message holds up no other."""
     waits: list[float] = []
     if load.items:
         wait_s = _digest_wait_s(load, flood, digest_s, now)
         if wait_s <= 0:
-            return Turn(items=_first_items(load, flood, now))
+            return DeliveryTurn(items=_first_items(load, flood, now))
         waits.append(wait_s)
     due = [retry for retry in load.retries if not retry.wait_s(now)]
     if due:
-        return Turn(retry=min(due, key=lambda retry: (retry.attempts, retry.id)).id)
+        return DeliveryTurn(retry=min(due, key=lambda retry: (retry.attempts, retry.id)).id)
     waits += [retry.wait_s(now) for retry in load.retries]
-    return Turn(wait_s=min(waits, default=None))
+    return DeliveryTurn(wait_s=min(waits, default=None))
 
 
 def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:

@@ -1,0 +1,235 @@
+"""The commands of Lineside as processes that are forked, not started: their modules are imported once for
+all tests of a run, which takes most of the time of a start.
+
+``start("serve", "--config", path, stdout=log)`` gives a process, ``run("token", "list", …)`` what a command
+printed. The forked process runs the entry point of the package, with its own arguments, environment, folder,
+umask and standard streams. How an installed program starts is the subject of `tests.app.test_serve`,
+`tests.test_service_unit` and `tests.test_package`, which start it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import json
+import os
+import selectors
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any, Literal
+
+Program = Literal["lineside", "bus"]
+ROOT = Path(__file__).resolve().parent.parent
+ENTRY_POINTS: dict[Program, tuple[str, str]] = {
+    "lineside": ("app.cli", str(Path(sys.executable).with_name("lineside"))),
+    "bus": ("bus.__main__", str(ROOT / "bus" / "__main__.py")),
+}
+"""Module that has ``main``, and the program's name in ``sys.argv``."""
+IMPORTED = ("app.cli.hosting", "app.cli.server", "app.cli.simulate", "app.cli.accounts", "bus.worker.process")
+"""Before the first fork. None of them starts a thread."""
+MOST_BYTES = 200_000
+"""Of a request: mostly the environment."""
+REPORT = struct.Struct("i")
+"""The process id, then the exit code."""
+
+
+class ForkedProcess:
+    """A process as `subprocess.Popen` gives it: ``stdout`` and ``stderr`` are what comes out of a pipe."""
+
+    def __init__(self, status: int, stdout: IO[str] | None, stderr: IO[str] | None) -> None:
+        self._status = os.fdopen(status, "rb", buffering=0)
+        self._exited = select_on(self._status)
+        self.stdout, self.stderr = stdout, stderr
+        self.returncode: int | None = None
+        self.pid = self._next_report()
+
+    def poll(self) -> int | None:
+        """The exit code; None while it runs."""
+        return self._result(0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """The exit code, minus the signal that ended it. Raises subprocess.TimeoutExpired."""
+        code = self._result(timeout)
+        if code is None:
+            raise subprocess.TimeoutExpired(f"forked process {self.pid}", timeout or 0.0)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Nothing where it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """By SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """By SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+    def _result(self, timeout: float | None) -> int | None:
+        if self.returncode is None and self._exited.select(timeout):
+            self.returncode = self._next_report()
+            self._exited.close()
+            self._status.close()
+        return self.returncode
+
+    def _next_report(self) -> int:
+        report = self._status.read(REPORT.size)
+        assert report, "the fork server has ended; its error output is that of the tests"
+        number: int = REPORT.unpack(report)[0]
+        return number
+
+
+def start(
+    *words: str | Path,
+    program: Program = "lineside",
+    stdin: IO[Any] | None = None,
+    stdout: IO[Any] | int | None = None,
+    stderr: IO[Any] | int | None = None,
+    env: Mapping[str, str] | None = None,
+    cwd: Path | None = None,
+    umask: int = -1,
+) -> ForkedProcess:
+    """Run a command of the program. ``stdout`` and ``stderr`` may be `subprocess.PIPE`. Those that are not
+    given are the streams of the tests; without ``stdin`` there is no input.
+    """
+    printed, output = _stream(stdout, sys.__stdout__)
+    complaints, errors = _stream(stderr, sys.__stderr__)
+    status, reported = os.pipe()
+    request = {
+        "program": program,
+        "words": [str(word) for word in words],
+        "environment": dict(os.environ if env is None else env),
+        "folder": str(cwd or Path.cwd()),
+        "umask": umask,
+    }
+    with Path(os.devnull).open("rb") as nothing:
+        streams = (stdin or nothing).fileno(), output, errors, reported
+        socket.send_fds(_server(), [json.dumps(request).encode()], streams)
+    os.close(reported)
+    for reading, writing in ((printed, output), (complaints, errors)):
+        if reading is not None:
+            os.close(writing)
+    return ForkedProcess(status, printed, complaints)
+
+
+def run(*words: str | Path, text: str = "", **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end with ``text`` on its standard input; options are those of `start`."""
+    with ExitStack() as stack:
+        given, *printed = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(3))
+        given.write(text)
+        given.seek(0)
+        code = start(*words, stdin=given, stdout=printed[0], stderr=printed[1], **options).wait()
+        for file in printed:
+            file.seek(0)
+        output, errors = (file.read() for file in printed)
+    return subprocess.CompletedProcess([str(word) for word in words], code, output, errors)
+
+
+def select_on(file: Any) -> selectors.BaseSelector:
+    """Selects this one for reading."""
+    selector = selectors.DefaultSelector()
+    selector.register(file, selectors.EVENT_READ)
+    return selector
+
+
+def _stream(given: IO[Any] | int | None, default: IO[Any] | None) -> tuple[IO[str] | None, int]:
+    """What to read where it is a pipe, and the descriptor that the process gets."""
+    if given == subprocess.PIPE:
+        reading, writing = os.pipe()
+        return os.fdopen(reading, encoding="utf-8"), writing
+    chosen = given or default
+    assert chosen is not None
+    return None, chosen if isinstance(chosen, int) else chosen.fileno()
+
+
+@cache
+def _server() -> socket.socket:
+    """The connection to the fork server of this process of tests, which ends with it."""
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with its:
+        process = subprocess.Popen([sys.executable, "-P", __file__], stdin=its, cwd=ROOT)
+    atexit.register(process.wait)
+    atexit.register(ours.close)
+    return ours
+
+
+# --- in the server ---------------------------------------------------------------------------------
+
+
+def serve(requests: socket.socket) -> Program | None:
+    """Fork for each request and report its process id and exit code, until the tests end. Returns in each
+    forked process, with its program."""
+    selector = select_on(requests)
+    while True:
+        for key, _ in selector.select():
+            if key.fileobj is not requests:
+                selector.unregister(key.fileobj)
+                _report_end(key.fileobj, *key.data)
+                continue
+            message, descriptors, *_ = socket.recv_fds(requests, MOST_BYTES, 4)
+            if not message:
+                return None
+            *streams, status = descriptors
+            pid = os.fork()
+            if pid == 0:
+                selector.close()
+                requests.close()
+                return _become(json.loads(message), streams)
+            os.write(status, REPORT.pack(pid))
+            for stream in streams:
+                os.close(stream)
+            selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, status))
+
+
+def _report_end(pidfd: Any, pid: int, status: int) -> None:
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    with suppress(BrokenPipeError):  # the tests no longer wait for it
+        os.write(status, REPORT.pack(code))
+    os.close(status)
+    os.close(pidfd)
+
+
+def _become(request: Mapping[str, Any], streams: list[int]) -> Program:
+    """Make this process what the request describes; its program."""
+    for number, stream in enumerate(streams):
+        os.dup2(stream, number)
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
+    os.chdir(request["folder"])
+    if request["umask"] >= 0:
+        os.umask(request["umask"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    time.tzset()
+    tempfile.tempdir = None
+    program: Program = request["program"]
+    sys.argv = [ENTRY_POINTS[program][1], *request["words"]]
+    return program
+
+
+def main() -> None:
+    """Serve, and run the program in a forked process: it returns to the interpreter, whose end is that of
+    any program."""
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    for module in (*IMPORTED, *(module for module, _ in ENTRY_POINTS.values())):
+        import_module(module)
+    gc.collect()
+    gc.freeze()
+    requests = socket.socket(fileno=os.dup(sys.stdin.fileno()))
+    if program := serve(requests):
+        sys.exit(import_module(ENTRY_POINTS[program][0]).main())
+
+
+if __name__ == "__main__":
+    main()
