@@ -82,7 +82,7 @@ async def test_a_test_message_is_sent_and_its_result_given(house: House, mail: P
     assert (await engineer.post(f"{API}/test", json={"endpoint": "mail:x@y"})).status_code == 404
 
 
-async def test_the_overview_names_who_is_on_duty_and_the_gaps(house: House) -> None:
+async def test_the_overview_names_people_on_duty_and_the_gaps(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     (group,) = (await engineer.get(API)).json()["groups"]
     assert (group["name"], group["on_duty"]) == ("night", ["anna@plant"])

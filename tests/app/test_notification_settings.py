@@ -78,7 +78,7 @@ def test_a_fault_is_named_with_its_line(tmp_path: Path, text: str, line: int, wo
 
 @contextmanager
 def served(server: Any) -> Iterator[Any]:
-    """A server of the event loop in a thread of its own: the command line has its own loop."""
+    """A server of the event loop in a thread apart: the command line has its own loop."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever)
     thread.start()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_a_name_with_line_breaks_makes_no_header_and_no_line() -> None:
     assert not any(line.startswith(("Bcc", "Acknowledge: ")) for line in letter.body.splitlines())
 
 
-def test_a_digest_begins_with_what_is_most_urgent() -> None:
+def test_a_digest_begins_with_the_most_urgent() -> None:
     items = (
         item("clear", "gone", priority="urgent"),
         item(name="low", priority="low"),
@@ -96,7 +97,7 @@ def test_the_body_of_a_webhook_has_texts_as_data() -> None:
 class PlayedApprise:
     """As the package's class, as far as it is used."""
 
-    sent: list[tuple[str, str]] = []
+    sent: ClassVar[list[tuple[str, str]]] = []
 
     def add(self, url: str) -> bool:
         return url.startswith("json://")
@@ -134,8 +135,6 @@ async def test_apprise_is_used_where_it_is_installed(
 async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
     settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import asyncio
-
     async def hangs(*_: object) -> None:
         await asyncio.Event().wait()
 
@@ -152,5 +151,5 @@ async def test_a_way_that_hangs_or_fails_unexpectedly_ends_in_words(
         await Senders(None, composer()).send(endpoint, delivery(item()), NOW)
     assert "RuntimeError" in str(raised.value)
     assert "s3cret" not in str(raised.value)
-    with pytest.raises(NotDeliveredError, match="add \\[notify.smtp\\]"):
+    with pytest.raises(NotDeliveredError, match=r"add \[notify\.smtp\]"):
         await senders.send(NotificationEndpoint("mail", "a@b"), delivery(item()), NOW)
