@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from hashlib import blake2b
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_serializer, model_validator
 from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
@@ -36,16 +37,17 @@ def _clock_time(written: str) -> str:
 
 
 def check_web_url(written: str) -> str:
-    """Return ``written``. Raises ValueError for what is no URL of the web, or holds a password."""
+    """Return ``written``. Raises ValueError, without the URL, for one that is none of the web or holds a
+    password."""
     try:
         parts = urlsplit(written)
         is_url = parts.scheme in ("https", "http") and bool(parts.hostname) and parts.port != 0
     except ValueError:
         is_url = False
     if not is_url or not written.isascii() or not written.isprintable() or " " in written:
-        raise ValueError(Message("setting_web_url"))
+        raise _refusal(Message("setting_web_url"))
     if "@" in parts.netloc:
-        raise ValueError(Message("setting_url_with_password"))
+        raise _refusal(Message("setting_url_with_password"))
     return written
 
 
@@ -96,6 +98,11 @@ class WebhookSettings(StrictModel):
     priorities: Priorities = DEFAULT_PRIORITIES
     buses: BusNames = ()
     """Empty: all, and the server's own alarms."""
+
+    @field_serializer("url")
+    def _without_its_path(self, url: str | None) -> str | None:
+        """In the record of the configuration: the URL may be a secret, and its change is to be seen."""
+        return url and f"{urlsplit(url).hostname}#{blake2b(url.encode(), digest_size=8).hexdigest()}"
 
     @model_validator(mode="after")
     def _has_one_url(self) -> WebhookSettings:

@@ -258,12 +258,27 @@ async def test_an_address_that_was_removed_gets_nothing_more(
         assert canceled.endpoint == "mail:duty@plant"
 
 
+async def test_a_fault_of_one_address_leaves_the_others(path: Path_, monkeypatch: pytest.MonkeyPatch) -> None:
+    outbox = path.house.services.notification.outbox
+    load_of = outbox.load_of
+
+    async def fails_for_mail(endpoint: str, *given: Any, **more: Any) -> Any:
+        if endpoint.startswith("mail"):
+            raise RuntimeError("damaged")
+        return await load_of(endpoint, *given, **more)
+
+    monkeypatch.setattr(outbox, "load_of", fails_for_mail)
+    await path.estop(active=True)
+    assert (await path.hooks.body())["kind"] == "alarm"
+
+
 async def test_no_secret_is_in_the_events_or_the_store(path: Path_) -> None:
     await path.estop(active=True)
     await path.ended("delivered", 2)
     assert path.house.services.settings.server.data.exists()
     database = path.house.services.settings.server.store
-    stored = b"".join(each.read_bytes() for each in database.parent.glob("lineside.db*"))
+    stored = b"".join(each.read_bytes() for each in database.parent.iterdir() if each.is_file())
+    assert b"Emergency stop" in stored
     assert b"hooks/s3cret" not in stored
     viewer = await path.house.program(Role.VIEWER)
     events = (await viewer.get("/api/v1/events", params={"limit": 100})).text

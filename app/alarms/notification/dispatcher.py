@@ -75,6 +75,7 @@ class Dispatcher:
         if not self.plan.endpoints:
             await asyncio.Event().wait()
         await self._outbox.interrupted(self.plan.endpoints, self._clock(), Message("notify_address_removed"))
+        await self._outbox.prune(self._clock())
         await self._find_failing()
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._beat())
@@ -116,6 +117,10 @@ class Dispatcher:
                 await self._take_turn(endpoint)
             except StoreError as error:
                 log.error("notifications wait", error=str(error))
+                await asyncio.sleep(STORE_RETRY_S)
+            except Exception:
+                # One address must not end the others, whose messages may be under way.
+                log.exception("notifications of one address wait")
                 await asyncio.sleep(STORE_RETRY_S)
 
     async def _take_turn(self, endpoint: NotificationEndpoint) -> None:
@@ -185,6 +190,7 @@ class Dispatcher:
                 keys = self.plan.present(now)
                 await self._outbox.add(OutboxItem(f"heartbeat:{day}", key, "heartbeat", at) for key in keys)
                 self.wake()
+                await self._outbox.prune(at)
             before = now
 
 

@@ -70,14 +70,20 @@ class NotificationOutbox:
             connection.execute(
                 f"DELETE FROM notification_item WHERE delivery IS NULL AND endpoint NOT IN ({marks})", known
             )
-            before = float(now - KEPT_S)
+
+        await self._database.write(write)
+
+    async def prune(self, now: UnixTime) -> None:
+        """Delete messages that are older than three months."""
+        before = float(now - KEPT_S)
+
+        def write(connection: sqlite3.Connection) -> None:
             connection.execute("DELETE FROM notification_item WHERE created_at < ?", (before,))
             connection.execute(
                 "DELETE FROM notification_delivery WHERE created_at < ? "
                 "AND id NOT IN (SELECT delivery FROM notification_item WHERE delivery IS NOT NULL)",
                 (before,),
             )
-            connection.execute("DELETE FROM notification_quiet WHERE ends < ?", (before,))
 
         await self._database.write(write)
 
@@ -96,8 +102,8 @@ class NotificationOutbox:
                 (endpoint,),
             )
             sent = connection.execute(
-                "SELECT tried_at FROM notification_delivery WHERE endpoint = ? AND created_at > ? "
-                "AND state = 'delivered' ORDER BY id DESC LIMIT 1000",
+                "SELECT tried_at FROM notification_delivery WHERE endpoint = ? AND tried_at > ? "
+                "AND state = 'delivered' ORDER BY tried_at DESC LIMIT 1000",
                 (endpoint, float(now - FLOOD_WINDOW_S)),
             )
             return EndpointLoad(

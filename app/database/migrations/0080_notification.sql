@@ -27,7 +27,8 @@ CREATE TABLE notification_delivery (
     due        REAL    NOT NULL,
     result     TEXT    NOT NULL
 ) STRICT;
-CREATE INDEX notification_delivery_by_endpoint ON notification_delivery (endpoint, id);
+CREATE INDEX notification_delivery_by_attempt ON notification_delivery (endpoint, tried_at);
+CREATE INDEX notification_delivery_retrying ON notification_delivery (endpoint) WHERE state = 'retrying';
 
 CREATE TABLE notification_item (
     id         INTEGER PRIMARY KEY AUTOINCREMENT,
