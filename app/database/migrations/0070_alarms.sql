@@ -34,6 +34,9 @@ CREATE TABLE alarm_journal (
     reason     TEXT    NOT NULL
 ) STRICT;
 CREATE INDEX alarm_journal_by_alarm ON alarm_journal (alarm, id);
+CREATE INDEX alarm_journal_by_time ON alarm_journal (at);
+CREATE INDEX alarm_journal_annunciated ON alarm_journal (at, alarm, priority)
+WHERE after = 'unack_active' AND before <> 'unack_active';
 
 CREATE TRIGGER alarm_journal_stays_as_written BEFORE UPDATE ON alarm_journal
 BEGIN SELECT RAISE(ABORT, 'a transition of an alarm is never changed'); END;
