@@ -246,6 +246,30 @@ async def test_a_test_message_goes_the_same_way(path: Path_) -> None:
     assert (await path.hooks.body())["kind"] == "test"
 
 
+async def test_each_address_gets_one_heartbeat_a_day(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks: list[int] = []
+
+    def due(*_: object) -> str:
+        checks.append(len(checks))
+        return "2026-11-22"
+
+    monkeypatch.setattr("app.alarms.notification.dispatcher.heartbeat_due", due)
+    monkeypatch.setattr("app.alarms.notification.dispatcher.HEARTBEAT_CHECK_S", 0.01)
+    async with running(tmp_path, *servers) as path:
+        assert (await path.mail.mail())["Subject"] == "Mill 7: notification works"
+        assert (await path.hooks.body())["kind"] == "heartbeat"
+        delivered = await path.ended("delivered", 2)
+        seen = len(checks)
+        await path.house.services.notification.dispatcher.test(
+            next(iter(path.house.services.notification.plan.endpoints.values()))
+        )
+        assert len(checks) > seen
+        heartbeats = [each for each in await path.ended("delivered", 3) if each.items[0].kind == "heartbeat"]
+        assert [each.id for each in heartbeats] == [each.id for each in delivered]
+
+
 async def test_an_address_that_was_removed_gets_nothing_more(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
