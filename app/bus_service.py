@@ -15,7 +15,7 @@ from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.safeguards.service import AccountLookup, Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import TIMEOUT_TICKS, BusFeed

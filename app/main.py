@@ -18,17 +18,17 @@ from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
 from app.auth import pages as auth_pages
-from app.auth import tokens, users
+from app.auth import users
 from app.auth.access import Identify
 from app.auth.refusals import RecordRefusals
 from app.commands.api import commands as commands_api
 from app.commands.api import safeguards as safeguards_api
-from app.commands.api import setpoint_range, trace
-from app.commands.pages import baud, bus, outputs, parameters, setpoints, speed, unit, zero
+from app.commands.api import trace
+from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.pages import safeguards as safeguards_pages
 from app.feed import socket as feed
+from app.history import pages as history_pages
 from app.history.api import routes as history_api
-from app.history.pages import trends as history_pages
 from app.live import pages as live_pages
 from app.live.api import routes as live_api
 from app.live.browsers import socket as live_socket
@@ -43,16 +43,13 @@ from app.sets import batch_pages, restore_api, restore_pages
 from app.sets import pages as sets_pages
 from app.settings import Settings
 from app.swap import pages as swap_pages
-from app.web import install, problems, schema
 from app.web import pages as web_pages
+from app.web import problems, schema
 from app.web.anonymous import AnonymousInTurn
 from app.web.arrival import Begun
 from app.web.bounds import BoundedRequest
-from app.web.head import HeadAsGet
-from app.web.header_rules import HeaderRules
-from app.web.hosts import AllowedHosts
-from app.web.routes import guard, refuse_undeclared
-from app.web.security import OwnPagesOnly
+from app.web.routes import HeadAsGet, guard, refuse_undeclared
+from app.web.security import AllowedHosts, HeaderRules, OwnPagesOnly
 from app.web.services import Registry
 from app.wiring import Services, build, running
 
@@ -63,7 +60,6 @@ FEATURES = (
     auth_api,
     auth_pages,
     users,
-    tokens,
     audit_api,
     audit_pages,
     feed,
@@ -73,11 +69,9 @@ FEATURES = (
     notification_api,
     notification_pages,
     live_socket,
-    install,
     live_pages,
     commands_api,
     safeguards_api,
-    setpoint_range,
     trace,
     setpoints,
     zero,
@@ -93,7 +87,6 @@ FEATURES = (
     restore_api,
     sets_pages,
     restore_pages,
-    baud,
     batch_pages,
     swap_pages,
     recipes_api,

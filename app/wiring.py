@@ -17,9 +17,8 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
 from app.alarms.site_alarms import SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
-from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus
+from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
 from app.audit.configuration import change_since_last
-from app.audit.degraded import anchor_notice
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import head_of
@@ -30,24 +29,22 @@ from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusDependencies, BusService
-from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
-from app.history.pages.warming import warm
-from app.history.service import History
+from app.history.pages import warm
+from app.history.service import History, status_words
 from app.history.status import store_notice
-from app.history.status_words import status_words
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
-from app.metrics.counts import Counts
-from app.metrics.measured import MetricSources
+from app.metrics.measured import Counts, MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app.database import Database
-from app.live.state.bus_live import BusLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState
 from benchmarks.tables import microseconds, show
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from app.cli.child import ended
+from app.cli.demo import ended
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import served_lines
 from benchmarks.tables import microseconds, show

@@ -19,7 +19,7 @@ from jinja2 import Environment
 
 import app.auth.passwords
 import app.database.connection
-import app.messages.compiled
+import app.messages.language
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.web.assets import Assets
 
@@ -64,7 +64,7 @@ def templates_compiled_once() -> Iterator[None]:
 def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.messages.compiled, "_parsed", cache(app.messages.compiled._parsed))
+        patch.setattr(app.messages.language, "_parsed", cache(app.messages.language._parsed))
         yield
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from app.alarms.catalogue import BusAlarm, UnitAlarm
 from app.alarms.rules.count_window import CountWindow
+from app.live.diagnosis.abnormal import suspicion
 from app.live.diagnosis.cause import bus_cause
-from app.live.diagnosis.suspicion import suspicion
 from app.live.state.age import offline_after_s, scan_s_of, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import MAX_RATIO, MIN_RATIO, RATIO_SETPOINT

@@ -1,22 +1,24 @@
-"""Brings the head of the audit log to the anchor every minute, and notices when the log was altered."""
+"""Exports the head of the audit log to the anchor every minute, and reports when the log was altered."""
 
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import structlog
 
 from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor
 from app.audit.chain import Head
-from app.audit.detached import Detached
 from app.audit.log import EventLog
 from app.audit.walk import not_anchored
 from app.errors import StoreError
+from app.web.formats import Formats
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -118,3 +120,47 @@ class Anchoring:
             return await self._thread.run(work, within_s)
         except TimeoutError as error:
             raise AnchorError(self._path, Message("anchor_no_response")) from error
+
+
+class Detached:
+    """Runs one task at a time in a separate thread. An executor would be joined at the end of the
+    process, and a network file system that hangs would keep that from ending."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._running: Future[Any] = Future()
+        self._running.set_result(None)
+
+    async def run(self, work: Callable[[], T], within_s: float) -> T:
+        """The result of ``work``, or what it raises. Raises TimeoutError when it takes longer; also when
+        earlier work still does, and then nothing was begun."""
+        async with asyncio.timeout(within_s):
+            if not self._running.done():
+                with suppress(Exception):
+                    await asyncio.wrap_future(self._running)
+            self._running = started = self._start(work)
+            return await asyncio.wrap_future(started)
+
+    def _start(self, work: Callable[[], T]) -> Future[T]:
+        future: Future[T] = Future()
+        # From here on it cannot be canceled: the thread runs to its end.
+        future.set_running_or_notify_cancel()
+
+        def run() -> None:
+            try:
+                future.set_result(work())
+            except Exception as error:
+                future.set_exception(error)
+
+        threading.Thread(target=run, name=self._name, daemon=True).start()
+        return future
+
+
+def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
+    """None while the log is anchored and intact. ``now``: Unix time in seconds."""
+    if status.altered is not None:
+        return Message("audit_altered_after_anchor")
+    if status.unwritten is not None:
+        since = formats.since(status.since, now)
+        return Message.of("audit_anchor_missed", time=since, reason=status.unwritten)
+    return None

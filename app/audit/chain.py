@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from app.audit.entry import messages_of
 from app.audit.keyring import BEGINNING, KeyRing
-from app.audit.reading import messages_of
 from bus.messages import Message
 
 FIELDS = (

@@ -1,19 +1,24 @@
-"""An entry of the log before it is chained: every field in the type in which the store returns it, as the
-hash is made of the written values and compared with those read. Pure."""
+"""An entry of the log as it is stored, and as it is read back. Pure.
+
+Every field has the type in which the store returns it, as the hash covers the written values and is compared
+with one over those read. Whatever a row holds, it can be shown.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+import msgspec
 
 from bus.contract import Frame
 from bus.instants import UnixTime
 from bus.messages import Message
 
 Event = dict[str, Any]
-"""One event with its result, as `app.audit.reading.readable` gives it."""
+"""One event with its result, as `app.audit.entry.readable` gives it."""
 
 LATEST = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
@@ -66,3 +71,54 @@ def _frame(frame: Frame) -> dict[str, Any]:
         "meaning": frame.meaning,
         "meanings": _plain(frame.meanings),
     }
+
+
+_MESSAGES = msgspec.json.Decoder(dict[str, Message])
+
+
+class FrameRecord(msgspec.Struct):
+    """One frame that carried a command. ``at``: Unix time in seconds; ``data``: hexadecimal."""
+
+    at: UnixTime
+    direction: str
+    data: str
+    meaning: str
+    meanings: list[Message] = []
+
+
+def readable(row: Mapping[str, Any]) -> Event:
+    """The row as an event. Where its time or its frames are invalid, ``unreadable`` is true, the time 0,
+    which no event has, and the frames left out. ``messages``: of its fields, where known."""
+    has_time, frames = is_moment(row["time"]), frames_of(row["frames"])
+    event = {**row, "unreadable": not has_time or frames is None}
+    concluded_at = row["concluded_at"]
+    if concluded_at is not None and not is_moment(concluded_at):
+        event |= {"concluded_at": None, "unreadable": True}
+    parts = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
+    event["messages"] = {**(parts[0] or {}), **(parts[1] or {})}
+    if None in parts:
+        event["unreadable"] = True
+    if not has_time:
+        event["time"] = 0.0
+    if frames is None:
+        event["frames"] = "[]"
+    return event
+
+
+def messages_of(text: str | None) -> dict[str, Message] | None:
+    """The messages of an entry's fields, by field, from its JSON; None where it is invalid."""
+    if text is None:
+        return {}
+    try:
+        return _MESSAGES.decode(text)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
+
+
+def frames_of(text: str) -> list[FrameRecord] | None:
+    """The frames in the JSON of an entry; None where they are none."""
+    try:
+        frames = msgspec.json.decode(text, type=list[FrameRecord])
+    except (msgspec.MsgspecError, UnicodeError, RecursionError):
+        return None
+    return frames if all(is_moment(frame.at) for frame in frames) else None

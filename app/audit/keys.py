@@ -1,16 +1,24 @@
-"""The keys in use, read from their file again when the log shows one that is newer."""
+"""The keys that seal the audit log, and their file: outside the data folder, readable by the server's user
+alone.
+
+The file is read again when the log names a key that is newer than those in memory.
+"""
 
 from __future__ import annotations
 
 import os
 import secrets
+import stat
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
 
 from app.audit.chain import Head
-from app.audit.key_file import KeyFileError, make_key_file, read_key_file, replace_key_file
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
+from app.errors import StoreError, system_error
 from bus.messages import Message
 
 
@@ -76,3 +84,117 @@ def _made(paths: Sequence[Path], origin: KeyOrigin) -> Path:
             return path
     make_key_file(last, origin)
     return last
+
+
+_MOST_BYTES = 65_536
+_Hex = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
+
+
+class KeyFileError(StoreError):
+    """The key file cannot be used; nothing was written into the log."""
+
+
+class _Log(msgspec.Struct):
+    id: Annotated[int, msgspec.Meta(ge=0)]
+    hash: _Hex
+
+
+class _Content(msgspec.Struct):
+    log: _Log
+    keys: Annotated[list[_Hex], msgspec.Meta(min_length=1)]
+
+
+def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
+    """The keys, None where there is no file. Raises KeyFileError for one that others could have read or made,
+    and for one that holds no keys. ``owners``: the users that it may belong to."""
+    try:
+        # A FIFO or a device would delay the start indefinitely.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        reason = Message("audit_key_is_link") if path.is_symlink() else system_error(error)
+        raise KeyFileError(Message.of("audit_key_unreadable", path=str(path), reason=reason)) from error
+    with os.fdopen(descriptor, "rb") as file:
+        _check_access(path, os.fstat(descriptor), owners)
+        return _ring(path, file.read(_MOST_BYTES))
+
+
+def make_key_file(path: Path, origin: KeyOrigin) -> None:
+    """Make the file with a first key, for a log that ends at ``origin``, unless another process was faster.
+    Raises KeyFileError."""
+    ring = KeyRing((secrets.token_bytes(KEY_BYTES),), origin)
+    try:
+        fresh = _written(path, ring)
+        try:
+            # Unlike a rename this never takes the place of a key that another process has made and used.
+            path.hardlink_to(fresh)
+        finally:
+            fresh.unlink()
+        _sync_folder(path)
+    except FileExistsError:
+        return
+    except OSError as error:
+        failed = Message.of("audit_key_not_made", path=str(path), error=system_error(error))
+        raise KeyFileError(failed) from error
+
+
+def replace_key_file(path: Path, ring: KeyRing) -> None:
+    """Put a ring with a newer key in the place of the file; its owner stays. Raises KeyFileError."""
+    try:
+        owner = path.stat()
+        fresh = _written(path, ring)
+        if (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
+            os.chown(fresh, owner.st_uid, owner.st_gid)
+        fresh.replace(path)
+        _sync_folder(path)
+    except OSError as error:
+        failed = Message.of("audit_key_not_replaced", path=str(path), error=system_error(error))
+        raise KeyFileError(failed) from error
+
+
+def _written(path: Path, ring: KeyRing) -> Path:
+    """A new file beside ``path``, on disk."""
+    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    content = _Content(_Log(ring.origin.id, ring.origin.hash), [key.hex() for key in ring.keys])
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        with suppress(OSError):
+            fresh.unlink()
+        raise
+    return fresh
+
+
+def _sync_folder(path: Path) -> None:
+    """Sync the folder, so that a power failure cannot remove the name of the new key."""
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _check_access(path: Path, found: os.stat_result, owners: frozenset[int]) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise KeyFileError(Message.of("audit_key_no_file", path=str(path)))
+    if found.st_uid not in owners:
+        raise KeyFileError(Message.of("audit_key_of_other_user", path=str(path)))
+    if found.st_mode & 0o077:
+        raise KeyFileError(Message.of("audit_key_open_to_others", path=str(path)))
+    folder = path.parent.stat().st_mode
+    if folder & stat.S_IWOTH and not folder & stat.S_ISVTX:
+        raise KeyFileError(Message.of("audit_key_replaceable", path=str(path), folder=str(path.parent)))
+
+
+def _ring(path: Path, content: bytes) -> KeyRing:
+    try:
+        decoded = msgspec.json.decode(content, type=_Content)
+    except msgspec.MsgspecError as error:
+        raise KeyFileError(Message.of("audit_key_damaged", path=str(path), error=str(error))) from error
+    origin = KeyOrigin(decoded.log.id, decoded.log.hash)
+    return KeyRing(tuple(bytes.fromhex(key) for key in decoded.keys), origin)

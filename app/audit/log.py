@@ -1,4 +1,4 @@
-"""The event log as the rest of the app writes it."""
+"""Writes, reads and verifies the event log."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Any
 import structlog
 
 from app.audit import search, store
+from app.audit.chain import Head
 from app.audit.entry import Event as Event
-from app.audit.entry import is_moment, new_entry
+from app.audit.entry import is_moment, messages_of, new_entry
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
-from app.audit.proof import LogProof
-from app.audit.reading import messages_of
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
-from app.audit.walk import Verdict
+from app.audit.walk import Verdict, Walk
 from app.database import Database
 from app.errors import StoreError
 from bus.contract import Frame, Outcome
@@ -232,3 +231,46 @@ class EventLog:
                 subscriber(event)
             except Exception:
                 log.exception("subscriber of events failed", event_id=event["id"])
+
+
+class LogProof:
+    """Reads the log chunk by chunk in a thread: neither the event loop nor the store's checkpoint waits until
+    all of a long log is read."""
+
+    def __init__(self, database: Database, keys: Keys) -> None:
+        self._database = database
+        self._keys = keys
+        self._one_at_a_time = asyncio.Lock()
+
+    async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
+        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
+        async with self._one_at_a_time:
+            head, last = await self.extent()
+            walk = Walk(self._keys.knowing(head.key), anchors)
+            await self._follow(walk, store.LOWEST_ID, last)
+            return walk.end(head)
+
+    async def since(self, known: Head) -> Verdict:
+        """Whether what was added after an entry that is known to be good continues it."""
+        head, last = await self.extent()
+        walk = Walk(self._keys.knowing(head.key), start=known)
+        await self._follow(walk, known.id + 1 if known.id else store.LOWEST_ID, last)
+        return walk.end(head)
+
+    async def extent(self) -> tuple[Head, int]:
+        """The entry noted as the newest, and the number of the last one stored."""
+        return await self._database.read(store.extent)
+
+    async def link(self, number: int) -> Head | None:
+        """One entry as the next one continues it, None where there is none."""
+        return await self._database.read(lambda connection: store.link_of(connection, number))
+
+    async def _follow(self, walk: Walk, number: int, until: int) -> None:
+        def follow_chunk(connection: sqlite3.Connection) -> int | None:
+            chunk = store.entries_from(connection, number, until)
+            walk.follow(chunk)
+            return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None
+
+        while (following := await self._database.read(follow_chunk)) is not None:
+            number = following
+            await asyncio.sleep(0)

@@ -9,10 +9,9 @@ from typing import Any
 
 from app.audit import search
 from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
-from app.audit.entry import new_entry
+from app.audit.entry import new_entry, readable
 from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
-from app.audit.reading import readable
 from app.audit.walk import Verdict, Walk
 from bus.instants import UnixTime
 

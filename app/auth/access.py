@@ -17,9 +17,8 @@ from app.errors import Problem, StoreError
 from app.server.connections import identify
 from app.server.handshakes import Handshakes
 from app.web.access import Person, Role, not_signed_in
-from app.web.hosts import LOOPBACK
 from app.web.problems import is_fragment, problem_json, wants_json
-from app.web.security import refuse
+from app.web.security import LOOPBACK, refuse
 from bus.instants import monotonic_now
 
 COOKIE = "lineside_session"

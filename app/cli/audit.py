@@ -12,9 +12,8 @@ import typer
 
 from app.audit.anchor import Anchors, read_anchor_file
 from app.audit.chain import Head
-from app.audit.key_file import read_key_file
 from app.audit.keyring import KeyOrigin, KeyRing
-from app.audit.keys import find_key_file, open_keys, owners_of
+from app.audit.keys import find_key_file, open_keys, owners_of, read_key_file
 from app.audit.log import EventLog
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict

@@ -9,11 +9,10 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from app.cli.child import ended
 from app.cli.ending import ending
 from app.cli.listening import listen
 from app.errors import StoreError
@@ -98,3 +97,17 @@ def _labels(unit: UnitSettings) -> Iterator[str]:
             yield from (f"{name}.{key} = {json.dumps(word)}" for key, word in value.items())
         else:
             yield f"{name} = {json.dumps(value)}"
+
+
+@contextmanager
+def ended(process: subprocess.Popen[Any], within_s: float) -> Iterator[None]:
+    """End ``process`` after the block: by SIGTERM; by SIGKILL where that takes longer than ``within_s``."""
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -1,4 +1,4 @@
-"""Whether this machine can run a configuration. What is tried is undone, and no port is opened."""
+"""Whether this machine can run a configuration. Every trial is undone, and no port is opened."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import importlib.util
 import os
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from app.cli.audit_findings import audit_findings
-from app.cli.finding import Finding, can_make_folder, fault, is_visible, user
+from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
+from app.cli.finding import Finding, can_make_folder, fault, is_visible, may_make_files_in, user
 from app.cli.listening import ListenError, listen
 from app.cli.notification_findings import notification_findings
 from app.settings import ServerSettings, Settings
@@ -97,3 +97,40 @@ def _url_fault(bus: BusSettings) -> Message | None:
     except (socket.gaierror, UnicodeError):
         return Message.of("check_port_host_unknown", bus=bus.name, port=bus.port)
     return None
+
+
+def audit_findings(settings: Settings) -> Iterator[Finding]:
+    """Where its key and its anchor are or will be."""
+    yield _key(settings.key_files, settings.server.store)
+    if settings.audit.anchor is not None:
+        yield _anchor(settings.audit.anchor)
+
+
+def _key(paths: Sequence[Path], store: Path) -> Finding:
+    found = find_key_file(paths)
+    if found is None:
+        return _new_key(paths)
+    try:
+        read_key_file(found, owners_of(store) if is_visible(store) else frozenset({os.geteuid(), 0}))
+    except KeyFileError as error:
+        return fault("check_key_refused", reason=error.message)
+    return Finding(Message.of("check_key", file=str(found)))
+
+
+def _new_key(paths: Sequence[Path]) -> Finding:
+    *others, last = paths
+    for path in others:
+        if may_make_files_in(path.parent):
+            return Finding(Message.of("check_key_new", file=str(path)))
+    if not others and not may_make_files_in(last.parent):
+        return fault("check_key_not_creatable", user=user(), file=str(last), folder=str(last.parent))
+    return Finding(Message.of("check_key_new_beside_data" if others else "check_key_new", file=str(last)))
+
+
+def _anchor(path: Path) -> Finding:
+    exists = is_visible(path)
+    if path.is_symlink() or (exists and not path.is_file()):
+        return fault("check_anchor_no_file", file=str(path))
+    if not (os.access(path, os.W_OK) if exists else may_make_files_in(path.parent)):
+        return fault("check_anchor_not_writable", user=user(), file=str(path))
+    return Finding(Message.of("check_anchor", file=str(path)))

@@ -16,10 +16,10 @@ from app.commands import wording
 from app.commands.rules import action_checks, new_setpoints
 from app.commands.rules.new_setpoints import NewSetpoint, staged_setpoints
 from app.commands.rules.objection import RuleContext
-from app.commands.rules.timeouts import timeout_s_for
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
 from app.web.access import Role
+from app.web.arrival import DEFAULT_TIMEOUT_S
 from bus.catalogue.parameter import danger_of_writing
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
@@ -36,7 +36,20 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
+from bus.contract.durations import longest_stage_s
 from bus.messages import Message
+
+
+def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
+    """How long a write may wait to be sent: a change of several units needs the time of its staging too.
+    ``staged_units``: how many, 0 for a command to one."""
+    return DEFAULT_TIMEOUT_S + staged_units * longest_stage_s(bus.baud, bus.settings.turnaround_s)
+
+
+def longest_change_s(bus: BusLive, units: int) -> float:
+    """Until the result of a change of several units is known at the latest: it may be withdrawn from each."""
+    return 2 * timeout_s_for(bus, units)
+
 
 A = TypeVar("A", bound=Action)
 

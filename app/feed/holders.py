@@ -1,17 +1,20 @@
-"""Which worker has a bus, and when another may take it. Pure: ``now`` is a monotonic time in seconds.
+"""Which worker may have a bus, and when another may take it. Pure: ``now`` is a monotonic time in seconds.
 
-Commands are verified by what a worker reports: a bus goes to another worker only once the former
-one is provably gone: it announced its end, or its connection ended and it did not return in time. A
-worker that merely stalls (suspended, starved, behind a cut network) keeps its bus for longer.
+Commands are verified by what a worker reports: a bus goes to another worker only once the former one is
+provably gone: it announced its end, or its connection ended and it did not return in time. A worker that
+merely stalls (suspended, starved, behind a cut network) keeps its bus for longer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from math import inf
 
+from bus.contract import CONTRACT_VERSION, Hello
 from bus.instants import Monotonic
+from bus.messages import Message
 
 
 class Ending(Enum):
@@ -65,3 +68,14 @@ class Holder:
             return not credential.own
         # One process at most has the token of a child, and its next starts after its end.
         return self.credential.own and credential.own and self.free_at < Monotonic(inf)
+
+
+def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:
+    """Why no bus is for this worker; None where there is one. ``buses``: those of the configuration."""
+    if hello.version != CONTRACT_VERSION:
+        return Message.of("worker_version_differs", version=CONTRACT_VERSION, of_worker=hello.version)
+    if hello.bus != credential.bus:
+        return Message.of("worker_token_of_other_bus", bus=credential.bus)
+    if hello.bus not in buses:
+        return Message.of("worker_bus_unknown", bus=hello.bus, known=", ".join(buses) or "-")
+    return None

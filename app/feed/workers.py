@@ -6,9 +6,8 @@ import asyncio
 from collections import defaultdict
 from collections.abc import Mapping
 
-from app.feed.admission import refusal
 from app.feed.bus_feed import BusFeed, WorkerConnection, send_away
-from app.feed.holders import Credential
+from app.feed.holders import Credential, refusal
 from app.feed.rates import hello_bucket
 from app.live.change_recorder import ChangeRecorder
 from app.pipeline import refusal_of_worker

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.live_state import LiveState
-from app.web.absent import unknown_bus, unknown_unit
+from app.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.web.services import unknown_bus, unknown_unit
 
 
 def bus_or_404(live: LiveState, bus: str) -> BusLive:

@@ -16,14 +16,12 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
-from app.recipes.shown import DryRunShown, LoadedShown, RecipeShown
-from app.recipes.view import dry_run_json, loaded_json, recipe_json
+from app.recipes.view import DryRunShown, LoadedShown, RecipeShown, dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
-from app.web.numbers import parse_integer
 from app.web.services import service
-from app.web.shape import StrictBody
+from app.web.shape import StrictBody, parse_integer
 from bus.messages import Message
 from bus.text import Lines, OneLine
 

@@ -9,8 +9,7 @@ from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
-from app.live.state.bus_live import BusLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState
 from app.recipes.rules import (
     DryRun,
     Recipe,
@@ -22,7 +21,7 @@ from app.recipes.rules import (
 )
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Result, SetLine, SetSpeed
 from bus.instants import Monotonic, unix_now
 from bus.messages import Message

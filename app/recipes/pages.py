@@ -6,13 +6,12 @@ from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
 
-from app.commands.catalogue import SET_LINE
+from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
 from app.commands.forms.page_context import Page
 from app.commands.forms.review import keep_their_setpoint, know_ramps
 from app.commands.review.ramp import present_setpoint
 from app.commands.review.risks import by_remark
-from app.commands.rules.timeouts import longest_change_s
 from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.live.api.routes import Live

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.commands.measure import in_measure, measure_of_setpoint
 from app.commands.review.ramp import ramp_of
 from app.commands.review.risks import RiskInputs, facts_of, obstacle_of, risks_of
+from app.commands.values import in_measure, measure_of_setpoint
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text

@@ -19,7 +19,8 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSet
 from app.sets.schedule import SetSchedule
-from app.sets.shown import (
+from app.sets.store import SetStore
+from app.sets.view import (
     ComparedShown,
     DriftShown,
     GoldenShown,
@@ -27,9 +28,11 @@ from app.sets.shown import (
     ScheduleShown,
     SetShown,
     SummaryShown,
+    compared_json,
+    departure_json,
+    set_json,
+    summary_json,
 )
-from app.sets.store import SetStore
-from app.sets.view import compared_json, departure_json, set_json, summary_json
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.message_shown import maybe_shown

@@ -12,7 +12,7 @@ from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import OPERATING_VALUES, effect_message
 from app.web.access import Engineer
-from app.web.numbers import parse_integer
+from app.web.shape import parse_integer
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS, Parameter
 from bus.messages import Message

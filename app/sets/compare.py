@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from app.commands.measure import in_measure
+from app.commands.values import in_measure
 from app.sets.effects import OPERATING_VALUES
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE

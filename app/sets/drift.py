@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from app.audit.log import Event, EventLog
+from app.audit.store import Filter
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
-from app.sets.changers import who_changed
 from app.sets.compare import Compared, drift
 from app.sets.model import UnitRows
 from app.sets.reading import known_rows
@@ -191,3 +191,43 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
 
 def _by(change: Event, formats: Formats, now: UnixTime) -> dict[str, str]:
     return {"who": change["who"], "when": formats.since(change["time"], now)}
+
+
+_ACTED = ("verified", "acknowledged", "unverified", None)
+"""Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
+_LOOK_BACK = 20
+"""Refused commands are among them: so many newest events of a parameter are examined."""
+
+
+async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
+    """The event of our write, later than the reading of the left side (the golden set), that left the
+    right side as it is; None when it was changed at the panel."""
+    since = None if row.left is None else row.left.read_at
+    wanted = Filter(
+        kind="command", bus=bus, unit=unit, since=since, code="event_write_parameter", number=row.number
+    )
+    found, _ = await events.page(wanted, _LOOK_BACK)
+    last = next((event for event in found if event["outcome"] in _ACTED), None)
+    if row.right is None:
+        return None
+    if last is None:
+        return await _older(events, bus, unit, row)
+    # A secret is in no event: only its last write can be named.
+    known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
+    return last if known else None
+
+
+async def _older(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
+    """A command of a version that stored no parameter number: the one from the left value to the right."""
+    if row.left is None or row.right is None or row.left.raw is None or row.right.raw is None:
+        return None
+    wanted = Filter(
+        kind="command",
+        bus=bus,
+        unit=unit,
+        since=row.left.read_at,
+        old_raw=row.left.raw,
+        new_raw=row.right.raw,
+    )
+    found, _ = await events.page(wanted, _LOOK_BACK)
+    return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

@@ -1,8 +1,12 @@
-"""What a request names, found or refused in words."""
+"""Finds what a request or form names (sets, rows, restores, files), or refuses it with a Problem."""
 
 from __future__ import annotations
 
-from fastapi import UploadFile
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Depends, Form, UploadFile
 
 from app.errors import Problem
 from app.sets.document import LONGEST_DOCUMENT, THE_FILE, DocumentError, read_document
@@ -10,7 +14,7 @@ from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
-from app.web.parsing import parse_apart
+from app.web.bounds import MOST_BODY_BYTES, parse_apart
 from bus.messages import Message, term
 
 
@@ -79,3 +83,36 @@ async def restore_or_404(restores: RestoreService, restore_id: str) -> Restore:
     if restore is None:
         raise Problem(404, "unknown_restore", Message("no_such_restore"))
     return restore
+
+
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class FormSource:
+    """``text``: a side, as :mod:`app.sets.sides` names it. ``file`` None: none was uploaded."""
+
+    text: str
+    file: UploadFile | None
+
+    @property
+    def file_name(self) -> str:
+        """As the browser named the file; empty without one."""
+        return (self.file.filename or "") if self.file is not None else ""
+
+    async def uploaded(self, unit: int) -> UnitRows | None:
+        """The rows of the file for ``unit``, None without one. Raises Problem 422."""
+        return None if self.file is None else await uploaded_rows(unit, self.file)
+
+
+async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
+    """Reads the form. A browser sends a file field that was left empty without a name."""
+    return FormSource(source, file if file is not None and file.filename else None)
+
+
+Chosen = Annotated[FormSource, Depends(form_source)]
+
+
+def post_source(router: APIRouter, path: str) -> Callable[[Endpoint], Endpoint]:
+    """Decorates the endpoint that takes such a form, with room for one file."""
+    return router.post(path, max_body_size=MOST_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100})

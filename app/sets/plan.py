@@ -1,19 +1,45 @@
-"""What a restore will write, in which order, and what it leaves out: known before anything is sent. Pure."""
+"""Plans a restore: which rows it writes, in which order, and what it leaves out. Pure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.errors import Problem
 from app.sets.effects import OPERATING_VALUES, effect_message
 from app.sets.model import UnitRows
 from app.sets.order import Write, in_order
-from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
 from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
 from bus.errors import CallerError
 from bus.messages import Message, term
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """The selected rows, by number. ``include``: rows that are left out unless named; ``exclude``:
+    rows not to write; ``confirmed``: dangerous rows to write, each confirmed separately.
+
+    Raises Problem 422 for a row that is both named and excluded.
+    """
+
+    include: frozenset[int] = frozenset()
+    exclude: frozenset[int] = frozenset()
+    confirmed: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        both = sorted(self.exclude & (self.include | self.confirmed))
+        if both:
+            raise Problem(422, "invalid", Message.of("row_included_and_excluded", number=both[0]))
+
+    def choosing(self, include: frozenset[int], exclude: frozenset[int]) -> Selection:
+        """Another choice of rows; what was confirmed stays so unless it is excluded now."""
+        return replace(self, include=include, exclude=exclude, confirmed=self.confirmed - exclude)
+
+
+EVERYTHING_HARMLESS = Selection()
+"""The rows written without a selection: all but setpoints and dangerous ones."""
+
 
 _REMOTE = 1
 """#19 of a unit that takes writes (manual, 4.0)."""

@@ -17,12 +17,11 @@ from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.model import UnitRows
-from app.sets.plan import plan_restore, refuse_unwritable
+from app.sets.plan import EVERYTHING_HARMLESS, Selection, plan_restore, refuse_unwritable
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
 from app.sets.restore_run import RestoreRun
 from app.sets.restore_store import RestoreStore
-from app.sets.selection import EVERYTHING_HARMLESS, Selection
 from app.web.access import Person
 from bus.instants import unix_now
 from bus.messages import Message, joined, term

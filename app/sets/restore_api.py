@@ -11,10 +11,9 @@ from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Sets
 from app.sets.lookup import restore_or_404, wanted_rows
+from app.sets.plan import Selection
 from app.sets.restore import RestoreService
-from app.sets.restore_shown import RestoreShown
-from app.sets.restore_view import restore_json
-from app.sets.selection import Selection
+from app.sets.restore_view import RestoreShown, restore_json
 from app.web.access import Engineer, Viewer
 from app.web.api_route import ApiRoute
 from app.web.bounds import MOST_BODY_BYTES

@@ -9,20 +9,18 @@ from fastapi import APIRouter, Form, Request, Response
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.api import Sets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
-from app.sets.form_source import Chosen, FormSource, post_source
-from app.sets.lookup import restore_or_404
+from app.sets.lookup import Chosen, FormSource, post_source, restore_or_404
 from app.sets.model import UnitRows
-from app.sets.offers import offers
 from app.sets.pages import go_to
+from app.sets.plan import Selection
 from app.sets.restore_api import Restores
 from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
-from app.sets.selection import Selection
-from app.sets.sides import side
+from app.sets.sides import offers, side
 from app.sets.store import SetStore
 from app.swap.service import SwapService
 from app.web.access import Engineer

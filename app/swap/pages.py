@@ -14,17 +14,14 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import ParameterSets, Sets
-from app.sets.form_source import Chosen, post_source
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import set_or_404, unit_rows_or_404
-from app.sets.offers import offers
+from app.sets.lookup import Chosen, post_source, set_or_404, unit_rows_or_404
 from app.sets.restore_api import Restores
 from app.sets.restore_view import RestoreRow, rows_left_out
-from app.swap.looking import look
+from app.sets.sides import offers
 from app.swap.record import Swap
 from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
-from app.swap.service import SwapService, step_text
-from app.swap.sources import source_of
+from app.swap.service import SwapService, look, source_of, step_text
 from app.web.access import Engineer, Person
 from app.web.services import bus_service_of, service
 from app.web.templating import render

@@ -1,4 +1,7 @@
-"""Swaps under way: begun, looked at, gone on with after a restart too, and the event at their end."""
+"""Unit replacement: choosing what the spare becomes, probing the wire, restoring, and the event at the end.
+
+Swaps continue after a restart. Units are only read here; a restore writes.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,23 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from app.audit.log import EventLog
+from app.commands.api.responses import outcome_message
+from app.commands.service.command_service import CommandService
 from app.errors import Problem
+from app.live.state.bus_live import LiveState
+from app.sets.keeper import SetKeeper
+from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
+from app.sets.sides import side
+from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
-from app.swap.rules import Advice, SwapState
+from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
+from bus.catalogue.status import status_bits
+from bus.contract import ScanBus
 from bus.instants import Clock
 from bus.messages import Message, joined, listed
 
@@ -162,3 +174,86 @@ def step_text(advice: Advice, swap: Swap) -> Message:
     if advice.step == "restore" and swap.restore is not None and swap.equal is False:
         return Message("swap_restore_unfinished")
     return advice.text
+
+
+LOOK_TIMEOUT_S = 30.0
+LOOKS = 4
+"""Attempts at an address whose unit still responds to the scan."""
+
+
+async def look(commands: CommandService, live: LiveState, person: Person, swap: Swap) -> SwapState:
+    """Probe the wire. Raises Problem 503 where it cannot: the bus is closed, or too busy."""
+    bus, target = swap.bus, swap.unit
+    at_target = await _at_section(commands, live, person, bus, target)
+    at_factory: ProbeFinding = "silent"
+    if at_target == "silent" and target != FACTORY_ADDRESS:
+        at_factory = await _probe(commands, person, FACTORY_ADDRESS)
+    return SwapState(
+        target=target,
+        at_target=at_target,
+        at_factory=at_factory,
+        remote=_remote(live, bus, target) if at_target == "digimax" else None,
+        equal=swap.equal,
+        is_new=swap.is_new,
+        configured=frozenset(live.buses[bus].units),
+        baud=live.buses[bus].baud,
+    )
+
+
+async def _at_section(
+    commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
+) -> ProbeFinding:
+    """One lost response is no absence: it would let the old unit, still on the cable, pass for the spare."""
+    for _ in range(LOOKS):
+        kind = await _probe(commands, person, unit)
+        if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
+            return kind
+    return "silent"
+
+
+async def _probe(commands: CommandService, person: Person, address: int) -> ProbeFinding:
+    action = ScanBus(first=address, last=address)
+    result = await commands.send(person, action, timeout_s=LOOK_TIMEOUT_S, origin="unit swap")
+    if result.outcome != "verified":
+        raise Problem(503, "not_looked", outcome_message(result))
+    return next((found.kind for found in result.found if found.unit == address), "silent")
+
+
+def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
+    """REMOTE as the unit reported since it came back; None until then."""
+    known = live.buses[bus].units[unit]
+    if known.reading is None or known.link.link != "online":
+        return None
+    settings = live.buses[bus].settings
+    return status_bits(known.reading.outputs, known.reading.inputs, settings.estop_healthy).remote
+
+
+SHEET = "sheet"
+"""Nothing is stored: a person enters the values."""
+
+
+async def source_of(
+    person: Person,
+    keepers: Callable[[str], SetKeeper],
+    sets: SetStore,
+    live: LiveState,
+    bus: str,
+    unit: int,
+    form: FormSource,
+) -> SwapSource | None:
+    """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
+
+    ``keepers``: by bus. Raises Problem 404, 422 or 504.
+    """
+    if rows := await form.uploaded(unit):
+        kept = await keepers(bus).keep(person, [rows], form.file_name[:80], "", "from a file")
+        return SwapSource(kept.id, rows.unit)
+    if form.text == SHEET:
+        return None
+    if not form.text:
+        raise Problem(422, "invalid", Message("spare_not_chosen"))
+    chosen = await side(form.text, sets, live)
+    if chosen.kind == "set":
+        return SwapSource(int(chosen.of), chosen.unit)
+    kept = await keepers(chosen.of).take(person, [chosen.unit], "", "", "for a unit swap")
+    return SwapSource(kept.id, chosen.unit)

@@ -14,8 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem
-from app.web.bounds import MOST_PLAIN_BODY_BYTES
-from app.web.parsing import parse_apart
+from app.web.bounds import MOST_PLAIN_BODY_BYTES, parse_apart
 from app.web.schema_names import operation_name
 from app.web.schema_problem import usual_problems
 from bus.messages import Message

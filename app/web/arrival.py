@@ -1,14 +1,15 @@
-"""When a request was made, as far as it can be known.
+"""When a request was made, as far as it can be known, and how long its command may wait after that.
 
-Three clocks give it, and the earliest is believed: the server, which stamps each request with the moment at
-which its first byte arrived (app/server/stamping.py), a stall or a start of the server included; a program,
-in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At`` or, where the
-browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
+Three clocks give the time, and the earliest is believed: the server, which stamps each request with the
+moment at which its first byte arrived (app/server/stamping.py), a stall or a start of the server included; a
+program, in the header ``Lineside-Sent-At``; a page of ours, in the header ``Lineside-Clicked-At`` or, where
+the browser sends the form itself, in the query ``clicked_at`` (static/js/review.js).
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
 
 from starlette.requests import HTTPConnection
@@ -16,7 +17,6 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.errors import Problem
 from app.server.stamping import ARRIVED_AT
-from app.web.deadline import DEFAULT_TIMEOUT_S, Deadline
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
 
@@ -111,3 +111,41 @@ def _page_requested_at(connection: HTTPConnection) -> UnixTime | None:
         at = UnixTime(float(value))
         return at if at == at else None
     return None
+
+
+DEFAULT_TIMEOUT_S = 2.0
+"""How long after it was made a write may still be sent, by default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Deadline:
+    """The last moment at which a command may be sent: ``timeout_s`` seconds after it was made."""
+
+    made_at: Monotonic
+    timeout_s: float
+
+    @classmethod
+    def within(cls, timeout_s: float) -> Deadline:
+        """The deadline of a command that is made now."""
+        return cls(monotonic_now(), timeout_s)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds until then; negative once it has passed."""
+        return self.made_at + self.timeout_s - monotonic_now()
+
+    def refuse_passed(self, now: Monotonic | None = None) -> None:
+        """Raises Problem 503 ``not_sent`` once it has passed, or had by ``now``."""
+        left_s = self.left_s if now is None else self.made_at + self.timeout_s - now
+        if left_s > 0:
+            return
+        raise Problem(
+            503,
+            "not_sent",
+            Message.of(
+                "came_too_late",
+                age=number(f"{self.timeout_s - left_s:.1f}"),
+                allowed=number(f"{self.timeout_s:.3g}"),
+            ),
+            outcome="not_sent",
+        )

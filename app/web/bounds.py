@@ -1,11 +1,14 @@
-"""Bounds of a request, checked before anything reads it: whatever is beyond them costs nothing.
+"""Bounds of a request, checked before anything reads it; large input is parsed beside the event loop.
 
-They also keep out what the libraries below handle in more than linear time.
+The bounds also keep out what the libraries below handle in more than linear time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import asyncio
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 from starlette.datastructures import Headers
 from starlette.requests import Request
@@ -13,9 +16,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
-from app.web.numbers import parse_integer
 from app.web.problems import respond
 from app.web.security import refuse
+from app.web.shape import parse_integer
 from bus.messages import Message
 
 MOST_BODY_BYTES = 2 * 1024 * 1024
@@ -106,3 +109,13 @@ def _too_large(most_bytes: int) -> Problem:
     if most_bytes >= 1024**2:
         return Problem(413, "too_large", Message.of("body_over_megabytes", n=most_bytes // 1024**2))
     return Problem(413, "too_large", Message.of("body_over_kilobytes", n=most_bytes // 1024))
+
+
+T = TypeVar("T")
+
+_THREAD = ThreadPoolExecutor(1, thread_name_prefix="parsing")
+
+
+async def parse_apart(parse: Callable[[], T]) -> T:
+    """What ``parse`` returns or raises; it runs after all that was given before."""
+    return await asyncio.get_running_loop().run_in_executor(_THREAD, parse)

@@ -1,5 +1,5 @@
-"""The rules for every route: it declares a role or is public, and the role is checked
-before a byte of the body is read."""
+"""The rules for every route: it declares a role or is public, the role is checked before a byte of the body
+is read, and GET also responds to HEAD."""
 
 from __future__ import annotations
 
@@ -14,6 +14,18 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.web.access import Requires, Role, public
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
 from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
+
+
+class HeadAsGet:
+    """Lets every GET route respond to HEAD. The server leaves the body out, as it knows the method."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            scope = {**scope, "method": "GET"}
+        await self._app(scope, receive, send)
 
 
 def _calls(dependant: Any) -> Iterator[Any]:

@@ -1,4 +1,5 @@
-"""The OpenAPI document: what FastAPI knows, under published names, every refusal as a problem of RFC 9457."""
+"""The OpenAPI document: what FastAPI knows, under published names, every parameter described, every refusal
+as a problem of RFC 9457."""
 
 from __future__ import annotations
 
@@ -11,8 +12,55 @@ from starlette.responses import JSONResponse
 
 from app.web.access import Viewer
 from app.web.schema_names import with_published_names
-from app.web.schema_parameters import describe_parameters
 from app.web.schema_problem import problem_schemas
+
+DESCRIPTIONS = {
+    "idempotency-key": "Id of this command, 1 to 200 characters: sent twice, the command is executed once.",
+    "alarm_id": "Id of an occurrence of an alarm.",
+    "before": "Only entries before this id: next of the page before.",
+    "bus": "Name of a bus in lineside.toml.",
+    "format": "Of the times or of the file.",
+    "from": "Start of the span, ISO 8601 with zone; an hour before its end when left out.",
+    "from_unit": "Address of a unit of the document, 1 to 255.",
+    "gaps": "Read in the gaps of the scan only: slower, and the scan keeps its rate.",
+    "kind": "Only events of this kind.",
+    "limit": "Entries per response.",
+    "name": "Name of the recipe.",
+    "maintenance_id": "Id of a maintenance.",
+    "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",
+    "other_id": "Id of the other parameter set.",
+    "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",
+    "points": "Points of the response, 1 to 20000.",
+    "recipe_id": "Id of a version of a recipe.",
+    "priority": "Only alarms of this priority.",
+    "refresh": "Read all parameters from the unit now.",
+    "resolution": "auto: values if they are stored for the complete span, else minutes.",
+    "restore_id": "Id of a restore.",
+    "search": "Only events with this text.",
+    "seconds": "As text, this many seconds back, up to 3600.",
+    "secrets": "With the operator password (#21).",
+    "series": "bus/unit/value, such as dry-end/1/actual; several times.",
+    "set_id": "Id of a parameter set.",
+    "state": "Only alarms in this state; when left out, all that are not normal.",
+    "timeout_s": "Time that the command may wait for the wire, 0.05 to 30 s; 2 s when left out.",
+    "to": "End of the span, ISO 8601 with zone; now when left out.",
+    "tolerance": "Raw counts that still pass as equal.",
+    "unit": "Address of the unit (#17), 1 to 255.",
+    "value": "commanded, actual, analog, the name of an input, output.1 to output.6, remote or at_speed.",
+    "who": "Only events of this user or token.",
+}
+"""By the name of the parameter; of a header in small letters."""
+
+
+def describe_parameters(document: dict[str, Any]) -> None:
+    """Give every parameter that has no description the one of its name."""
+    for path in document["paths"].values():
+        for operation in path.values():
+            for parameter in operation.get("parameters", ()):
+                name = parameter["name"] if parameter["in"] != "header" else parameter["name"].lower()
+                if name in DESCRIPTIONS:
+                    parameter.setdefault("description", DESCRIPTIONS[name])
+
 
 router = APIRouter(include_in_schema=False)
 

@@ -1,12 +1,17 @@
-"""Requests that are refused before the app sees them.
+"""Refuses requests before the app sees them: of foreign pages, under other host names, with ambiguous
+headers.
 
-A request that changes something, and every WebSocket handshake, must come from our own pages when a
-browser sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a
-browser's foreign page (all of them send it with such requests), so scripts need not invent one.
+A request that changes something, and every WebSocket handshake, must come from our own pages when a browser
+sends it: browsers name the page's origin in ``Origin``. One without ``Origin`` is not from a browser's
+foreign page (all of them send it with such requests), so scripts need not invent one.
+
+``Origin`` alone does not protect a server that responds under every name: a page whose name is given our
+address afterwards (DNS rebinding) is of one origin with us for the browser.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -15,6 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
+from app.server.addresses import canonical
 from app.web.arrival import SAFE_METHODS
 from app.web.problems import problem_json, refuse_socket
 from bus.messages import Message
@@ -69,3 +75,84 @@ class OwnPagesOnly:
             await refuse(scope, receive, send, problem)
             return
         await self._app(scope, receive, send)
+
+
+ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
+"""Of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
+
+
+class HeaderRules:
+    """Refuses a header given twice, a missing Host, and codings of the body that are not decoded here."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        problem = _problem(scope) if scope["type"] in ("http", "websocket") else None
+        if problem is not None:
+            await refuse(scope, receive, send, problem)
+        else:
+            await self._app(scope, receive, send)
+
+
+def _problem(scope: Scope) -> Problem | None:
+    headers = Headers(scope=scope)
+    for name in ONCE:
+        if len(headers.getlist(name)) > 1:
+            return Problem(400, "malformed", Message.of("header_twice", name=name.title()))
+    if "host" not in headers and scope.get("http_version") == "1.1":
+        return Problem(400, "malformed", Message("host_missing"))
+    if headers.get("transfer-encoding", "chunked").strip().lower() != "chunked":
+        return _unknown_coding("Transfer-Encoding", 501)
+    if headers.get("content-encoding", "identity").strip().lower() != "identity":
+        return _unknown_coding("Content-Encoding", 415)
+    return None
+
+
+def _unknown_coding(name: str, status: int) -> Problem:
+    """RFC 9112, 6.1 and RFC 9110, 15.5.16."""
+    return Problem(status, "unsupported_type", Message.of("coding_unknown", name=name))
+
+
+LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
+OPEN_PATH = "/healthz"
+"""Probes request by address, and learn only that the server is up."""
+
+
+class AllowedHosts:
+    """Responds 421 under any name but these; an empty list allows all."""
+
+    def __init__(self, app: ASGIApp, allowed: Collection[str]) -> None:
+        self._app = app
+        self._allowed = frozenset(canonical(name) for name in allowed)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] in ("http", "websocket"):
+            problem = self._problem(scope)
+            if problem is not None:
+                await refuse(scope, receive, send, problem)
+                return
+        await self._app(scope, receive, send)
+
+    def _problem(self, scope: Scope) -> Problem | None:
+        if not self._allowed or scope["path"] == OPEN_PATH:
+            return None
+        host = host_name(Headers(scope=scope).get("host", ""))
+        if host in self._allowed or _is_local(scope, host):
+            return None
+        return Problem(421, "wrong_host", Message.of("host_not_served", host=host))
+
+
+def host_name(text: str) -> str:
+    """The name in a Host header, without port, in lower case; empty for an invalid one."""
+    try:
+        return canonical((urlsplit(f"//{text}").hostname or "").rstrip("."))
+    except ValueError:
+        return ""
+
+
+def _is_local(scope: Scope, host: str) -> bool:
+    """From this machine, under its address: the bus workers of ``serve`` do so."""
+    client = (scope.get("client") or ("", 0))[0]
+    server = canonical((scope.get("server") or ("", 0))[0])
+    return client in (*LOOPBACK, server) and host in (*LOOPBACK, server)

@@ -1,4 +1,4 @@
-"""How a route reaches one of the app's services: by its type."""
+"""How a route reaches one of the app's services: by its type, or refused for a bus that is not configured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,19 @@ from typing import Any, TypeVar
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.web.absent import unknown_bus
+from app.errors import Problem
+from bus.messages import Message
+
+
+def unknown_bus(bus: str, known: Iterable[str]) -> Problem:
+    """404 for a bus; ``known`` are the names of those that there are."""
+    return Problem(404, "unknown_bus", Message.of("no_such_bus", bus=bus, known=", ".join(known) or "none"))
+
+
+def unknown_unit(bus: str, unit: int) -> Problem:
+    """404 for a unit of a bus that there is."""
+    return Problem(404, "unknown_unit", Message.of("no_such_unit", bus=bus, unit=unit), unit=unit)
+
 
 S = TypeVar("S")
 

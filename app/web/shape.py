@@ -1,4 +1,4 @@
-"""What every body and every instant of the API looks like."""
+"""The forms that bodies, numbers and instants have in requests and responses of the API."""
 
 from __future__ import annotations
 
@@ -37,3 +37,12 @@ Numbers = Annotated[
 def iso(at: UnixTime) -> str:
     """An instant, seconds since the epoch, as the API writes it: ISO 8601, UTC, milliseconds."""
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
+
+
+def parse_integer(text: str, digits: int = 18) -> int | None:
+    """The number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
+
+    ``int`` alone takes a sign, blanks, underscores and the digits of every script, and raises ValueError
+    beyond 4300 of them.
+    """
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= digits else None

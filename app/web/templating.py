@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from time import time
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
+from jinja2.bccache import Bucket
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
@@ -16,9 +18,30 @@ from app.messages import Language, Languages
 from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
-from app.web.compiled import Compiled
 from app.web.formats import Formats
 from app.web.services import service_of
+
+
+class Compiled(FileSystemBytecodeCache):
+    """To compile what the first page needs takes a tenth of a second; one changed file is compiled again.
+
+    A folder that cannot be written costs that time and nothing else.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        with suppress(OSError):
+            folder.mkdir(0o700, parents=True, exist_ok=True)
+        super().__init__(str(folder))
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        """Load the compiled form of one template, if it is stored."""
+        with suppress(OSError):
+            super().load_bytecode(bucket)
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        """Keep one template."""
+        with suppress(OSError):
+            super().dump_bytecode(bucket)
 
 
 class Templates:
@@ -36,7 +59,7 @@ class Templates:
         kept_in: Path | None = None,
     ) -> None:
         self.languages = Languages(kept_in=kept_in)
-        self._site = site
+        self.site = site
         self._demo = demo
         self._assets = assets
         self._loader = FileSystemLoader(folder)
@@ -65,19 +88,24 @@ class Templates:
             "formats": self.formats(language.tag),
             "asset": self._assets.url,
             "imports": self._assets.imports,
-            "site": self._site,
+            "site": self.site,
             "demo": self._demo,
             "Role": Role,
         }
 
     @property
+    def is_unreal(self) -> bool:
+        """Whether no drive is connected, in a demonstration or by the configuration."""
+        return self._demo or self.site.simulated
+
+    @property
     def time_zone(self) -> str:
         """The IANA name of the site's."""
-        return self._site.zone
+        return self.site.zone
 
     def formats(self, tag: str) -> Formats:
         """Number and time formatting of a language."""
-        return Formats(self.languages[tag].locale, self._site.zone)
+        return Formats(self.languages[tag].locale, self.site.zone)
 
     def text(self, tag: str, name: str, /, **context: Any) -> str:
         """A template in one language, for rendering without a request."""
@@ -88,7 +116,7 @@ class Templates:
         person = person_of(connection)
         preferred = person.language if person else ""
         accepted = connection.headers.get("accept-language", "")
-        return self.languages.choose(preferred, accepted, self._site.language)
+        return self.languages.choose(preferred, accepted, self.site.language)
 
 
 def templates_of(connection: HTTPConnection) -> Templates:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from bus.contract import BusLink
 from bus.instants import UnixTime
-from bus.line.commands.procedure import ReportProgress
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import ProcedureResult, ReportProgress
 from bus.line.roster import UnitUpdate
 from bus.line.statistics.trace import TracedFrame
 

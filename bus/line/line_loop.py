@@ -21,8 +21,14 @@ from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
 from bus.line.clock import NEVER, LineClock
 from bus.line.commands.command_run import CommandRun
-from bus.line.commands.procedure import ExpectBaud, LineEffect, ReportProgress, Retune, Unstage
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import (
+    ExpectBaud,
+    LineEffect,
+    ProcedureResult,
+    ReportProgress,
+    Retune,
+    Unstage,
+)
 from bus.line.completion import Completion, run_at_once
 from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.current_exchange import CurrentExchange

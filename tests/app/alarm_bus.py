@@ -9,7 +9,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.store import AlarmStore
 from app.database import Database
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
 from bus.settings import BusSettings, UnitSettings
 

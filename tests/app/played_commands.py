@@ -15,7 +15,7 @@ from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber, problem_of
 from app.database import Database
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
 from app.sets.reading import ParameterReader

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
 from app.feed.channel import Channel
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.wiring import Services
 from bus.contract import (
     AppMessage,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.messages import Languages
 from app.web.formats import Formats
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink

@@ -27,7 +27,7 @@ from app.commands.api.safeguards import router as safeguards_router
 from app.commands.api.trace import router as trace_router
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.service.idempotency_cache import IdempotencyCache
+from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
@@ -38,7 +38,7 @@ from app.history.status import Status
 from app.live.api.routes import router as live_router
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.pipeline import Pipeline
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from app.live.api.view import unit_json
-from app.live.diagnosis.abnormal import StateCounts, UnitView, all_offline, shown_cause
+from app.live.diagnosis.abnormal import StateCounts, UnitView, all_offline, shown_cause, suspicion
 from app.live.diagnosis.cause import Cause, bus_cause
-from app.live.diagnosis.suspicion import suspicion
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import Message, term

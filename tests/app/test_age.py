@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.live.state.age import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s, unit_link_now
-from app.live.state.bus_live import BusLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState
 from bus.contract import BusFigures, BusLink, UnitLink, UnitLinkState
 from tests.app.stage import bus_settings, reading
 

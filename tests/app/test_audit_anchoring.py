@@ -23,9 +23,8 @@ from app.audit.anchor import (
     read_anchor_file,
     read_anchors,
 )
-from app.audit.anchoring import Anchoring, AnchorStatus
+from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
 from app.audit.chain import Head
-from app.audit.degraded import anchor_notice
 from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
 from app.audit.store import Filter

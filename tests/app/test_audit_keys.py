@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from app.audit.chain import Head
-from app.audit.key_file import KeyFileError
 from app.audit.keyring import KeyOrigin, KeyRing
-from app.audit.keys import Keys, open_keys
+from app.audit.keys import KeyFileError, Keys, open_keys
 from app.errors import StoreError
 from app.settings import ConfigurationError, Settings, load
 

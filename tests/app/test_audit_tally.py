@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.audit.log import EventLog
-from app.audit.repeated import MANY
+from app.audit.repeated import MANY, MOST_KEYS, WINDOW_S, Tally
 from app.audit.store import Filter
-from app.audit.tally import MOST_KEYS, WINDOW_S, Tally
 from app.database import Database
 from tests.app.complete_app import complete_app
 

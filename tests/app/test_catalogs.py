@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from app.messages import Languages
-from app.messages.compiled import compiled
+from app.messages.language import compiled
 from app.messages.languages import DEFAULT, catalogs
 from bus.messages import TEXTS, Message, Plural, number, term, texts
 from bus.messages.texts import GROUPS

@@ -8,7 +8,7 @@ import pytest
 
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, cause_line, cause_text, check_text
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
 from bus.messages import term

@@ -11,8 +11,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from app.audit.key_file import make_key_file
 from app.audit.keyring import KeyOrigin
+from app.audit.keys import make_key_file
 from app.cli import check, findings
 
 cli = typer.Typer()

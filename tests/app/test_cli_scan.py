@@ -18,7 +18,7 @@ from app.cli.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
 from bus.errors import WireError
 from bus.line.scan.found import Found
-from bus.line.scan.prober import Prober
+from bus.line.scan.scanner import Prober
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.faults import FaultKind, Faults

@@ -12,8 +12,7 @@ from app.commands.check import check
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.safeguards.blocks import CommandBlock
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, Limits
-from app.live.state.bus_live import BusLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jinja2 import DictLoader, Environment
 
-from app.web.compiled import Compiled
+from app.web.templating import Compiled
 
 
 def rendered(source: str, folder: Path) -> str:

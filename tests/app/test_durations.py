@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from app.commands.rules.timeouts import timeout_s_for
+from app.commands.catalogue import timeout_s_for
 from app.web.access import Role
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import BusLink, Result, SetLine
 from bus.contract.durations import POLL_BYTES, change_s, longest_stage_s, stage_s
 from bus.settings import BAUDS

@@ -14,7 +14,7 @@ from app.server.addresses import canonical, source_of
 from app.server.forwarded import MOST_HOPS, MOST_UNDER_WAY, Forwarded, Origin, origin_of
 from app.settings import ConfigurationError, load
 from app.web.access import Role
-from app.web.hosts import host_name
+from app.web.security import host_name
 from tests.app.complete_app import PASSWORD, complete_app, settings_in
 
 PROXIES = (ip_network("10.0.0.0/28"), ip_network("2001:db8::/64"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.intake.disk import DiskReserve, Space, space
+from app.history.intake.upkeep import DiskReserve, Space, space
 
 RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 

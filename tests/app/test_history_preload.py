@@ -8,7 +8,7 @@ from urllib.parse import parse_qs
 import pytest
 from starlette.datastructures import QueryParams
 
-from app.history.pages.preload import preload_address
+from app.history.pages import preload_address
 from app.history.series.runs import micros
 from app.history.service import History
 from app.settings import ServerSettings, Settings

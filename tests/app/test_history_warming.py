@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.history.pages import warming
+from app.history import pages
 from app.history.service import History
 from app.settings import ServerSettings, Settings, Site
 from app.web.assets import Assets, static_dir, templates_dir
@@ -18,14 +18,14 @@ from bus.settings import BusSettings, UnitSettings
 async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_queried(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, open_store: bool
 ) -> None:
-    monkeypatch.setattr(warming, "AFTER_S", 0.0)
+    monkeypatch.setattr(pages, "AFTER_S", 0.0)
     bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(bus,)))
     if open_store:
         history.start()
     assets = Assets(static_dir())
     templates = Templates(templates_dir(), assets, Site(), kept_in=tmp_path / "compiled")
-    await warming.warm(history, templates, assets, "de")
+    await pages.warm(history, templates, assets, "de")
     if open_store:
         history.close()
     assert all("packed" in vars(assets.get(name)) for name in assets)

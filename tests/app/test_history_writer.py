@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import StoreError
-from app.history.intake.disk import DiskReserve
-from app.history.intake.upkeep import Keep
+from app.history.intake.upkeep import DiskReserve, Keep
 from app.history.intake.writer import Writer
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import micros

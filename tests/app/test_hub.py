@@ -11,7 +11,7 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.command_ids import key_of, new_command_id
 from app.live.screen.screen import Screen
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.settings import Site
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates

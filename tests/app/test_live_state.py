@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.live.state.live_state import NO_WORKER, LiveState
-from app.live.state.snapshot import updates_of
+from app.live.state.bus_live import NO_WORKER, LiveState, updates_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, Update
 from tests.app.stage import bus_settings, reading, snapshot
 

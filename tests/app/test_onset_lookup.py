@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import StoreError
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset, WordSpan
 from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
 from app.web.access import Role

@@ -8,7 +8,7 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import NOT_CONFIGURED, LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore

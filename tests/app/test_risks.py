@@ -6,7 +6,7 @@ import pytest
 
 from app.commands.review.ramp import Ramp
 from app.commands.review.risks import by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, Update
 from bus.messages import Message
 from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.batch import BatchRow, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import NO_RAMP
 from bus.contract import ParameterValue

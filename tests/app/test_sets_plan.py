@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from app.errors import Problem
 from app.sets.effects import NO_RAMP, OPERATING_VALUES, warning_of
 from app.sets.model import ParameterRow, UnitRows
-from app.sets.plan import plan_restore, refuse_unwritable
-from app.sets.remarks import MAY_RUN, RUNS, remarks
-from app.sets.selection import Selection
+from app.sets.plan import Selection, plan_restore, refuse_unwritable
+from app.sets.restore_record import MAY_RUN, RUNS, remarks
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 

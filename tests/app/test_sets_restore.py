@@ -12,11 +12,11 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
+from app.sets.plan import Selection
 from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
-from app.sets.selection import Selection
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding

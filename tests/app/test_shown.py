@@ -10,7 +10,7 @@ from app.commands.api.responses import result_json
 from app.commands.api.schemas import CommandResultShown
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
 from bus.messages import Message, term

@@ -12,18 +12,17 @@ import pytest
 
 from app.database import Database
 from app.errors import Problem
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.sets.model import ParameterSet, UnitRows
-from app.sets.offers import offers
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RestoreState, RowResult
+from app.sets.sides import offers
 from app.sets.store import SetStore, SetSummary
-from app.swap.looking import LOOKS, look
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
-from app.swap.service import SwapService, step_text
+from app.swap.service import LOOKS, SwapService, look, step_text
 from app.swap.store import SwapStore
 from app.web.access import Person
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.live.screen.trace_frames import frame_fields
+from app.live.screen.fields import frame_fields
 from bus.contract import LONGEST_MEANING, Frame
 from bus.messages import Message
 from bus.settings import Dialect

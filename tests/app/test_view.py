@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from app.live.api.view import bus_json, line_json, parameter_json, unit_json
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
 from bus.messages import term
 from tests.app.screens import translator

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from bus.line.commands.command_run import CommandRun, Priority
-from bus.line.commands.procedure import CommandContext, Procedure
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult
 from bus.line.exchange.send import Send
 from bus.line.exchange.send_attempts import ExchangeResult
 from bus.line.schedule.arbiter import Arbiter, NextRequest

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from bus.contract import FoundUnit, Progress, Result
-from bus.line.commands.procedure import ReportProgress
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import ProcedureResult, ReportProgress
 from bus.line.events import CommandFinished, CommandProgressed
 from bus.line.scan.found import Found
 from bus.line.statistics.trace import TracedFrame

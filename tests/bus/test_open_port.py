@@ -20,8 +20,7 @@ import uvloop
 
 from bus.errors import WireError
 from bus.line.port import tcp
-from bus.line.port.device_users import users_of
-from bus.line.port.open_error import why_not
+from bus.line.port.open_error import users_of, why_not
 from bus.line.port.open_port import open_port
 from bus.line.port.port import OpenPort, PartlySent, PortUnavailable
 from bus.messages import Message

@@ -15,8 +15,7 @@ from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, PollOrder
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
-from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, ProbeBackoff
-from bus.line.schedule.wire_share import WireShare
+from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, ProbeBackoff, WireShare
 
 POLL_S = 0.026
 PARAMETER_S = 0.020

@@ -16,11 +16,10 @@ from app.alarms.notification.overview import EndpointStatus, duties, endpoint_st
 from app.alarms.notification.rules.delivery import DeliveryState
 from app.alarms.notification.service import Notification
 from app.alarms.notification.store import QuietRow
-from app.web.absent import unknown_bus
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
-from app.web.services import service
+from app.web.services import service, unknown_bus
 from app.web.shape import StrictBody, iso
 from bus.instants import UnixTime
 from bus.messages import in_english

@@ -34,8 +34,8 @@ from app.commands.catalogue import (
     WRITE_OUTPUT,
     WRITE_PARAMETER,
     kind_of_command,
+    timeout_s_for,
 )
-from app.commands.rules.timeouts import timeout_s_for
 from app.commands.service.command_service import CommandService
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
@@ -43,11 +43,10 @@ from app.live.api.routes import Live
 from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
 from app.live.lookup import bus_or_404, unit_or_404
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.web.access import Person
 from app.web.api_route import ApiRoute
-from app.web.arrival import made_at
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline, made_at
 from app.web.schema_problem import problems
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS

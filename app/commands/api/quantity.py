@@ -11,7 +11,7 @@ from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.parameter import Scale
 from bus.catalogue.parameters import PARAMETERS

@@ -1,4 +1,5 @@
-"""Limits, blocks and control over HTTP: what keeps a command from being sent, and who set it."""
+"""Limits, blocks, control and the range of a setpoint over HTTP: what keeps a command from being sent, and
+who set it."""
 
 from __future__ import annotations
 
@@ -8,9 +9,12 @@ from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
 from app.commands.api.schemas import BlockShown, ControlShown
+from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards.service import Safeguards
+from app.live.api.schemas import DisplayedValue
+from app.live.api.view import setpoint_text
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
 from app.web.access import Engineer, Operator, Viewer, name_of
@@ -152,3 +156,29 @@ def _control_json(guards: Safeguards, holding: Holding | None) -> ControlShown:
         "since": None if holding is None else iso(holding.since),
         "lapses_at": None if holding is None else iso(holding.lapses_at),
     }
+
+
+class SetpointRangeShown(StrictBody):
+    """Range of the setpoints of a unit, both ends included."""
+
+    kind: SetpointKind
+    lowest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    highest_raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    lowest: DisplayedValue
+    highest: DisplayedValue
+    basis: Annotated[Basis, Field(description="Source of the limit: 82h, #2, #38 and #31, or an engineer.")]
+
+
+@router.get("/units/{unit:int}/setpoint-range")
+async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
+    """Range of the setpoints of this unit, as on every page and for every write."""
+    found = unit_of_bus_or_404(bus, unit)
+    allowed = setpoint_range(found, guards.limits.of(unit))
+    return SetpointRangeShown(
+        kind=allowed.kind,
+        lowest_raw=allowed.lowest,
+        highest_raw=allowed.highest,
+        lowest=setpoint_text(found, allowed.lowest),
+        highest=setpoint_text(found, allowed.highest),
+        basis=allowed.basis,
+    )

@@ -9,9 +9,8 @@ from fastapi import Depends
 from starlette.requests import Request
 from starlette.responses import Response
 
-from app.commands.catalogue import kind_of_command
+from app.commands.catalogue import kind_of_command, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, outcome_text, problem_text
-from app.commands.rules.timeouts import timeout_s_for
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.values import setpoint_message
@@ -20,11 +19,9 @@ from app.live.browsers.hub import Hub
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.pages import UnitOnLine, unit_on_line
 from app.live.screen.fields import Translator
-from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from app.web.access import Person
-from app.web.arrival import made_at, refuse_late
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline, made_at, refuse_late
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome

@@ -8,12 +8,11 @@ from contextlib import suppress
 
 from app.commands.forms.page_context import PageContext
 from app.commands.review.ramp import ramp_parameters_missing
-from app.commands.review.risks import RiskInputs, facts_of, obstacle_of
-from app.commands.review.setpoint_change import SetpointChange, change_of
+from app.commands.review.risks import RiskInputs, SetpointChange, change_of, facts_of, obstacle_of
 from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Action
 from bus.instants import unix_now
 from bus.messages import Message

@@ -1,4 +1,4 @@
-"""The bus page: wire statistics, responses of each unit, the trace, a scan."""
+"""The bus page: wire statistics, responses of each unit, the trace, a scan, the baud rate."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.commands.catalogue import SCAN_BUS
+from app.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.commands.forms.page_context import Page, PageContext, new_id
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.web.access import Operator, Person, Role, Viewer
-from bus.contract import ScanBus, UnitFigures
+from app.web.arrival import Deadline
+from bus.contract import ChangeBaud, ScanBus, UnitFigures
 from bus.errors import unit_error
 from bus.messages import Message
 from bus.settings import BAUDS
@@ -156,3 +157,36 @@ def _others(page: PageContext, person: Person, bus: str) -> list[str]:
     if person.role.includes(Role.ADMIN):
         here.add(person.account)
     return sorted(here - {holder})
+
+
+CHANGE_S = 30.0
+"""Every unit written, looked for at two rates, and written back if need be."""
+
+
+@router.get("/{bus}/baud")
+async def review_baud(
+    _: Annotated[Person, permitted(CHANGE_BAUD)], page: Page, bus: str, baud: int
+) -> Response:
+    """The second step; nothing has been sent."""
+    live = page.bus(bus)
+    if baud not in BAUDS:
+        raise Problem(422, "invalid", Message.of("baud_unknown", rates=", ".join(map(str, BAUDS))))
+    if baud == live.baud:
+        raise Problem(422, "invalid", Message.of("baud_unchanged", baud=baud))
+    return page.review("bus/_review_baud.html", bus=live, baud=baud)
+
+
+@router.post("/{bus}/baud")
+async def change_baud(
+    person: Annotated[Person, permitted(CHANGE_BAUD)],
+    page: Page,
+    bus: str,
+    baud: Annotated[int, Form()],
+    id: Annotated[str, Form(min_length=8, max_length=200)],
+) -> Response:
+    """Change it at every unit; a result for each."""
+    live = page.bus(bus)
+    result = await page.send(person, bus, ChangeBaud(baud=baud), id, Deadline(page.made_at, CHANGE_S))
+    return page.render(
+        "bus/_baud_done.html", bus=live, baud=baud, outcome=page.outcome(result), result=result
+    )

@@ -14,11 +14,10 @@ from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.commands.forms.outcome import OutcomeText
 from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import facts, judge
-from app.commands.measure import measure_of_value
 from app.commands.review.risks import obstacle_of, risks_of_writing
 from app.commands.rules.setpoint_range import parameter_bounds
 from app.commands.service.writer import permitted, permitted_writer
-from app.commands.values import parameter_message
+from app.commands.values import measure_of_value, parameter_message
 from app.errors import Problem
 from app.live.api.view import parameter_json
 from app.live.state.bus_live import UnitLive

@@ -11,15 +11,14 @@ from starlette.responses import Response
 
 from app.commands.api.bodies import Quantity
 from app.commands.api.quantity import QuantityConverter
-from app.commands.catalogue import SET_LINE
+from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
 from app.commands.forms.page_context import Page, PageContext
 from app.commands.forms.review import change, judge, keep_their_setpoint, know_ramps
-from app.commands.measure import measure_of_setpoint
 from app.commands.review.risks import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
-from app.commands.rules.timeouts import longest_change_s
 from app.commands.service.writer import permitted
+from app.commands.values import measure_of_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from app.web.access import Person, Viewer

@@ -8,9 +8,9 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from app.commands.forms.page_context import Page, PageContext
-from app.commands.measure import measure_of_setpoint
 from app.commands.review.ramp import nudges, present_setpoint
 from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.values import measure_of_setpoint
 from app.live.state.bus_live import UnitLive, follower
 from app.web.access import Viewer
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE

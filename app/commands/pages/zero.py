@@ -8,17 +8,16 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import Response
 
-from app.commands.catalogue import SET_LINE
+from app.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, ResultRow, problem_text
 from app.commands.forms.page_context import Page, PageContext
 from app.commands.review.risks import by_remark
 from app.commands.review.zero import ZeroPlan, plan_zero
-from app.commands.rules.timeouts import longest_change_s, timeout_s_for
 from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.web.access import Person, Viewer
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Result, SetLine, SetSpeed, UnitOutcome
 from bus.instants import UnixTime, unix_now
 

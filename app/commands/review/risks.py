@@ -1,8 +1,8 @@
-"""What a review shows of a unit besides its new value: why it cannot take a command now, and risks that may
-be unexpected. Pure.
+"""What a review shows of a unit: its setpoint before and after, why it cannot take a command now, and risks.
+Pure.
 
-Both are tables in order of display. Only the first obstacle is shown: the next may disappear with
-it.
+Obstacles and risks are tables in order of display. Only the first obstacle is shown: the next may disappear
+with it.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from app.commands.review.ramp import Ramp
-from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, is_above_display
+from app.commands.review.ramp import Ramp, present_setpoint, ramp_of
+from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, is_above_display, setpoint_range
+from app.commands.safeguards.limits import Limits
+from app.commands.values import measure_of_setpoint, setpoint_message
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.conditions import bits_of
@@ -120,3 +122,44 @@ def _remarks(rules: Iterable[_Rule], facts: RiskInputs) -> Iterator[Message]:
     for rule in rules:
         if rule.holds(facts):
             yield Message(rule.code, {name: params[name] for name in rule.names})
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointChange:
+    """Texts are as the unit shows them, in ``measure``. ``ramp`` None: it has none."""
+
+    unit: int
+    name: str
+    old_raw: int | None
+    new_raw: int
+    old: str | Message
+    new: str | Message
+    measure: str
+    lowest: str | Message
+    highest: str | Message
+    ramp: Ramp | None
+    obstacle: Message | None
+    risks: tuple[Message, ...]
+
+
+def change_of(
+    bus: BusLive, unit: UnitLive, new_raw: int, limits: Limits, now: UnixTime, *, block: Message | None = None
+) -> SetpointChange:
+    """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
+    old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
+    ramp = ramp_of(unit, old_raw, new_raw)
+    facts = facts_of(bus, unit, now, block=block, ramp=ramp, setpoint=new_raw)
+    return SetpointChange(
+        unit=unit.settings.id,
+        name=unit.settings.name,
+        old_raw=old_raw,
+        new_raw=new_raw,
+        old=setpoint_message(old_raw, unit),
+        new=setpoint_message(new_raw, unit),
+        measure=measure_of_setpoint(unit),
+        lowest=setpoint_message(allowed.lowest, unit),
+        highest=setpoint_message(allowed.highest, unit),
+        ramp=ramp,
+        obstacle=obstacle_of(facts),
+        risks=risks_of(facts),
+    )

@@ -1,12 +1,14 @@
-"""Whether a unit's setpoint may become the requested one. Pure.
+"""Whether a unit's setpoint may become the requested one. Pure: the time is passed in.
 
-In order: its range, how far it may move within a minute, how large a step may be without a review. A
-master's speed 0 is always allowed: no limit here may keep a line from being set to zero.
+In order: its range, how far it may move within a minute, how large a step may be without a review. A master's
+speed 0 is always allowed: no limit here may keep a line from being set to zero.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint_range import Basis, SetpointKind, kind_of, setpoint_range
@@ -14,6 +16,7 @@ from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
+from bus.instants import UnixTime
 from bus.messages import Message, number
 
 _OUTSIDE: dict[Basis, Callable[..., Message]] = {
@@ -84,3 +87,31 @@ def _check_step(unit: int, step: int | None, limits: Limits) -> None:
     else:
         reason = Message.of("step_needs_review", unit=unit, size=step, largest=largest)
     raise ObjectionError("confirm_needed", reason, unit=unit)
+
+
+WINDOW_S = 60.0
+
+
+class Moves:
+    """Steps of the last minute, by unit of one bus."""
+
+    def __init__(self) -> None:
+        self._steps: dict[int, deque[tuple[UnixTime, int]]] = {}
+
+    def note(self, unit: int, step: int, at: UnixTime) -> None:
+        """A setpoint was moved by ``step``."""
+        self._steps.setdefault(unit, deque()).append((at, step))
+
+    def take_back(self, unit: int, step: int, at: UnixTime) -> None:
+        """The step noted for ``at`` did not happen."""
+        with suppress(ValueError):
+            self._steps.get(unit, deque()).remove((at, step))
+
+    def within_a_minute(self, unit: int, now: UnixTime) -> int:
+        """The sum of all steps of the last minute."""
+        steps = self._steps.get(unit)
+        if steps is None:
+            return 0
+        while steps and steps[0][0] <= now - WINDOW_S:
+            steps.popleft()
+        return sum(step for _, step in steps)

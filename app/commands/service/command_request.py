@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from app.commands.catalogue import kind_of_command
 from app.feed.channel import ProgressListener
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
 

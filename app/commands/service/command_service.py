@@ -13,13 +13,12 @@ from app.commands.authority import Authority, while_permitted
 from app.commands.catalogue import kind_of_command
 from app.commands.check import check
 from app.commands.rules.objection import ObjectionError, RuleContext
-from app.commands.rules.setpoint import commanded_setpoint
-from app.commands.rules.setpoint_moves import Moves
+from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import ControlledError
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
-from app.commands.service.idempotency_cache import IdempotencyCache, KeptCommand
+from app.commands.service.idempotency import IdempotencyCache, KeptCommand
 from app.commands.service.prior_read import UnreadError, read_ranges
 from app.commands.service.record import CommandRecord
 from app.errors import Problem, StoreError
@@ -28,7 +27,7 @@ from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
 from app.web.access import Person, account_shown
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message

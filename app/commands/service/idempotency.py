@@ -1,20 +1,23 @@
-"""Commands with an idempotency key, on disk: sent again with it, also after a restart, they return the same
-result and nothing is sent to the unit.
+"""Commands by the idempotency key of their sender, in memory and on disk.
 
-The key is stored in the transaction of the command's own event: it is known exactly when the intent is, which
-is before anything is sent. Keys of different senders are independent.
+A command sent again with its key, also after a restart, returns the same result, and nothing is sent to the
+unit. The key is stored in the transaction of the command's own event: it is known exactly when the intent is,
+which is before anything is sent. Keys of different senders are independent.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sqlite3
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import msgspec
 
 from app.audit.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
+from app.web.access import Person
 from bus.contract import Action, Result
 from bus.instants import UnixTime
 from bus.messages import Message, term
@@ -105,3 +108,41 @@ def _decoded(stored: bytes) -> Result:
         if isinstance(part.get("message"), str):
             part["message"] = term(part["message"]) if part["message"] else None
     return msgspec.convert(members, Result)
+
+
+REMEMBERED = 1000
+"""Results kept for senders that repeat a key."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptCommand:
+    """A command that is under way or done."""
+
+    bus: str
+    action: Action
+    result: asyncio.Task[Result]
+
+
+class IdempotencyCache:
+    """One for the site: a key belongs to its sender, whichever bus the command is for."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[str, str], KeptCommand] = OrderedDict()
+
+    def find(self, person: Person, key: str | None) -> KeptCommand | None:
+        """The command that this sender gave this key; None without one."""
+        return None if key is None else self._kept.get((person.sender, key))
+
+    def keep(self, person: Person, key: str, command: KeptCommand) -> None:
+        """Bind the key to this command."""
+        place = (person.sender, key)
+        self._kept[place] = command
+        while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).result.done():
+            self._kept.popitem(last=False)
+
+        def forget_failed(result: asyncio.Task[Result]) -> None:
+            # It has no result to give again: what was sent, if anything was, is on disk.
+            if result.cancelled() or result.exception() is not None:
+                self._kept.pop(place, None)
+
+        command.result.add_done_callback(forget_failed)

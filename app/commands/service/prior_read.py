@@ -12,7 +12,7 @@ from app.commands.safeguards.limits import Limits
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.web.access import Person
-from app.web.deadline import Deadline
+from app.web.arrival import Deadline
 from bus.contract import Action, Outcome, ReadParameters, Result, UnitOutcome
 from bus.instants import UnixTime
 from bus.messages import Message

@@ -14,8 +14,9 @@ from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from app.audit.api import Events
+from app.audit.log import Event, EventLog
+from app.audit.store import Filter
 from app.errors import Problem
-from app.history.api.marks import collect_marks
 from app.history.api.schemas import EXPORT, MarksShown, SeriesShown, SparkShown, StatusShown, json_of
 from app.history.api.spans import (
     HistoryOf,
@@ -28,8 +29,8 @@ from app.history.api.spans import (
 )
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
-from app.history.query import labels
 from app.history.query.query import QueryResult, SeriesQuery
+from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.web.access import Viewer
@@ -54,13 +55,13 @@ def iso(at: int) -> str:
 
 def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
     """A result as the API returns it."""
-    unit = labels.unit_settings(requested.bus, requested.unit)
+    unit = values.unit_settings(requested.bus, requested.unit)
     at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
     return {
         "bus": requested.bus.name,
         "unit": requested.unit,
         "value": requested.value.name,
-        "measure": labels.measure(unit, requested.value),
+        "measure": values.measure(unit, requested.value),
         "decimals": found.decimals,
         "from": iso(requested.start),
         "to": iso(requested.end),
@@ -187,3 +188,23 @@ async def get_export(
     """
     requested = series_queries(history, series, Span(span.start, span.end), 1)
     return await download.response(history, requested, file, resolution)
+
+
+MOST_MARKS = 500
+MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
+"""What explains a curve. Who signed in does not."""
+_SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
+
+
+async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple[list[dict[str, Any]], bool]:
+    """Marks oldest first, and whether there were more than fit."""
+    wanted = Filter(since=seconds(span.start), until=seconds(span.end))
+    found, after = await events.page(wanted, MOST_MARKS)
+    marks = [{"t": event["time"], **{name: event[name] for name in _SHOWN}} for event in found]
+    return [mark for mark in reversed(marks) if _concerns(mark, units)], after is not None
+
+
+def _concerns(event: Event, units: list[str]) -> bool:
+    """Of the site, of a bus, or of a unit that is shown."""
+    of_these = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
+    return event["kind"] in MARK_KINDS and of_these

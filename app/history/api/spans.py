@@ -14,9 +14,8 @@ from app.history.query.query import SeriesQuery
 from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History
-from app.web.absent import unknown_bus, unknown_unit
-from app.web.numbers import parse_integer
-from app.web.services import service
+from app.web.services import service, unknown_bus, unknown_unit
+from app.web.shape import parse_integer
 from bus.instants import unix_now
 from bus.messages import Message
 from bus.settings import BusSettings

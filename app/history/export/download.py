@@ -1,17 +1,20 @@
-"""An export as a download."""
+"""An export as a download: CSV (RFC 4180), or Parquet where it is installed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
+import asyncio
+import csv
+import io
+from collections.abc import AsyncIterator, Sequence
+from datetime import datetime, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo
 
 from starlette.responses import StreamingResponse
 
 from app.errors import Problem
-from app.history.export import csv_file, parquet_file
-from app.history.export.rows import Fineness, Table, pieces
+from app.history.export import parquet_file
+from app.history.export.rows import Cell, ExportRow, Fineness, Table, pieces
 from app.history.intake.tail import Tail
 from app.history.query.query import SeriesQuery, has_raw
 from app.history.series.runs import SECOND
@@ -35,7 +38,7 @@ async def response(
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
     rows = pieces(history, table)
     if file == "csv":
-        return StreamingResponse(csv_file.stream(table, rows), 200, headers, "text/csv; charset=utf-8")
+        return StreamingResponse(stream_csv(table, rows), 200, headers, "text/csv; charset=utf-8")
     media = "application/vnd.apache.parquet"
     return StreamingResponse(parquet_file.stream(table, rows), 200, headers, media)
 
@@ -55,3 +58,33 @@ async def _fineness(
         return all(has_raw(connection, key, queries[0].start) for key in keys if key is not None)
 
     return "readings" if await history.read(all_raw) else "minutes"
+
+
+async def stream_csv(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[str]:
+    """Text, piece by piece. Times are ISO 8601 with the offset of the site's time zone."""
+    site = ZoneInfo(table.time_zone)
+    yield _csv_lines([[f"time [{site}]", *table.columns, "note"]])
+    async for rows in pieces:
+        yield await asyncio.to_thread(_text_of, rows, site)
+
+
+def _text_of(rows: Sequence[ExportRow], site: tzinfo) -> str:
+    return _csv_lines([_line(row, site) for row in rows])
+
+
+def _line(row: ExportRow, site: tzinfo) -> list[str]:
+    at = datetime.fromtimestamp(row.at / SECOND, site).isoformat(timespec="milliseconds")
+    return [at, *map(_text, row.cells), row.note]
+
+
+def _text(cell: Cell | None) -> str:
+    if cell is None:
+        return ""
+    return repr(cell.value) if cell.decimals is None else f"{cell.value:.{cell.decimals}f}"
+
+
+def _csv_lines(rows: Sequence[Sequence[str]]) -> str:
+    """Rows as CSV."""
+    buffer = io.StringIO()
+    csv.writer(buffer).writerows(rows)
+    return buffer.getvalue()

@@ -15,8 +15,9 @@ from typing import Literal, NamedTuple
 
 from app.history.intake.tail import Tail
 from app.history.intake.updates import BUS
-from app.history.query import labels, unit_history
+from app.history.query import unit_history
 from app.history.query.query import SeriesQuery, scale_of
+from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, Run, micros
 from app.history.series.scaling import LinearScale
@@ -65,7 +66,7 @@ def _name(query: SeriesQuery) -> str:
 
 
 def _measure(query: SeriesQuery) -> str:
-    measure = labels.measure(labels.unit_settings(query.bus, query.unit), query.value)
+    measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
     return f" [{measure}]" if measure else ""
 
 

@@ -1,4 +1,4 @@
-"""What keeps the store small: hours packed, old readings given up, the disk watched."""
+"""Keeps the store small: packs hours, deletes old readings, and reacts to a filling disk."""
 
 from __future__ import annotations
 
@@ -6,16 +6,41 @@ import shutil
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
-from app.history.intake.disk import DiskReserve, Space, space
 from app.history.intake.folding import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.repair import Repair
 from bus.instants import Monotonic, monotonic_now
+
+Space = Literal["enough", "low", "scarce", "none"]
+_MB = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class DiskReserve:
+    """Free bytes below which each thing happens."""
+
+    announce: int = 2_000 * _MB
+    """Warn on every page that shows history."""
+    trim: int = 500 * _MB
+    """Give up the oldest readings; minutes and hours stay."""
+    pause: int = 100 * _MB
+    """Write no history: the remaining space belongs to the events."""
+
+
+def space(free: int, reserve: DiskReserve) -> Space:
+    """What so many free bytes mean."""
+    if free < reserve.pause:
+        return "none"
+    if free < reserve.trim:
+        return "scarce"
+    return "low" if free < reserve.announce else "enough"
+
 
 SETTLED_S = 3600.0
 """After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""

@@ -16,11 +16,10 @@ import structlog
 from app.database.connection import Database
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
-from app.history.intake.disk import Space
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Keep, Upkeep, prepare
+from app.history.intake.upkeep import Keep, Space, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables

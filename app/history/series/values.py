@@ -1,9 +1,11 @@
-"""The values that can be requested by name, and the position of each in a reading."""
+"""The values that can be requested by name: position in a reading, label and unit of measure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
+
+from bus.settings import BusSettings, UnitSettings
 
 ValueKind = Literal["speed", "analog", "bit"]
 
@@ -34,3 +36,22 @@ VALUES: dict[str, Value] = {
     )
 }
 """Every value by its name, as ``GET /api/v1/history`` takes it."""
+
+
+def unit_settings(bus: BusSettings, number: int) -> UnitSettings:
+    """A configured unit."""
+    return next(unit for unit in bus.unit if unit.id == number)
+
+
+def label(unit: UnitSettings, value: Value) -> str:
+    """The wiring by the unit's labels; empty without one."""
+    if value.kind == "analog":
+        return unit.labels.analog
+    if value.name.startswith("output."):
+        return unit.labels.output.get(int(value.name.removeprefix("output.")), "")
+    return {str(name): text for name, text in unit.labels.input.items()}.get(value.name, "")
+
+
+def measure(unit: UnitSettings, value: Value) -> str:
+    """The unit of measure; empty where none is configured."""
+    return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "bit": ""}[value.kind]

@@ -13,7 +13,7 @@ from app.live.api.view import bus_json, line_json, unit_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.messages import DEFAULT
 from app.settings import Settings
 from app.web.access import Viewer

@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from app.live.diagnosis.abnormal import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.diagnosis.suspicion import suspicion
 from app.live.screen.cause_text import cause_line
 from app.live.screen.fields import Translator
 from app.live.state.age import scan_s_of, unit_link_now
-from app.live.state.bus_live import BusLive, UnitLive, follower
+from app.live.state.bus_live import BusLive, LiveState, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
-from app.live.state.live_state import LiveState
 from app.web.message_shown import maybe_shown, message_shown
 from app.web.shape import iso
 from bus.catalogue.numbers import (

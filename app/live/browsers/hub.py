@@ -16,12 +16,11 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
-from app.live.screen.fields import Translator, health_fields, unit_key
+from app.live.screen.fields import Translator, frame_fields, health_fields, unit_key
 from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
-from app.live.screen.trace_frames import frame_fields
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update

@@ -1,8 +1,8 @@
-"""One unit, one bus, as the texts and positions that a browser puts on the page. Pure.
+"""One unit, one bus, one frame as the texts and positions that a browser puts on the page. Pure.
 
-A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per
-language for all browsers, or a list of typed values. Positions are fractions as text; bits are strings
-of ``0`` and ``1``, of which a lamp shows one place. An empty text means: not known.
+A group (``bus/unit``, ``bus``, ``line``) has fields; a field is a short text, rendered here once per language
+for all browsers, or a list of typed values. Positions are fractions as text; bits are strings of ``0`` and
+``1``, of which a lamp shows one place. An empty text means: not known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bus.catalogue.numbers import (
 )
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import RATIO_DECIMALS, analog_input_value
-from bus.contract import Reading, UnitFigures, UnitLinkState
+from bus.contract import LONGEST_MEANING, Frame, Reading, UnitFigures, UnitLinkState
 from bus.errors import unit_error
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -246,3 +246,15 @@ def _inputs(bits: StatusBits) -> str:
 
 def _bits(*bits: bool) -> str:
     return "".join(["1" if bit else "0" for bit in bits])
+
+
+def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
+    """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
+    ``translator``."""
+    return {
+        "at": round(frame.at, 4),
+        "direction": frame.direction,
+        "hex": frame.data.hex(" ").upper(),
+        "meaning": "; ".join(map(translator.t, frame.meanings))[:LONGEST_MEANING],
+        "valid": frame.valid,
+    }

@@ -16,8 +16,7 @@ from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, 
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
-from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from bus.instants import UnixTime
 from bus.messages import listed
 

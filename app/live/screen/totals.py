@@ -11,7 +11,7 @@ from app.live.diagnosis.rungs import Level
 from app.live.screen.cause_text import cause_line, cause_text, since_text
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now
-from app.live.state.live_state import LiveState
+from app.live.state.bus_live import LiveState
 from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
 

@@ -1,8 +1,13 @@
-"""One bus and its units as they are now: the newest word of each, and what follows from a reading."""
+"""The present state of every bus and its units: the newest values, and what follows from a reading.
+
+Times are Unix times in seconds on the app's own clock; the feed shifts a worker's times before they come
+here. Overdue values are not marked here but computed from the age (:mod:`app.live.state.age`), so a worker
+that hangs cannot keep anything looking fresh.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import structlog
@@ -11,7 +16,6 @@ from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
-from app.live.state.snapshot import updates_of
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
 from bus.contract import (
@@ -22,6 +26,7 @@ from bus.contract import (
     Snapshot,
     Staged,
     UnitLink,
+    UnitState,
     Update,
 )
 from bus.instants import UnixTime
@@ -178,3 +183,32 @@ def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
     }
     first_seen = Onset(at, exact=False)
     return BusLive(settings, BusLink(at, "closed", NO_WORKER), first_seen, first_seen, units=units)
+
+
+def updates_of(snapshot: Snapshot) -> list[Update]:
+    """A complete state as the updates that lead to it."""
+    updates: list[Update] = [snapshot.bus]
+    for unit in snapshot.units:
+        updates += _updates_of_unit(unit, snapshot.sent_at)
+    if snapshot.figures is not None:
+        updates.append(snapshot.figures)
+    return updates
+
+
+def _updates_of_unit(state: UnitState, at: UnixTime) -> list[Update]:
+    updates: list[Update] = [state.link]
+    if state.reading is not None:
+        updates.append(state.reading)
+    updates += state.parameters
+    updates.append(Staged(unit=state.unit, at=at, raw=state.staged))
+    return updates
+
+
+__all__ = ["NO_WORKER", "BusLive", "BusSubscriber", "LiveState", "UnitLive", "follower"]
+
+
+class LiveState:
+    """Every configured bus, by its name."""
+
+    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
+        self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}

@@ -7,9 +7,8 @@ from collections.abc import Awaitable, Callable, Sequence
 
 from app.errors import StoreError
 from app.live.state.age import offline_after_s, scan_s_of
-from app.live.state.bus_live import BusLive
+from app.live.state.bus_live import BusLive, LiveState
 from app.live.state.conditions import STATUS_CONDITIONS, Condition
-from app.live.state.live_state import LiveState
 from app.live.state.onset import Onset, WordSpan, onset_in
 from bus.catalogue.status import status_bits
 from bus.instants import Clock, UnixTime

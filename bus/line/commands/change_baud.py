@@ -18,13 +18,13 @@ from bus.line.commands.procedure import (
     CommandContext,
     ExpectBaud,
     Procedure,
+    ProcedureResult,
     ReportProgress,
     Retune,
     Subprocedure,
     send,
 )
 from bus.line.commands.readback import read_parameter
-from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster
 from bus.messages import Message

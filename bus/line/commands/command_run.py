@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from bus.instants import Monotonic
-from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, Wait
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, ProcedureResult, Wait
 from bus.line.exchange.send import Send, SendResult
 from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
 from bus.line.statistics.trace import TracedFrame

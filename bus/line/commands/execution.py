@@ -1,30 +1,63 @@
-"""After the broadcast: what each unit shows, which get a single execute, which others moved. Pure
-procedures.
-"""
+"""One unit of a change of many after the broadcast: what it shows, which get a single execute, which moved.
+Pure procedures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import msgspec
 
 from bus.contract import UnitOutcome
-from bus.line.commands.member import Member
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
+    ProcedureResult,
     ReportProgress,
     Subprocedure,
     Unstage,
     send,
 )
 from bus.line.commands.readback import Readback, verify_speed, verify_unchanged
-from bus.line.commands.result import ProcedureResult
 from bus.line.commands.writes import outcome_with_readback
-from bus.line.exchange.send import Send, SendResult
-from bus.line.roster import Roster
+from bus.line.exchange.send import Send, SendResult, SendStatus
+from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message, joined
 from bus.wire.commands import ExecuteSpeedRequest
+
+
+@dataclass(slots=True)
+class Member:
+    """One unit of a change."""
+
+    record: UnitRecord
+    raw: int
+    before: int | None = None
+    sent: SendResult | None = None
+    outcome: UnitOutcome | None = None
+
+    @property
+    def unit(self) -> int:
+        """Its address."""
+        return self.record.unit
+
+    @property
+    def staged(self) -> bool:
+        """Whether it acknowledged the stage of this very change."""
+        return (
+            self.sent is not None and self.sent.status is SendStatus.RESPONDED and self.sent.refusal is None
+        )
+
+    @property
+    def may_hold(self) -> bool:
+        """Whether its memory may hold the value: it was sent, and not surely refused."""
+        return self.sent is not None and self.sent.may_have_acted
+
+
+def member_of(record: UnitRecord, raw: int) -> Member:
+    """``record`` is to take ``raw``; ``before`` is what it was last seen commanded."""
+    return Member(record, raw, record.reading.commanded if record.reading is not None else None)
+
 
 EXECUTED_SINGLY = Message("executed_singly")
 

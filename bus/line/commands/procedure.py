@@ -1,4 +1,4 @@
-"""What a procedure may do: send, wait, report. A procedure is a generator, so it knows no clock and no port.
+"""What a procedure may do (send, wait, report) and return. A procedure is a generator without clock and port.
 
 ``sent = yield Send(...)`` has one request carried out with all its attempts; ``yield Wait(...)`` lets others
 use the wire; ``yield ReportProgress(...)`` reports how far it is. The line's loop runs it; a test runs it
@@ -14,10 +14,29 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.contract import Stage
-from bus.line.commands.result import ProcedureResult
+from bus.contract import Outcome, ParameterValue, Stage, UnitOutcome
 from bus.line.exchange.send import Send, SendResult
+from bus.line.scan.found import Found
+from bus.messages import Message
 from bus.settings import Dialect
+
+
+@dataclass(frozen=True, slots=True)
+class ProcedureResult:
+    """``values`` are those that a read returned, ``found`` those of a scan.
+
+    ``skew_s``: upper bound of the time between the first and the last unit's acting on one broadcast.
+    """
+
+    outcome: Outcome
+    message: Message | None = None
+    units: tuple[UnitOutcome, ...] = ()
+    values: tuple[ParameterValue, ...] = ()
+    found: tuple[Found, ...] = ()
+    unit_error: int | None = None
+    read_back: int | None = None
+    skew_s: float | None = None
+
 
 T = TypeVar("T")
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from bus.errors import unit_error
-from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, Wait, send
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult, ReportProgress, Wait, send
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import UnitRecord, parameter_value
 from bus.messages import Message, joined

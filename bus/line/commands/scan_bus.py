@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
+    ProcedureResult,
     ReportProgress,
     Subprocedure,
     Wait,
     send,
 )
-from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude

@@ -18,17 +18,16 @@ from collections.abc import Mapping
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome
 from bus.errors import unit_refused
-from bus.line.commands.execution import executed, unchanged, verify, verify_all
-from bus.line.commands.member import Member, member_of
+from bus.line.commands.execution import Member, executed, member_of, unchanged, verify, verify_all
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
+    ProcedureResult,
     ReportProgress,
     Subprocedure,
     send,
 )
 from bus.line.commands.readback import verify_unchanged
-from bus.line.commands.result import ProcedureResult
 from bus.line.commands.withdrawal import SuspendedStages, stopped, withdraw_all
 from bus.line.commands.writes import not_sent, outcome_without_readback
 from bus.line.exchange.send import Send, SendStatus

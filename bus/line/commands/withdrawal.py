@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from bus.contract import Outcome, UnitOutcome
-from bus.line.commands.member import Member
-from bus.line.commands.procedure import CommandContext, Subprocedure, Unstage, send
+from bus.line.commands.execution import Member
+from bus.line.commands.procedure import CommandContext, ProcedureResult, Subprocedure, Unstage, send
 from bus.line.commands.readback import present_setpoint
-from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.messages import Message

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_error, unit_refused
-from bus.line.commands.procedure import CommandContext, Procedure, ReportProgress, send
+from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult, ReportProgress, send
 from bus.line.commands.readback import (
     REREADS,
     Readback,
@@ -17,7 +17,6 @@ from bus.line.commands.readback import (
     verify_parameter,
     verify_speed,
 )
-from bus.line.commands.result import ProcedureResult
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message

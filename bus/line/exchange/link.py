@@ -19,8 +19,7 @@ from bus.instants import Monotonic
 from bus.line.clock import LineClock
 from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
-from bus.line.exchange.port_pace import PortPace
-from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, Window
+from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
 from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
 from bus.line.statistics.trace import Trace, TracedFrame

@@ -9,8 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bus.line.port import tcp
-from bus.line.port.port import EndedWhileOpening, OpenPort, PortUnavailable, Receiver
-from bus.line.port.port_protocol import PortProtocol
+from bus.line.port.port import EndedWhileOpening, OpenPort, PortProtocol, PortUnavailable, Receiver
 from bus.messages import Message
 
 

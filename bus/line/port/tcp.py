@@ -9,8 +9,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from bus.errors import WireError
-from bus.line.port.port import OpenPort, PortUnavailable, Receiver
-from bus.line.port.port_protocol import PortProtocol
+from bus.line.port.port import OpenPort, PortProtocol, PortUnavailable, Receiver
 from bus.messages import Message
 
 CONNECT_TIMEOUT_S = 3.0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from bus.instants import Monotonic
 from bus.line.commands.command_run import CommandRun, Priority
-from bus.line.commands.result import ProcedureResult
+from bus.line.commands.procedure import ProcedureResult
 from bus.messages import Message
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses

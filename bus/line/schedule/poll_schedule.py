@@ -25,8 +25,7 @@ from bus.catalogue.parameters import NEEDED_TO_JUDGE, NEEDED_TO_SHOW, PARAMETERS
 from bus.instants import Monotonic
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.poll_order import PollOrder
-from bus.line.schedule.probe_backoff import ProbeBackoff
-from bus.line.schedule.wire_share import WireShare
+from bus.line.schedule.probe_backoff import ProbeBackoff, WireShare
 
 NEEDED_SHARE = 0.8
 NEEDED_SHARE_OF_MANY = 0.5

@@ -1,4 +1,4 @@
-"""When a unit without responses is probed, so that offline units cost online ones next to nothing. Pure."""
+"""When a unit without responses is probed: offline units may use only a share of the wire. Pure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,33 @@ import random
 from dataclasses import dataclass
 
 from bus.instants import Monotonic
-from bus.line.schedule.wire_share import WireShare
+
+
+class WireShare:
+    """Limits a use of the wire to at most ``fraction`` of the time, however long one use is.
+
+    Unused time can be saved up for ``burst_s`` seconds of waiting, so that short uses between long ones of
+    others still reach the complete fraction. Pure: ``now`` in seconds is passed in.
+    """
+
+    def __init__(self, fraction: float, burst_s: float = 0.0) -> None:
+        self.fraction = fraction
+        self.burst_s = burst_s
+        self._ready_at = Monotonic(float("-inf"))
+
+    def ready(self, now: Monotonic) -> bool:
+        """Whether it may be used now."""
+        return now >= self._ready_at
+
+    @property
+    def ready_at(self) -> Monotonic:
+        """The moment from which it may be used."""
+        return self._ready_at
+
+    def spend(self, now: Monotonic, seconds: float) -> None:
+        """It was used for ``seconds``, beginning at ``now``."""
+        self._ready_at = max(self._ready_at, now - self.burst_s) + seconds / self.fraction
+
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
 """Back-off after each probe without a response."""

@@ -1,0 +1,130 @@
+"""The trends page. Its address holds what it shows, so that a link reopens the same view.
+
+The page requests the data that it fetches first while its scripts are on the way. The rules for an address
+are those of ``static/js/trends-view.js``; where they differ, the script requests again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import islice
+from typing import Any
+from urllib.parse import urlencode
+
+from fastapi import APIRouter
+from starlette.datastructures import QueryParams
+from starlette.requests import Request
+from starlette.responses import Response
+
+from app.errors import Problem, StoreError
+from app.history.api.routes import iso
+from app.history.api.spans import MOST_SERIES, HistoryOf, Span, moment, series_queries
+from app.history.export import parquet_file
+from app.history.series import values
+from app.history.series.runs import DAY, SECOND, micros
+from app.history.series.values import VALUES
+from app.history.service import History
+from app.history.status import store_notice
+from app.web.access import Viewer
+from app.web.assets import Assets
+from app.web.templating import Templates, render, templates_of
+from bus.instants import unix_now
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/trends")
+async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
+    """Any values of any units over any span; the browser draws what its address names."""
+    templates = templates_of(request)
+    language = templates.language_of(request)
+    return render(
+        request,
+        "trends/page.html",
+        catalogue=_catalogue(history),
+        values=VALUES,
+        has_parquet=parquet_file.is_installed(),
+        memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
+        preload=preload_address(history, request.query_params, micros(unix_now())),
+    )
+
+
+def _catalogue(history: History) -> list[dict[str, Any]]:
+    """Every unit in floor order, with its wiring and its measure."""
+    return [
+        {
+            "key": f"{bus.name}/{unit.id}",
+            "name": unit.name,
+            "bus": bus.name,
+            "labels": {name: text for name, value in VALUES.items() if (text := values.label(unit, value))},
+            "measures": {"speed": unit.labels.unit, "analog": unit.labels.analog_unit},
+        }
+        for bus in history.buses.values()
+        for unit in bus.unit
+    ]
+
+
+DEFAULT_SPAN_S = 3600.0
+DEFAULT_VALUES = 8
+
+
+def preload_address(history: History, params: QueryParams, now: int) -> str:
+    """The series that a page with this query draws at ``now`` (µs); empty where none can be named."""
+    try:
+        span = _span(params, now)
+    except (Problem, ValueError, OverflowError):
+        return ""
+    names = _names(history, params)[:MOST_SERIES]
+    if not names or span.start >= span.end:
+        return ""
+    query = [("from", iso(span.start)), ("to", iso(span.end)), ("format", "epoch")]
+    return "/api/v1/history/series?" + urlencode([*query, *(("series", name) for name in names)])
+
+
+def _span(params: QueryParams, now: int) -> Span:
+    length = round(float(params.get("span", DEFAULT_SPAN_S)) * SECOND)
+    end = moment(params["to"], "to") if "to" in params else now
+    return Span(moment(params["from"], "from") if "from" in params else end - length, end)
+
+
+def usual_series(history: History) -> list[str]:
+    """What the page shows while its address names nothing."""
+    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
+    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
+
+
+def _names(history: History, params: QueryParams) -> list[str]:
+    if "s" not in params:
+        return usual_series(history)
+    units = [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
+    known = {f"{unit}/{value}" for unit in units for value in VALUES}
+    return [name for name in params.getlist("s") if name in known]
+
+
+AFTER_S = 1.0
+"""Later than the start itself, which needs the machine: a person takes longer to find the page."""
+POINTS = 1000
+_SHELL = ("base.html", "components/", "trends/")
+
+
+async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
+    """Read the catalogs, compress static files, load the frame of the pages and the trends page, query a day
+    of history: one after the other, to keep the line responsive. ``language``: the site's."""
+    await asyncio.sleep(AFTER_S)
+    for each in (templates.languages[language], *templates.languages):
+        await asyncio.to_thread(each.read)
+    for name in assets:
+        await asyncio.to_thread(assets.pack, name)
+    environment = templates.environment(language)
+    for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
+        await asyncio.to_thread(environment.get_template, name)
+    await _query_a_day(history)
+
+
+async def _query_a_day(history: History) -> None:
+    now = micros(unix_now())
+    names = usual_series(history)
+    try:
+        await history.query(series_queries(history, names, Span(now - DAY, now), POINTS))
+    except (Problem, StoreError):
+        return
