@@ -7,10 +7,11 @@ from __future__ import annotations
 import gc
 import sqlite3
 import sys
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, wraps
 from pathlib import Path
 from types import CodeType
+from typing import Any
 
 import pytest
 from argon2 import PasswordHasher
@@ -20,7 +21,9 @@ from jinja2 import Environment
 import app.auth.passwords
 import app.database.connection
 import app.messages.language
+from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
+from app.database.private import make_file, make_folder
 from app.web.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=60)
@@ -35,10 +38,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 
+# httpx looks for it with every request to an app of this process; it is not installed, and not needed.
+sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
+# Nothing of what is collected, thousands of test functions and all they import, is garbage, then or in a test.
+gc.disable()
+
+
 def pytest_collection_finish() -> None:
-    """What thousands of test functions hold stays: the garbage collector need not visit it in each test."""
+    """Keep the garbage collector from visiting it in each test."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -69,10 +79,12 @@ def catalogs_compiled_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def stores_made_once() -> Iterator[None]:
-    """A new store is a copy of one that has taken all its steps, each of which waits for the disk."""
+def stores_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
+    process ends its power supply. The processes that tests start and kill write as they do everywhere."""
     model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
     taken = bring_up_to_date(model, Path("model"), MIGRATIONS)
+    open_for_writing = app.database.connection.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
         is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
@@ -81,10 +93,34 @@ def stores_made_once() -> Iterator[None]:
         model.backup(connection)
         return taken
 
+    @wraps(open_for_writing)
+    def open_without_waiting(*place: Any, **options: Any) -> sqlite3.Connection:
+        connection = open_for_writing(*place, **options)
+        connection.execute("PRAGMA synchronous = OFF")
+        return connection
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
+        patch.setattr(app.database.connection, "open_for_writing", open_without_waiting)
+        if writer := sys.modules.get("app.history.intake.writer"):
+            patch.setattr(writer, "prepare", history_copied(writer, tmp_path_factory.mktemp("history")))
         yield
     model.close()
+
+
+def history_copied(writer: Any, folder: Path) -> Callable[[Path], None]:
+    """Prepares a new store of the history as a copy of one."""
+    model = folder / "history.db"
+    writer.prepare(model)
+    Database(model, writer.MIGRATIONS).close()
+
+    def prepare(path: Path) -> None:
+        if not path.exists():
+            make_folder(path.parent)
+            make_file(path)
+            path.write_bytes(model.read_bytes())
+
+    return prepare
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,7 +1,8 @@
 """Check that the tests of each pure module reach every line and branch of it: ``python -m tests.covered``.
 
-The modules are the wire protocol, the catalogue and every ``rules.py``. Only the tests of a module itself
-count, not what another test reaches by the way. Exits with 1 if a line or branch is not reached.
+The modules are the wire protocol, the catalogue, the rules of commands and every ``rules.py``. Only the tests
+of a module itself count, not what another test reaches by the way. Exits with 1 if a line or branch is not
+reached.
 """
 
 from __future__ import annotations
@@ -14,13 +15,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PURE = ("bus/wire/*.py", "bus/catalogue/*.py", "app/*/rules.py", "app/commands/check.py")
+PURE = (
+    *("bus/wire/*.py", "bus/catalogue/*.py"),
+    *("app/*/rules.py", "app/commands/rules/*.py", "app/commands/check.py"),
+)
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
     "bus/wire/bodies.py": "tests/bus/test_commands.py",
     "bus/wire/fence.py": "tests/bus/test_exchange_fence.py",
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
     "app/commands/check.py": "tests/app/test_command_check.py",
+    "app/commands/rules/action_checks.py": "tests/app/test_command_check.py",
+    "app/commands/rules/new_setpoints.py": "tests/app/test_command_check.py",
+    "app/commands/rules/objection.py": "tests/app/test_command_check.py",
+    "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",
+    "app/commands/rules/setpoint_range.py": "tests/app/test_setpoint_range.py",
     "app/recipes/rules.py": "tests/app/test_recipes.py",
     "app/swap/rules.py": "tests/app/test_swap.py",
 }

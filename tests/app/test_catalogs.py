@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -83,9 +85,9 @@ def codes_of(node: ast.expr) -> set[str]:
     return set()
 
 
-def made(path: Path) -> Iterator[tuple[str, set[str]]]:
+def made_in(nodes: Iterable[ast.AST]) -> Iterator[tuple[str, set[str]]]:
     """The messages that a module makes: each with its code and the names of its params."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes:
         match node:
             case ast.Call(args=[ast.JoinedStr() as code]) if "Message" in ast.unparse(node.func):
                 yield from ((each, {"**"}) for each in codes_of(code))
@@ -99,34 +101,41 @@ def made(path: Path) -> Iterator[tuple[str, set[str]]]:
                 yield code, {each.value if isinstance(each, ast.Constant) else "**" for each in keys}
 
 
-MADE = [
-    (path.relative_to(ROOT).as_posix(), code, names)
-    for part in ("app", "bus")
-    for path in sorted((ROOT / part).rglob("*.py"))
-    for code, names in made(path)
-]
+@dataclass(frozen=True)
+class Module:
+    """The messages that a module makes, and every constant in it."""
+
+    path: Path
+    messages: list[tuple[str, set[str]]]
+    constants: set[object]
+
+
+@cache
+def modules() -> list[Module]:
+    """All of both packages."""
+    found = []
+    for path in sorted((*(ROOT / "app").rglob("*.py"), *(ROOT / "bus").rglob("*.py"))):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        constants = {node.value for node in nodes if isinstance(node, ast.Constant)}
+        found.append(Module(path, list(made_in(nodes)), constants))
+    return found
 
 
 def test_each_message_has_a_text_and_its_values() -> None:
     """More values than the text has are for programs."""
     wrong = [
-        (path, code, names)
-        for path, code, names in MADE
+        (module.path, code, names)
+        for module in modules()
+        for code, names in module.messages
         if code not in TEXTS or ("**" not in names and not names >= names_of(code))
     ]
     assert wrong == []
 
 
 def test_each_text_is_of_a_message() -> None:
-    named = {
-        node.value
-        for part in ("app", "bus")
-        for path in (ROOT / part).rglob("*.py")
-        if path.parent != TEXTS_FOLDER
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant)
-    }
-    assert sorted(TEXTS.keys() - named - {code for _, code, _ in MADE}) == []
+    made = {code for module in modules() for code, _ in module.messages}
+    named = {each for module in modules() if module.path.parent != TEXTS_FOLDER for each in module.constants}
+    assert sorted(TEXTS.keys() - named - made) == []
 
 
 def test_the_extraction_finds_texts_at_all() -> None:

@@ -6,11 +6,13 @@ import asyncio
 import sqlite3
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from app.database import Database, StoreError
+from app.database import Database, StoreError, connection
 from app.database.connection import open_for_reading
 from bus.errors import CallerError
 
@@ -72,10 +74,15 @@ async def test_a_reader_cannot_write(database: Database) -> None:
         await database.read(lambda c: insert(c, "a"))
 
 
-def test_it_is_durable_and_lets_readers_read_on(database: Database) -> None:
-    with open_for_reading(database.path) as reading:
-        assert reading.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
-    assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
+def test_it_is_durable_and_lets_readers_read_on(
+    tmp_path: Path, steps: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_served: Any = connection.open_for_writing
+    monkeypatch.setattr(connection, "open_for_writing", as_served.__wrapped__)
+    with closing(Database(tmp_path / "x.db", steps)) as database:
+        with open_for_reading(database.path) as reading:
+            assert reading.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
+        assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
 
 
 async def test_a_closed_database_reports_it(tmp_path: Path, steps: Path) -> None:

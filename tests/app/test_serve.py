@@ -27,11 +27,13 @@ from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
 from app.settings import load
 from tests import fork_server
+from tests.fork_server import ForkedProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 LINESIDE = Path(sys.executable).with_name("lineside")
 PATIENCE_S = 60.0
 """This machine may be busy; nothing here is a measurement but the end within 5 s."""
+Process = subprocess.Popen[str] | ForkedProcess
 CONFIG = """\
 [server]
 port = 0
@@ -74,9 +76,13 @@ def is_alive(pid: int) -> bool:
 
 
 @contextmanager
-def started(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """The process and the URL that it prints."""
-    process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+def started(*words: str, as_installed: bool = False) -> Iterator[tuple[Process, str]]:
+    """The process and the URL that it prints. ``as_installed``: by the command; otherwise it is forked."""
+    process: Process
+    if as_installed:
+        process = subprocess.Popen([LINESIDE, *words], stdout=subprocess.PIPE, text=True)
+    else:
+        process = fork_server.start(*words, stdout=subprocess.PIPE)
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
@@ -101,13 +107,13 @@ def is_serving(url: str) -> bool:
     return httpx.get(f"{url}/healthz", trust_env=False).json() == {"status": "ok"}
 
 
-def only_child(process: subprocess.Popen[str]) -> int:
+def only_child(process: Process) -> int:
     return int(eventually(lambda: children_of(process.pid), "a worker runs")[0])
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_ends_completely_within_five_seconds(config: Path, number: int) -> None:
-    with started("serve", "--config", str(config)) as (process, url):
+    with started("serve", "--config", str(config), as_installed=True) as (process, url):
         assert is_serving(url)
         worker = only_child(process)
         process.send_signal(number)
@@ -255,7 +261,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 
 def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with started("demo", "--units", "3", "--port", "0") as (process, url):
+    with started("demo", "--units", "3", "--port", "0", as_installed=True) as (process, url):
 
         def line() -> Any:
             return httpx.get(f"{url}/api/v1/line", trust_env=False).json()
