@@ -96,7 +96,6 @@ class BusService:
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
 
     async def load(self) -> None:
-        """Load the bus from the database."""
         await self.safeguards.load()
         await self.drift.load()
 
@@ -111,6 +110,5 @@ class BusService:
         )
 
     async def close(self) -> None:
-        """End what still runs."""
         await self.first_writes.close()
         await self.drift.close()

@@ -19,8 +19,7 @@ from app.audit import pages as audit_pages
 from app.auth import api as auth_api
 from app.auth import pages as auth_pages
 from app.auth import users
-from app.auth.access import Identify
-from app.auth.refusals import RecordRefusals
+from app.auth.access import Identify, RecordRefusals
 from app.commands.api import commands as commands_api
 from app.commands.api import safeguards as safeguards_api
 from app.commands.api import trace

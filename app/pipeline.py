@@ -88,12 +88,10 @@ class Pipeline:
         self._recorder.note(refused)
 
     def worker_disconnected(self, at: UnixTime, cause: Message) -> None:
-        """A worker's connection ended."""
         self._live.lose_worker(at, cause)
         self._recorder.note(LineEvent("worker", None, at, cause, term("connected"), term("gone")))
 
     def clock_stepped(self, step_s: float, at: UnixTime) -> None:
-        """The worker's clock was set."""
         self._recorder.note(_clock_step("event_worker_clock_stepped", step_s, at))
 
     def _append(self, updates: Sequence[Update]) -> None:

@@ -44,7 +44,7 @@ from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
-from app.metrics.measured import Counts, MetricSources
+from app.metrics.api import Counts, MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore

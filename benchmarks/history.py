@@ -18,8 +18,7 @@ from typing import Any
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from app.database.connection import Database
-from app.history.intake.folding import compact
-from app.history.intake.recorder import Recorder
+from app.history.intake.recorder import Recorder, compact
 from app.history.intake.tail import Tail
 from app.history.intake.writer import MIGRATIONS
 from app.history.query.query import SeriesQuery, run_query

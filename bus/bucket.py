@@ -18,7 +18,6 @@ class Bucket:
     _at: Monotonic = Monotonic(0.0)
 
     def level(self, now: Monotonic) -> float:
-        """The present content."""
         self._level = max(0.0, self._level - max(0.0, now - self._at) * self.per_s)
         self._at = now
         return self._level
@@ -45,5 +44,4 @@ class Bucket:
         return max(0.0, self.level(now) + 1 - self.capacity) / self.per_s
 
     def fill(self, now: Monotonic) -> None:
-        """Leave no room."""
         self._level = max(self.level(now), self.capacity)

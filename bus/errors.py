@@ -1,4 +1,4 @@
-"""Errors by whose fault: the caller's, the unit's, the wire's.
+"""Errors by whose fault, and the errors of a unit in words.
 
 Each message states what happened and what to do.
 """
@@ -20,15 +20,6 @@ class LinesideError(Exception):
 
 class CallerError(LinesideError):
     """The request cannot be carried out; nothing was sent."""
-
-
-class UnitError(LinesideError):
-    """The unit responded with a refusal."""
-
-    def __init__(self, unit: int, code: int) -> None:
-        super().__init__(unit_refused(unit, code))
-        self.unit = unit
-        self.code = code
 
 
 class WireError(LinesideError):

@@ -98,7 +98,6 @@ class BusSettings(Dialect):
 
     @property
     def dialect(self) -> Dialect:
-        """The dialect record of this bus."""
         return Dialect.model_validate({name: getattr(self, name) for name in Dialect.model_fields})
 
     @property

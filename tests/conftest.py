@@ -20,7 +20,7 @@ from jinja2 import Environment
 
 import app.auth.passwords
 import app.database.connection
-import app.messages.language
+import app.messages.languages
 from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.database.private import make_file, make_folder
@@ -40,7 +40,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 # httpx looks for it with every request to an app of this process; it is not installed, and not needed.
 sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
-# Nothing of what is collected, thousands of test functions and all they import, is garbage, then or in a test.
+# Nothing that is collected or imported for it is garbage, then or in a test.
 gc.disable()
 
 
@@ -74,7 +74,7 @@ def templates_compiled_once() -> Iterator[None]:
 def catalogs_compiled_once() -> Iterator[None]:
     """Every app has a folder for them, in which the first page in German would compile its catalog again."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(app.messages.language, "_parsed", cache(app.messages.language._parsed))
+        patch.setattr(app.messages.languages, "_parsed", cache(app.messages.languages._parsed))
         yield
 
 

@@ -26,7 +26,6 @@ TESTS = {
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
     "app/commands/check.py": "tests/app/test_command_check.py",
     "app/commands/rules/action_checks.py": "tests/app/test_command_check.py",
-    "app/commands/rules/new_setpoints.py": "tests/app/test_command_check.py",
     "app/commands/rules/objection.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint_range.py": "tests/app/test_setpoint_range.py",

@@ -13,8 +13,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry
-from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
-from app.web.shape import iso
+from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
 

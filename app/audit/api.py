@@ -21,9 +21,8 @@ from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import MaybeMessage, maybe_shown
 from app.web.services import service
-from app.web.shape import iso
+from app.web.shape import MaybeMessage, iso, maybe_shown
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 from bus.messages import in_english
@@ -159,7 +158,7 @@ class AuditVerification(BaseModel):
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
     """Verify the complete log like ``lineside audit verify``, without the anchor."""
-    verdict = await events.prove()
+    verdict = await events.proof.verify()
     fault = {"fault": in_english(verdict.fault), "fault_message": maybe_shown(verdict.fault)}
     return AuditVerification.model_validate(vars(verdict) | fault)
 

@@ -36,10 +36,6 @@ INDEX_PAUSE_S = 0.05
 ENDED_BEFORE = Message("server_stopped")
 
 
-def _nothing(_: sqlite3.Connection) -> None:
-    """Nothing else."""
-
-
 class EventLog:
     """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends with
     the process: nothing that is kept may be written so."""
@@ -76,7 +72,9 @@ class EventLog:
         entry = self._entry(kind, who=who, origin=origin, what=what, **members)
         return (await self._append_all([entry]))[0]
 
-    async def intend_together(self, intents: Sequence[Mapping[str, Any]], also: Also = _nothing) -> list[int]:
+    async def intend_together(
+        self, intents: Sequence[Mapping[str, Any]], also: Also | None = None
+    ) -> list[int]:
         """Several intents (each with the words of `intend`) in one transaction, and ``also`` what belongs to
         them; their numbers in order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
@@ -97,7 +95,7 @@ class EventLog:
         outcome: Outcome,
         message: str | Message = "",
         frames: Sequence[Frame] = (),
-        also: Also = _nothing,
+        also: Also | None = None,
     ) -> None:
         """Store the outcome of an intent; ``frames`` carried it. ``also``: in the same transaction."""
         entry = self._entry("fate", about=event, outcome=outcome, message=message, frames=frames)
@@ -121,7 +119,7 @@ class EventLog:
         message: str | Message = "",
         at: UnixTime | None = None,
         count: int = 1,
-        also: Also = _nothing,
+        also: Also | None = None,
     ) -> int:
         """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also`` what
         belongs to it, in the same transaction. Returns the event's number."""
@@ -194,11 +192,7 @@ class EventLog:
         except StoreError as error:
             log.warning("events are searched without an index", why=str(error))
 
-    async def prove(self, anchors: Mapping[int, str] | None = None) -> Verdict:
-        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
-        return await self.proof.verify(anchors)
-
-    async def _append_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
+    async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
             messages = messages_of(entry["messages"])
@@ -207,10 +201,11 @@ class EventLog:
             )
         return numbers
 
-    async def _write_all(self, entries: Sequence[Event], also: Also = _nothing) -> list[int]:
+    async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         def append(connection: sqlite3.Connection) -> list[int]:
             numbers = [store.append(connection, entry, self.keys) for entry in entries]
-            also(connection)
+            if also is not None:
+                also(connection)
             return numbers
 
         return await self._database.write(append)

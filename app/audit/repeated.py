@@ -96,7 +96,6 @@ class RepeatedEvents:
         self._tally: Tally[_RepeatedEvent] = Tally()
 
     async def count(self, kind: EventKind, what: _Text, *, who: _Text, origin: _Text, message: _Text) -> None:
-        """Count one repetition."""
         counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if counted is not None:
             await self._record_counted(counted)

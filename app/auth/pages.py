@@ -34,7 +34,6 @@ LONGEST_NAME = 64
 
 
 def address_of(connection: HTTPConnection) -> str:
-    """The place of a sign-in attempt."""
     return connection.client.host if connection.client else ""
 
 

@@ -19,7 +19,6 @@ class Passwords:
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="passwords")
 
     async def hash(self, secret: str) -> str:
-        """The hash to store."""
         return await asyncio.get_running_loop().run_in_executor(self._pool, hash_now, secret)
 
     async def verify(self, stored: str, secret: str) -> bool:
@@ -27,7 +26,6 @@ class Passwords:
         return await asyncio.get_running_loop().run_in_executor(self._pool, _verify, stored, secret)
 
     def close(self) -> None:
-        """End the threads."""
         self._pool.shutdown()
 
 

@@ -46,7 +46,6 @@ class Lifetimes:
 
     @classmethod
     def of(cls, sessions: Sessions) -> Lifetimes:
-        """As the site wants them."""
         person = Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
         return cls(person, Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY))
 

@@ -107,14 +107,12 @@ class SignIn:
             raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
-        """End the session."""
         await self.end(rules.secret_hash(cookie), person.name)
         await self._events.record(
             kind="logout", what=Message("event_signed_out"), who=person.name, origin=address
         )
 
     async def has_no_users(self) -> bool:
-        """Whether there is no user yet."""
         if not self._has_users:
             self._has_users = bool(await self._database.read(store.users))
         return not self._has_users

@@ -56,7 +56,6 @@ class Token:
     expires_at: UnixTime | None = None
 
     def is_good(self, now: UnixTime) -> bool:
-        """Whether it has not expired."""
         return self.expires_at is None or now < self.expires_at
 
 
@@ -96,7 +95,6 @@ def _token(row: sqlite3.Row) -> Token:
 
 
 def users(connection: sqlite3.Connection) -> list[User]:
-    """All of them by name."""
     return [_user(row) for row in connection.execute(f"SELECT {_USER} FROM users u ORDER BY u.name")]
 
 
@@ -212,7 +210,6 @@ def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
 
 
 def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
-    """Note that a session is used."""
     change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
     connection.execute(change, (now, ends, hash_))
 
@@ -230,12 +227,10 @@ def end_sessions_of(connection: sqlite3.Connection, name: str, keep: bytes = b""
 
 
 def tokens(connection: sqlite3.Connection) -> list[Token]:
-    """All of them by name."""
     return [_token(row) for row in connection.execute(f"SELECT {_TOKEN} FROM tokens ORDER BY name")]
 
 
 def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
-    """The token of a bearer."""
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None
 
@@ -250,7 +245,6 @@ def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> Non
 
 
 def note_token_used(connection: sqlite3.Connection, number: int, now: UnixTime) -> None:
-    """For the list of tokens."""
     connection.execute("UPDATE tokens SET used_at = ? WHERE id = ?", (now, number))
 
 

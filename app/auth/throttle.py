@@ -114,7 +114,6 @@ class Throttle:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
     def failed(self, attempt: Attempt, now: Monotonic) -> None:
-        """It was wrong."""
         failures = self._pairs.kept(attempt.pair)
         failures.count, failures.at = failures.recent(now) + 1, now
         self._places.kept(attempt.place).pour(1, now)

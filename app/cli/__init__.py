@@ -51,7 +51,6 @@ class Lazy(TyperGroup):
         return get_group(cli).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """The table."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, words) for name, (_, words) in COMMANDS.items()])
 
@@ -83,7 +82,6 @@ def lineside(
 
 
 def main() -> None:
-    """The entry point."""
     from bus.worker.parent import named_parent, tie_to
 
     if parent := named_parent():

@@ -35,7 +35,6 @@ AnchorFile = Annotated[
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the group."""
     cli.add_typer(audits, name="audit")
 
 

@@ -17,7 +17,7 @@ from app.cli.ending import ending, report
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
-from app.web.message_shown import message_shown
+from app.web.shape import message_shown
 from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message
@@ -31,7 +31,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(backup)
 
 

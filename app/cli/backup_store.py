@@ -37,7 +37,6 @@ _COMPANIONS = ("-wal", "-shm")
 
 
 def register(cli: typer.Typer) -> None:
-    """Add both commands."""
     cli.command("backup-store")(backup_store)
     cli.command("restore-store")(restore_store)
 

@@ -25,7 +25,6 @@ _STANDARD_INPUT = "-"
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(decode)
 
 

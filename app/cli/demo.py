@@ -26,7 +26,6 @@ CHOOSE = Message("choose_port_demo")
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(demo)
 
 

@@ -16,7 +16,7 @@ from app.errors import system_error
 from app.sets.compare import Compared, differences
 from app.sets.document import LONGEST_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
-from app.web.message_shown import maybe_shown
+from app.web.shape import maybe_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, in_english
@@ -25,7 +25,6 @@ Pair = tuple[UnitRows, UnitRows]
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(diff)
 
 

@@ -1,24 +1,89 @@
-"""Whether this machine can run a configuration. Every trial is undone, and no port is opened."""
+"""What ``lineside check`` finds: whether this machine can run a configuration. Every trial is undone, and no
+port is opened."""
 
 from __future__ import annotations
 
 import errno
+import getpass
 import importlib.util
 import os
 import socket
 import stat
+import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
-from app.cli.finding import Finding, can_make_folder, fault, is_visible, may_make_files_in, user
 from app.cli.listening import ListenError, listen
-from app.cli.notification_findings import notification_findings
+from app.database.private import FOLDER_MODE
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
-from bus.messages import Message
+from bus.messages import Message, ParamValue
 from bus.settings import BusSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the report. A fault keeps Lineside from working as configured; the rest informs."""
+
+    message: Message
+    is_fault: bool = False
+
+
+def fault(code: str, /, **params: ParamValue) -> Finding:
+    """A fault, by the code of its message."""
+    return Finding(Message(code, params), is_fault=True)
+
+
+def user() -> Message:
+    """Who runs the check."""
+    try:
+        return Message.of("machine_user", user=getpass.getuser())
+    except (KeyError, OSError):
+        return Message.of("machine_user", user=os.getuid())
+
+
+def is_visible(path: Path) -> bool:
+    """Whether it exists in a folder that this user may look into."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
+def may_make_files_in(folder: Path) -> bool:
+    """Whether it is a folder in which this user can make a file. It is tried: root may write to ``/proc`` and
+    still cannot. The file is gone at once."""
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return False
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"x")
+    except OSError:
+        return False
+    return True
+
+
+def can_make_folder(folder: Path) -> bool:
+    """Whether it and its parents can be made where they are not there; they are removed at once."""
+    absent = [each for each in (folder, *folder.parents) if not is_visible(each)]
+    if absent and not may_make_files_in(absent[-1].parent):
+        return False
+    made: list[Path] = []
+    try:
+        for each in reversed(absent):
+            each.mkdir(FOLDER_MODE)
+            made.append(each)
+        return may_make_files_in(folder)
+    except OSError:
+        return False
+    finally:
+        for each in reversed(made):
+            with suppress(OSError):
+                each.rmdir()
 
 
 def findings(settings: Settings) -> Iterator[Finding]:
@@ -30,7 +95,6 @@ def findings(settings: Settings) -> Iterator[Finding]:
         yield fault("check_no_bus")
     for bus in settings.bus:
         yield from _bus(bus)
-    yield from notification_findings(settings.notify)
 
 
 def _address(server: ServerSettings) -> Finding:

@@ -22,7 +22,6 @@ class InitError(LinesideError):
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(init)
 
 

@@ -11,7 +11,7 @@ from app.alarms.notification.endpoints import NotificationEndpoint, Notification
 from app.alarms.notification.mail import MailServer
 from app.alarms.notification.overview import gap_messages
 from app.alarms.notification.secret_file import NotDeliveredError, can_others_read
-from app.cli.finding import Finding
+from app.cli.findings import Finding
 from app.notify_settings import AppriseSettings, NotifySettings, WebhookSettings
 from bus.messages import Message
 

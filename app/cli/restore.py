@@ -23,7 +23,6 @@ _LOOK_AGAIN_S = 0.2
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(restore)
 
 

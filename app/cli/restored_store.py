@@ -16,7 +16,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.accounts import ORIGIN, who_calls
-from app.commands.safeguards.in_force import Protection, keep_in_force, read_protection
+from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database
 from app.database.connection import open_for_reading
 from bus.instants import UnixTime
@@ -35,7 +35,6 @@ class Backup:
 
     @property
     def message(self) -> Message:
-        """All of it."""
         taken = datetime.fromtimestamp(float(self.taken_at), UTC).isoformat(timespec="seconds")
         return Message.of("backup_of", file=self.file, time=taken, digest=self.digest)
 

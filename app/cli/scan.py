@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from app.cli.ending import complain, ending, report
-from app.web.message_shown import message_shown
+from app.web.shape import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
 from bus.line.scan.scanner import BaudScan, scan_baud
@@ -27,7 +27,6 @@ _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign"
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(scan)
 
 

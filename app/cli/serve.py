@@ -17,7 +17,6 @@ LINESIDE_TOML = Path("lineside.toml")
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(serve)
 
 

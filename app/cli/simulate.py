@@ -24,7 +24,6 @@ from bus.validation import fault_message
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(simulate)
 
 

@@ -25,7 +25,6 @@ class NotServingError(LinesideError):
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(status)
 
 

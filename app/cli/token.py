@@ -21,7 +21,6 @@ TokenName = Annotated[str, typer.Argument(help="Name of the token; unique.")]
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the group."""
     cli.add_typer(tokens, name="token")
 
 

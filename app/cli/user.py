@@ -22,7 +22,6 @@ FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the pass
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the group."""
     cli.add_typer(users, name="user")
 
 

@@ -17,7 +17,6 @@ WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 
 def register(cli: typer.Typer) -> None:
-    """Add the command."""
     cli.command()(worker)
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from app.commands import wording
-from app.commands.rules import action_checks, new_setpoints
-from app.commands.rules.new_setpoints import NewSetpoint, staged_setpoints
+from app.commands.rules import action_checks, setpoint
 from app.commands.rules.objection import RuleContext
+from app.commands.rules.setpoint import NewSetpoint, staged_setpoints
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
 from app.web.access import Role
@@ -95,13 +95,13 @@ SET_SPEED = CommandKind(
     SetSpeed,
     Role.OPERATOR,
     wording=wording.of_set_speed,
-    setpoints=new_setpoints.of_set_speed,
+    setpoints=setpoint.of_set_speed,
 )
 EXECUTE_SPEED = CommandKind(
     ExecuteSpeed,
     Role.OPERATOR,
     wording=wording.of_execute_speed,
-    setpoints=new_setpoints.of_execute_speed,
+    setpoints=setpoint.of_execute_speed,
 )
 EXECUTE_ALL = CommandKind(
     ExecuteAll,
@@ -109,7 +109,7 @@ EXECUTE_ALL = CommandKind(
     wording=wording.of_execute_all,
     part_wordings=wording.parts_of_execute_all,
     units_written=lambda _, bus: list(staged_setpoints(bus)),
-    setpoints=new_setpoints.of_execute_all,
+    setpoints=setpoint.of_execute_all,
 )
 SET_LINE = CommandKind(
     SetLine,
@@ -117,7 +117,7 @@ SET_LINE = CommandKind(
     wording=wording.of_set_line,
     part_wordings=wording.parts_of_set_line,
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
-    setpoints=new_setpoints.of_set_line,
+    setpoints=setpoint.of_set_line,
     check=action_checks.check_line,
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
 )
@@ -139,7 +139,7 @@ WRITE_PARAMETER = CommandKind(
     WriteParameter,
     Role.ENGINEER,
     wording=wording.of_write_parameter,
-    setpoints=new_setpoints.of_write_parameter,
+    setpoints=setpoint.of_write_parameter,
     check=action_checks.check_parameter,
     danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
     writes_parameters=True,
@@ -194,5 +194,4 @@ COMMANDS: dict[type[Action], CommandKind[Any]] = {kind.request: kind for kind in
 
 
 def kind_of_command(action: Action) -> CommandKind[Any]:
-    """The row of ``action``."""
     return COMMANDS[type(action)]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.commands.rules.new_setpoints import staged_setpoints
-from app.commands.rules.setpoint import commanded_setpoint
+from app.commands.rules.setpoint import commanded_setpoint, staged_setpoints
 from app.commands.values import parameter_message, setpoint_message
 from app.live.state.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS

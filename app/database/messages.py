@@ -13,7 +13,6 @@ _DECODER = msgspec.json.Decoder(list[Message])
 
 
 def stored_messages(messages: Sequence[Message]) -> str:
-    """The text to store."""
     return msgspec.json.encode(messages).decode()
 
 
@@ -31,5 +30,4 @@ def stored_message(message: Message | None) -> str:
 
 
 def message_of(text: str) -> Message | None:
-    """The message that was stored."""
     return next(iter(messages_of(text)), None)

@@ -68,7 +68,6 @@ class Channel:
 
     @property
     def connected(self) -> bool:
-        """Whether a worker is connected."""
         return self._connection is not None
 
     async def opened(self, connection: MessageSink, worker: str) -> None:

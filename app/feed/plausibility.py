@@ -22,8 +22,6 @@ from bus.contract import (
     ParameterValue,
     Progress,
     Reading,
-    ReadParameters,
-    ReadTrace,
     Result,
     Snapshot,
     Staged,
@@ -38,7 +36,6 @@ AHEAD_S = 5.0
 """The offset of a clock is known to within the delay of a message."""
 LIVE_S = 60.0
 """An older reading is no present state, whatever its mark."""
-MOST_FRAMES_OF_A_COMMAND = 300
 
 
 @dataclass(slots=True)
@@ -79,11 +76,8 @@ def judge_snapshot(snapshot: Snapshot, units: Collection[int], now: UnixTime) ->
 
 def result_for(result: Result, action: Action) -> Result:
     """The parts of a result that can belong to ``action``."""
-    if isinstance(action, ReadTrace):
-        return result
-    unit = action.unit if isinstance(action, ReadParameters) else None
-    values = [value for value in result.values if value.unit == unit]
-    return replace(result, values=values, frames=result.frames[:MOST_FRAMES_OF_A_COMMAND])
+    values = [value for value in result.values if action.returns_values and value.unit == action.only_unit]
+    return replace(result, values=values, frames=result.frames[: action.most_frames])
 
 
 def _judged(update: Update, units: Collection[int], now: UnixTime) -> Update | None:

@@ -18,7 +18,7 @@ from app.history.series.runs import SECOND, micros
 from app.history.status import Status
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.inspection import damaged_blocks, pages_are_intact
+from app.history.store.repair import damaged_blocks, pages_are_intact
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now

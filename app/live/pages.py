@@ -51,7 +51,6 @@ class UnitOnLine:
 
     @property
     def href(self) -> str:
-        """Its own page."""
         return f"/units/{self.key}"
 
 
@@ -73,7 +72,6 @@ class BusOnLine:
 
     @property
     def grouped(self) -> bool:
-        """Whether any group has a name."""
         return any(group.name for group in self.groups)
 
 

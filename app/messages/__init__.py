@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from app.messages.language import Language
-from app.messages.languages import DEFAULT, Languages
+from app.messages.languages import DEFAULT, Language, Languages
 
 __all__ = ["DEFAULT", "Language", "Languages"]

@@ -1,12 +1,106 @@
-"""The languages that there are, and which of them a reader gets."""
+"""The languages with their texts, by gettext, and which of them a reader gets."""
 
 from __future__ import annotations
 
+import gettext
+import hashlib
 from collections.abc import Iterator
-from functools import cache
+from contextlib import suppress
+from functools import cache, cached_property
+from io import BytesIO
 from pathlib import Path
 
-from app.messages.language import Language
+from babel import Locale
+from babel.numbers import get_decimal_symbol
+
+from bus.messages import TEXTS, Message, Plural
+
+
+class Language:
+    """``path`` is its catalog, named after the locale for numbers and dates; it is read with the first
+    text that is wanted."""
+
+    def __init__(self, path: Path, kept_in: Path | None = None) -> None:
+        self.locale = path.stem
+        self.tag = self.locale.split("_")[0]
+        self._path = path
+        self._kept_in = kept_in
+        locale = Locale.parse(self.locale)
+        self.name = Locale(locale.language).get_display_name(locale) or self.tag
+        """What the language calls itself."""
+        self.point = get_decimal_symbol(locale)
+        """The decimal sign."""
+
+    def __str__(self) -> str:
+        return self.tag
+
+    def t(self, text: str | Message, /, **values: object) -> str:
+        """The text in this language (in English when it is not translated), ``{names}`` filled in."""
+        if isinstance(text, Message):
+            return text.render(self)
+        text = self.term(text)
+        return text.format(**values) if values else text
+
+    def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
+        """The text for a count: ``one`` for exactly one, else ``many`` (as this language divides them);
+        ``{n}`` in it is the count."""
+        return self.catalog.ngettext(one, many, n).format(n=n, **values)
+
+    def term(self, text: str) -> str:
+        """A text of the catalog in this language; as it is where there is no translation."""
+        return self.catalog.gettext(text) if text else ""
+
+    def template(self, code: str, n: object) -> str | None:
+        """The text of a message, its names in braces; None: there is no such code."""
+        english = TEXTS.get(code)
+        if isinstance(english, Plural):
+            count = n if isinstance(n, int) else 0
+            return self.catalog.npgettext(code, english.one, english.many, count)
+        return english and self.catalog.pgettext(code, english)
+
+    def read(self) -> None:
+        """Read the catalog now, in any thread, rather than with the first text."""
+        _ = self.catalog
+
+    @cached_property
+    def catalog(self) -> gettext.GNUTranslations:
+        return compiled(self._path, self._kept_in)
+
+
+_DIGEST_BYTES = 32
+
+
+def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
+    """The catalog of a ``.po`` file. To parse one takes a tenth of a second, so what comes of it is kept in
+    ``kept_in`` until the file changes. A folder that cannot be written costs that time and nothing else."""
+    source = path.read_bytes()
+    digest = hashlib.sha256(source).digest()
+    kept = kept_in / f"{path.stem}.mo" if kept_in is not None else None
+    if kept is not None:
+        with suppress(OSError):
+            data = kept.read_bytes()
+            if data[:_DIGEST_BYTES] == digest:
+                return gettext.GNUTranslations(BytesIO(data[_DIGEST_BYTES:]))
+    data = _parsed(source, path.stem)
+    if kept is not None:
+        with suppress(OSError):
+            kept.parent.mkdir(0o700, parents=True, exist_ok=True)
+            unfinished = kept.with_suffix(".new")
+            unfinished.write_bytes(digest + data)
+            unfinished.replace(kept)
+    return gettext.GNUTranslations(BytesIO(data))
+
+
+def _parsed(source: bytes, locale: str) -> bytes:
+    # Only here, because importing it takes as long as half a catalog.
+    from babel.messages.mofile import write_mo
+    from babel.messages.pofile import read_po
+
+    target = BytesIO()
+    # Of a catalog without a locale, Babel leaves the rule for plurals out.
+    write_mo(target, read_po(BytesIO(source), locale=locale))
+    return target.getvalue()
+
 
 DEFAULT = "en"
 FOLDER = Path(__file__).parent

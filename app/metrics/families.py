@@ -9,7 +9,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from app.live.state.bus_live import BusLive
-from app.metrics.measured import MetricSources
+from app.metrics.api import MetricSources
 from bus.contract import UnitFigures
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
@@ -29,7 +29,6 @@ class _LineCollector(Collector):
         self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
-        """The families of metrics."""
         measured = self._measured
         yield from _of_units(measured.live.buses.items())
         yield from _of_buses(measured.live.buses.items())

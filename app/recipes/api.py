@@ -118,7 +118,6 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
 
 
 async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:
-    """A stored version."""
     recipe = await book.store.load(recipe_id)
     if recipe is None:
         raise Problem(404, "unknown_recipe", Message.of("no_recipe_with_id", recipe=recipe_id))

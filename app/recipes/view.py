@@ -11,8 +11,7 @@ from app.live.api.schemas import Time, UnitAddress
 from app.live.state.bus_live import BusLive
 from app.recipes.rules import DryRun, Recipe, RecipeDeparture, setpoint_text
 from app.recipes.store import Loaded
-from app.web.message_shown import MessageShown, maybe_shown, message_shown
-from app.web.shape import iso
+from app.web.shape import MessageShown, iso, maybe_shown, message_shown
 from bus.messages import in_english, number, term
 
 RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]

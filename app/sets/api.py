@@ -35,10 +35,9 @@ from app.sets.view import (
 )
 from app.web.access import Engineer, Person, Role, Viewer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import maybe_shown
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
-from app.web.shape import StrictBody, UnitAddresses
+from app.web.shape import StrictBody, UnitAddresses, maybe_shown
 from bus.messages import Message, in_english
 from bus.text import Lines, OneLine
 

@@ -41,7 +41,6 @@ NO_RAMP = Message("effect_no_ramp")
 
 
 def effect_message(effect: Effect) -> Message:
-    """What it does."""
     return Message(f"effect_{effect}")
 
 

@@ -62,7 +62,6 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
 
 
 async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
-    """A stored set."""
     stored = await store.load(set_id)
     if stored is None:
         raise Problem(404, "unknown_set", Message.of("no_such_set", set=set_id))

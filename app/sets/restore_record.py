@@ -87,7 +87,6 @@ class Restore:
 
     @property
     def done(self) -> int:
-        """How many rows have their outcome."""
         return sum(row.outcome is not None for row in self.rows)
 
     @property
@@ -114,7 +113,6 @@ class Restore:
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
     def cancel(self, who: str) -> None:
-        """Stop after the current row."""
         self.cancelled_by = who
 
     def account(self) -> Message | None:

@@ -35,7 +35,6 @@ class RestoreStore:
         await self._database.write(lambda connection: _update_row(connection, restore.id, place, unverified))
 
     async def row(self, restore: Restore, place: int) -> None:
-        """A row has its outcome."""
         row = restore.rows[place]
         await self._database.write(lambda connection: _update_row(connection, restore.id, place, row))
 

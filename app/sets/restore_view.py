@@ -15,7 +15,7 @@ from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, Reason
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.view import ComparedShown, Number, StoredRaw, compared_json
-from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
+from app.web.shape import MaybeMessage, MessageShown, maybe_shown, message_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome
 from bus.messages import Message, in_english
@@ -113,7 +113,6 @@ class RestoreRow:
 
     @property
     def name(self) -> str:
-        """Of its parameter."""
         return PARAMETERS[self.number].name
 
     @property
@@ -123,7 +122,6 @@ class RestoreRow:
 
     @property
     def meaning(self) -> Message:
-        """Effect of the change."""
         unknown = Message("value_not_known")
         return meaning(self.number, self.present or unknown, self.wanted or unknown)
 
@@ -136,7 +134,6 @@ def rows_to_write(restore: Restore) -> list[RestoreRow]:
 
 
 def rows_left_out(restore: Restore) -> list[RestoreRow]:
-    """The rows that are not written."""
     return [
         _row(restore, left.number, restore.before.raw(left.number), restore.wanted.raw(left.number), left)
         for left in restore.left_out
@@ -144,7 +141,6 @@ def rows_left_out(restore: Restore) -> list[RestoreRow]:
 
 
 def restore_json(restore: Restore) -> RestoreShown:
-    """As programs see it."""
     return {
         "id": restore.id,
         "bus": restore.bus,

@@ -38,7 +38,6 @@ class Taking:
 
     @property
     def done(self) -> int:
-        """Number of units."""
         return len(self.read) + len(self.missing)
 
 

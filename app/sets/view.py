@@ -12,8 +12,7 @@ from app.sets.compare import Compared, Comparison, with_unit
 from app.sets.drift import DriftedParameter
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.store import SetSummary
-from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
-from app.web.shape import iso
+from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message, in_english
 
@@ -127,7 +126,6 @@ class ScheduleShown(TypedDict):
 
 
 def summary_json(summary: SetSummary) -> SummaryShown:
-    """One line of the list."""
     return {
         **_head(summary),
         "units": list(summary.units),

@@ -28,7 +28,6 @@ class SwapStore:
         )
 
     async def remove(self, swap: Swap) -> None:
-        """It is over."""
         await self._database.write(
             lambda connection: connection.execute(
                 "DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit)

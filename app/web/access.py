@@ -80,7 +80,6 @@ class Person:
 
     @property
     def account(self) -> str:
-        """Identifies the user among all."""
         return account_of(self.name, token=self.via == "token")
 
     @property

@@ -37,12 +37,10 @@ def _folder(name: str) -> Path:
 
 
 def templates_dir() -> Path:
-    """Where the templates are."""
     return _folder("templates")
 
 
 def static_dir() -> Path:
-    """Where the static files are."""
     return _folder("static")
 
 
@@ -124,7 +122,6 @@ class Assets:
                     self._add_imports(name, needed)
 
     def __iter__(self) -> Iterator[str]:
-        """Every name."""
         return iter(self._files)
 
     def pack(self, name: str) -> None:

@@ -59,7 +59,6 @@ class Formats:
         return format_datetime(self.local(at), "medium", locale=self.locale)
 
     def day(self, at: UnixTime | datetime) -> str:
-        """The date."""
         return format_date(self.local(at).date(), "medium", locale=self.locale)
 
     def clock(self, at: UnixTime | datetime) -> str:

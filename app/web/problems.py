@@ -20,7 +20,7 @@ from starlette.websockets import WebSocket
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
-from app.web.message_shown import message_shown
+from app.web.shape import message_shown
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import ENGLISH, Message, shown

@@ -140,7 +140,6 @@ _REF = "#/components/schemas/"
 
 
 def operation_name(function: str) -> str:
-    """The published ``operationId`` of an endpoint."""
     return OPERATIONS.get(function, function)
 
 

@@ -48,7 +48,6 @@ class Registry:
 
 
 def service_of(connection: HTTPConnection, kind: type[S]) -> S:
-    """The service of this type."""
     registry: Registry = connection.app.state.registry
     return registry[kind]
 

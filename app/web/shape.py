@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
+from msgspec import to_builtins
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from typing_extensions import TypedDict
 
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -46,3 +48,25 @@ def parse_integer(text: str, digits: int = 18) -> int | None:
     beyond 4300 of them.
     """
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= digits else None
+
+
+class MessageShown(TypedDict):
+    """A text for programs; a value that is itself a text is a message too."""
+
+    code: Annotated[str, Field(description="Which text it is.")]
+    params: Annotated[dict[str, Any], Field(description="Its values, by name.")]
+    detail: Annotated[str, Field(description="The text, English.")]
+
+
+MaybeMessage = Annotated[
+    MessageShown | None, Field(description="The field before it as data; null: it is empty.")
+]
+
+
+def message_shown(message: Message) -> MessageShown:
+    return {"code": message.code, "params": to_builtins(message.params), "detail": str(message)}
+
+
+def maybe_shown(message: Message | None) -> MessageShown | None:
+    """The same; None where there is no message."""
+    return None if message is None else message_shown(message)

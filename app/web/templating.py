@@ -39,7 +39,6 @@ class Compiled(FileSystemBytecodeCache):
             super().load_bytecode(bucket)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep one template."""
         with suppress(OSError):
             super().dump_bytecode(bucket)
 
@@ -112,7 +111,6 @@ class Templates:
         return self.environment(tag).get_template(name).render(context)
 
     def language_of(self, connection: HTTPConnection) -> Language:
-        """The language of the request."""
         person = person_of(connection)
         preferred = person.language if person else ""
         accepted = connection.headers.get("accept-language", "")
@@ -120,7 +118,6 @@ class Templates:
 
 
 def templates_of(connection: HTTPConnection) -> Templates:
-    """The app's templates."""
     return service_of(connection, Templates)
 
 

@@ -29,6 +29,10 @@ class BusAction(TaggedStruct, frozen=True):
 
     writes: ClassVar[bool] = True
     """Whether it can change anything in a unit."""
+    returns_values: ClassVar[bool] = False
+    """Whether its result has values of parameters, those of ``only_unit``."""
+    most_frames: ClassVar[int] = 300
+    """How many frames its result has at most."""
 
     @property
     def units(self) -> tuple[int, ...]:
@@ -48,12 +52,10 @@ class UnitAction(BusAction, frozen=True):
 
     @property
     def units(self) -> tuple[int, ...]:
-        """Its unit."""
         return (self.unit,)
 
     @property
     def only_unit(self) -> int | None:
-        """Its unit."""
         return self.unit
 
 
@@ -79,7 +81,6 @@ class SetLine(BusAction, frozen=True, tag="set_line"):
 
     @property
     def units(self) -> tuple[int, ...]:
-        """Those of the change."""
         return tuple(sorted(self.setpoints))
 
 
@@ -100,6 +101,7 @@ class ReadParameters(UnitAction, frozen=True, tag="read_parameters"):
     """85h for each of ``numbers`` (all 40 when empty). Not ``urgent``: only in the gaps of the scan."""
 
     writes: ClassVar[bool] = False
+    returns_values: ClassVar[bool] = True
     numbers: Annotated[list[ParameterNumber], Meta(max_length=40)] = field(default_factory=list)
     urgent: bool = True
 
@@ -132,6 +134,7 @@ class ReadTrace(BusAction, frozen=True, tag="read_trace"):
     """
 
     writes: ClassVar[bool] = False
+    most_frames: ClassVar[int] = MOST_FRAMES
     since: Stamp
     limit: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = MOST_FRAMES
 

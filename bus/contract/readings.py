@@ -153,7 +153,6 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
 
     @property
     def meaning(self) -> str:
-        """The meaning in English."""
         return "; ".join(map(str, self.meanings))[:LONGEST_MEANING]
 
 

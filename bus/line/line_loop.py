@@ -33,7 +33,7 @@ from bus.line.completion import Completion, run_at_once
 from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import Link
-from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.exchange.send import ExchangeResult
 from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter, NextRequest
@@ -320,7 +320,6 @@ class LineLoop:
                 self._baud_search.expect(baud, self.baud)
 
     def figures(self) -> BusFigures:
-        """The figures of this moment."""
         now = self.clock.now()
         at = self.clock.epoch(now)
         return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)

@@ -47,7 +47,6 @@ class Opener:
             self.close()
 
     def close(self) -> None:
-        """Give the port back."""
         if self._port is not None:
             self._port.close()
             self._port = None

@@ -99,11 +99,9 @@ class Roster:
         return self._configured
 
     def is_configured(self, unit: int) -> bool:
-        """Whether the configuration has ``unit``."""
         return unit in self._known
 
     def states(self) -> list[UnitState]:
-        """For a snapshot."""
         return [
             UnitState(
                 unit=record.unit,

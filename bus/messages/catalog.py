@@ -27,14 +27,12 @@ class EnglishCatalog:
     point = "."
 
     def template(self, code: str, n: object) -> str | None:
-        """The text in English."""
         text = TEXTS.get(code)
         if isinstance(text, Plural):
             return text.one if n == 1 else text.many
         return text
 
     def term(self, text: str) -> str:
-        """The word itself."""
         return text
 
 

@@ -63,7 +63,6 @@ class Message(msgspec.Struct, frozen=True):
         return hash((self.code, str(self.params)))
 
     def __str__(self) -> str:
-        """Its text in English."""
         return self.render(ENGLISH)
 
     def render(self, catalog: Catalog) -> str:

@@ -42,11 +42,9 @@ class SimulatorControl:
 
     @property
     def port(self) -> int:
-        """The port in use."""
         return int(self._listener.server_address[1])
 
     def close(self) -> None:
-        """Listen no more."""
         self._listener.shutdown()
         self._listener.server_close()
 
@@ -70,7 +68,6 @@ class Remote:
         return response.get("result")
 
     def close(self) -> None:
-        """Hang up."""
         self._stream.close()
         self._socket.close()
 

@@ -84,7 +84,6 @@ class Faults:
             self._rates[unit].pop(kind, None)
 
     def clear(self) -> None:
-        """All is well again."""
         self._rates.clear()
 
     def strikes(self, kind: FaultKind, unit: int = EVERY_UNIT) -> bool:

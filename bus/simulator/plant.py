@@ -46,7 +46,6 @@ class Script:
         self._held: list[tuple[Unit, Habit, float]] = []
 
     def step(self, dt: float) -> None:
-        """``dt`` seconds pass."""
         self._release(dt)
         for place, (habit, left) in enumerate(self._waiting):
             self._waiting[place] = (habit, left - dt)
@@ -95,7 +94,6 @@ class Plant:
             section.settle(self._master_rpm())
 
     def step(self, dt: float = STEP_S) -> None:
-        """Advance the line by ``dt`` seconds."""
         if self.script is not None:
             self.script.step(dt)
         master_rpm = self._master_rpm()

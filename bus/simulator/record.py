@@ -49,7 +49,6 @@ class WireRecord:
     _count: int = 0
 
     def add(self, at: float, what: Happened, unit: int, data: bytes) -> None:
-        """Keep one entry."""
         self._count += 1
         self._entries.append(WireEvent(self._count, at, what, unit, data))
 
@@ -64,5 +63,4 @@ class WireRecord:
 
     @property
     def count(self) -> int:
-        """The number of the last entry."""
         return self._count

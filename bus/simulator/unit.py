@@ -80,12 +80,10 @@ class Unit:
 
     @property
     def address(self) -> int:
-        """#17."""
         return self.memory[numbers.OWN_ADDRESS]
 
     @property
     def mode(self) -> Mode:
-        """#19."""
         return Mode(self.memory[numbers.CONTROL_MODE])
 
     @property

@@ -10,7 +10,6 @@ from bus.settings import Dialect
 
 
 def update_of(event: LineUpdate, dialect: Dialect) -> Update:
-    """The message for ``event``."""
     match event:
         case CommandProgressed():
             return _progress(event)

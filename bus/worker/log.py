@@ -20,13 +20,11 @@ class Unbreakable(io.TextIOBase):
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Raises nothing."""
         with suppress(OSError, ValueError):
             self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """Raises nothing."""
         with suppress(OSError, ValueError):
             self._stream.flush()
 

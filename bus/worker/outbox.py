@@ -60,7 +60,6 @@ class Outbox:
         return self._readings + self._others
 
     def put(self, updates: Iterable[Update]) -> None:
-        """Have them delivered."""
         for update in updates:
             if isinstance(update, Passing) and not self._worth_queueing():
                 continue
@@ -70,7 +69,6 @@ class Outbox:
         self.filled.set()
 
     def disconnected(self) -> None:
-        """The app is away."""
         self.connected = False
 
     def resume(self, delivered: int, *, oldest: UnixTime = UnixTime(0.0)) -> None:

@@ -98,7 +98,6 @@ class BusWorker:
     # --- calls of the uplink -------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        """Who speaks."""
         return Hello(
             version=CONTRACT_VERSION,
             bus=self.bus.name,
@@ -110,7 +109,6 @@ class BusWorker:
         )
 
     def snapshot(self, seq: int) -> Snapshot:
-        """Everything that is known now."""
         return Snapshot(
             seq=seq,
             sent_at=self._epoch(),
@@ -120,7 +118,6 @@ class BusWorker:
         )
 
     def watch(self, watch: Watch) -> None:
-        """What people look at."""
         self.line.watch(watch)
         self.line.trace.follower = self._follow if watch.trace else None
 

@@ -51,7 +51,7 @@ class Shelf:
 
     def start_again(self) -> None:
         """As after a crash: what is not on disk is gone."""
-        self.recorder = Recorder(self.database, self.tail)
+        self.recorder = Recorder(self.database, self.tail, lambda _: None)
         self.recorder.replay()
 
     def keep(self, updates: Iterable[Update]) -> None:

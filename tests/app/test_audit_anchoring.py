@@ -97,7 +97,7 @@ async def test_the_head_is_added_when_it_changed(scene: Scene) -> None:
     ]
     assert scene.path.stat().st_mode & 0o777 == 0o600
     anchors = read_anchors(scene.path.read_bytes().splitlines(), scene.events.keys.ring)
-    assert (await scene.events.prove(anchors.heads)).anchored == 4
+    assert (await scene.events.proof.verify(anchors.heads)).anchored == 4
 
 
 async def test_a_file_that_can_only_be_added_to_is_enough(
@@ -198,7 +198,7 @@ async def test_a_long_log_is_verified_without_blocking_the_event_loop(scene: Sce
         await scene.events.intend_together(
             [{"who": "a", "origin": "api", "bus": "b", "unit": 1, "what": "x"} for _ in range(700)]
         )
-    proving = asyncio.create_task(scene.events.prove())
+    proving = asyncio.create_task(scene.events.proof.verify())
     turns = 0
     while not proving.done():
         await scene.happen()

@@ -78,7 +78,7 @@ async def test_a_message_is_stored_as_its_text_and_its_params(log: EventLog) -> 
     assert (later["old"], "old" in later["messages"]) == ("typed", False)
     assert first["message"] == "unit is not in REMOTE mode"
     assert first["messages"] == {"message": Message("unit_not_remote")}
-    assert (await log.prove()).broken is None
+    assert (await log.proof.verify()).broken is None
 
 
 async def test_a_command_has_one_outcome(log: EventLog) -> None:
@@ -105,7 +105,7 @@ async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, 
     await intent(log)
     with pytest.raises(sqlite3.IntegrityError, match="an event is never"):
         await database.write(lambda connection: connection.execute(change))
-    assert (await log.prove()).broken is None
+    assert (await log.proof.verify()).broken is None
 
 
 @pytest.mark.parametrize(
@@ -126,9 +126,9 @@ async def test_who_takes_the_guard_away_is_found_out(log: EventLog, database: Da
         connection.execute("DROP TRIGGER events_stay_as_written")
         connection.execute("UPDATE events SET new_raw = 1 WHERE id = 3")
 
-    assert (await log.prove()).entries == 5
+    assert (await log.proof.verify()).entries == 5
     await database.write(tamper)
-    verdict = await log.prove()
+    verdict = await log.proof.verify()
     assert (verdict.broken, str(verdict.fault)) == (3, "entry 3 was changed after it was written")
 
 

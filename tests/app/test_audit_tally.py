@@ -94,11 +94,11 @@ async def test_the_count_is_part_of_the_chain(scene: Scene) -> None:
     await scene.refuse(5)
     await scene.events.repeated.record_rest()
     await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
-    assert (await scene.events.prove()).broken is None
+    assert (await scene.events.proof.verify()).broken is None
     await scene.database.write(
         lambda connection: connection.execute("UPDATE events SET count = 2 WHERE count = 4")
     )
-    assert (await scene.events.prove()).broken == 2
+    assert (await scene.events.proof.verify()).broken == 2
 
 
 @given(st.lists(st.tuples(st.integers(0, 60), st.floats(-100, 100)), max_size=60))

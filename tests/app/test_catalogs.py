@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from app.messages import Languages
-from app.messages.language import compiled
-from app.messages.languages import DEFAULT, catalogs
+from app.messages.languages import DEFAULT, catalogs, compiled
 from bus.messages import TEXTS, Message, Plural, number, term, texts
 from bus.messages.texts import GROUPS
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted

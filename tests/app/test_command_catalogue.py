@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 
 from app.commands.catalogue import COMMANDS, kind_of_command, timeout_s_for
-from app.commands.rules.new_setpoints import NewSetpoint
+from app.commands.rules.setpoint import NewSetpoint
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from app.commands.check import check
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import Moves
-from app.commands.safeguards.blocks import CommandBlock
-from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, Limits
+from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
 from app.live.state.bus_live import BusLive, LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (

@@ -374,7 +374,7 @@ async def test_a_change_of_several_is_an_event_for_the_line_and_one_for_each_uni
     ]
     of_unit = (await stage.http().get("/api/v1/events?bus=dry-end&unit=2")).json()["events"]
     assert (of_unit[0]["old_raw"], of_unit[0]["new_raw"]) == (1000, 1200)
-    assert (await stage.events.prove()).fault is None
+    assert (await stage.events.proof.verify()).fault is None
 
 
 @pytest.mark.usefixtures("worker")

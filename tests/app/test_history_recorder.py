@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.history.intake.folding import compact
+from app.history.intake.recorder import compact
 from app.history.series.runs import HOUR, micros
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink

@@ -10,7 +10,6 @@ from msgspec.structs import replace
 from app.feed.plausibility import (
     AHEAD_S,
     LIVE_S,
-    MOST_FRAMES_OF_A_COMMAND,
     judge_snapshot,
     result_for,
     sort_updates,
@@ -158,7 +157,7 @@ def test_the_parts_of_a_result_that_can_belong_to_its_command() -> None:
     values = [ParameterValue(unit, 3, NOW, 1) for unit in UNITS]
     frames = [Frame(NOW, "in", b"", [])] * 2_000
     result = Result("c", NOW, "verified", values=values, frames=frames)
-    few = frames[:MOST_FRAMES_OF_A_COMMAND]
+    few = frames[: SetSpeed.most_frames]
     assert result_for(result, SetSpeed(1, 5)) == replace(result, values=[], frames=few)
     assert result_for(result, ReadParameters(2)) == replace(result, values=values[1:], frames=few)
-    assert result_for(result, ReadTrace(0.0)) == result
+    assert result_for(result, ReadTrace(0.0)) == replace(result, values=[])

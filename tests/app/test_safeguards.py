@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.audit.store import Filter
-from app.commands.safeguards.blocks import BlockStore, CommandBlock
-from app.commands.safeguards.limits import NO_LIMITS, Limits, LimitsStore
+from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from bus.contract import Command, Update
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged

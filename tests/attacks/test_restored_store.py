@@ -19,8 +19,7 @@ from app.auth import store
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.cli import cli
-from app.commands.safeguards.blocks import BlockStore, CommandBlock
-from app.commands.safeguards.limits import Limits, LimitsStore
+from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from app.settings import load
 from app.web.access import Role

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 from bus.line.commands.command_run import CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult
-from bus.line.exchange.send import Send
-from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.exchange.send import ExchangeResult, Send
 from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.settings import Dialect

@@ -12,7 +12,7 @@ from bus.errors import WireError
 from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import SECRET_LINGERS_S, Link
-from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.exchange.send import ExchangeResult
 from bus.line.exchange.window import MARGIN_S, PortPace
 from bus.line.port.port import PartlySent
 from bus.line.roster import Roster

@@ -13,8 +13,14 @@ from hypothesis import strategies as st
 
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.line.schedule.parameter_queue import ParameterQueue
-from bus.line.schedule.poll_order import KEPT_OF_A_TURN, WATCHED_HZ, PollOrder
-from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
+from bus.line.schedule.poll_schedule import (
+    KEPT_OF_A_TURN,
+    WATCHED_HZ,
+    PollOrder,
+    PollSchedule,
+    Task,
+    TaskKind,
+)
 from bus.line.schedule.probe_backoff import ALONE_STEP_S, STEPS_S, ProbeBackoff, WireShare
 
 POLL_S = 0.026

@@ -9,8 +9,7 @@ import pytest
 from bus.contract import Reading, Result
 from bus.line.commands import writes
 from bus.line.commands.procedure import CommandContext, Procedure, Wait
-from bus.line.exchange.send import Send, SendResult, SendStatus
-from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
+from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.settings import Dialect
 from bus.wire.commands import (

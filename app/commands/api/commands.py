@@ -121,7 +121,6 @@ async def command_call(
     timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
     key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
 ) -> CommandCall:
-    """This request's."""
     return CommandCall(request, live, commands, bus, key, made_at(request), timeout_s)
 
 

@@ -10,9 +10,8 @@ from starlette.responses import JSONResponse, Response
 from app.commands.api.schemas import FrameShown, OutcomeMembers
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
-from app.web.message_shown import maybe_shown, message_shown
 from app.web.problems import respond
-from app.web.shape import iso
+from app.web.shape import iso, maybe_shown, message_shown
 from bus.contract import Frame, Result, UnitOutcome
 from bus.errors import unit_error, unit_error_name
 from bus.instants import UnixTime
@@ -60,7 +59,6 @@ def result_json(
 
 
 def outcome_message(result: Result | UnitOutcome) -> Message:
-    """What became of it."""
     if result.message:
         return result.message
     outcome = Message(f"outcome_{result.outcome}")

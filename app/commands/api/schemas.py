@@ -7,7 +7,7 @@ from typing import Annotated, NotRequired
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.web.message_shown import MessageShown
+from app.web.shape import MessageShown
 from bus.contract import Direction, Outcome
 from bus.instants import UnixTime
 

@@ -19,7 +19,6 @@ _DIRECTIONS = ("out", "in")
 
 
 def trace_line(frame: Frame) -> str:
-    """One line without its end."""
     time = datetime.fromtimestamp(float(frame.at), UTC).isoformat(timespec="microseconds")
     meaning = " ".join(frame.meaning.split())
     return f"{time}\t{frame.direction}\t{frame.data.hex(' ').upper()}\t{meaning}"

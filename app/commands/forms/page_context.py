@@ -76,7 +76,6 @@ class PageContext:
         return service_of(self.request, Hub).people()
 
     def render(self, template: str, /, *, status: int = 200, **context: Any) -> Response:
-        """A page or fragment."""
         return render(self.request, template, status=status, **context)
 
     def review(self, template: str, /, **context: Any) -> Response:

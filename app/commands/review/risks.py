@@ -69,7 +69,6 @@ _RISKS = (
 
 
 def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
-    """Risks of writing a parameter (86h)."""
     if number in (ACCELERATION, DECELERATION) and raw == 0:
         return (Message.of("risk_no_ramp", number=number),)
     if number in KIND_OF_PARAMETER:

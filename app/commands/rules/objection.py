@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from app.commands.safeguards.blocks import CommandBlock
-from app.commands.safeguards.limits import Limits
+from app.commands.safeguards.limits import CommandBlock, Limits
 from app.live.state.bus_live import BusLive
 from bus.errors import LinesideError
 from bus.messages import Message

@@ -1,14 +1,15 @@
-"""What an engineer allows for each unit's speed, kept in the store and at hand for the rules.
+"""Speed limits and command blocks of units, kept in the store and at hand for the rules.
 
-All four are raw integers of the unit's own setpoint: display units, or the ratio times 10000
-where the unit is a follower.
+All four limits are raw integers of the unit's own setpoint: display units, or the ratio times 10000 where the
+unit is a follower.
 """
 
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass
-from functools import partial
+from typing import Any
 
 from app.database import Database
 from bus.instants import UnixTime
@@ -29,7 +30,6 @@ class Limits:
 
     @property
     def message(self) -> Message:
-        """Those that there are."""
         parts = [
             Message(code, {"value": limit})
             for code, limit in (
@@ -47,6 +47,13 @@ class Limits:
 
 
 NO_LIMITS = Limits()
+Row = tuple[Any, ...]
+Protection = dict[str, list[Row]]
+"""Table → its rows."""
+_COLUMNS = {
+    "blocks": "bus, unit, reason, set_by, set_at",
+    "limits": "bus, unit, lowest, highest, largest_step, per_minute, set_by, set_at",
+}
 
 
 class LimitsStore:
@@ -59,29 +66,81 @@ class LimitsStore:
 
     async def load(self) -> None:
         """Load from the database; once, before the first command."""
-        self._limits = await self._database.read(partial(_select, bus=self._bus))
+        rows = await self._database.read(lambda store: _rows(store, "limits", self._bus))
+        self._limits = {unit: Limits(*limits) for _, unit, *limits, _, _ in rows}
 
     def of(self, unit: int) -> Limits:
         """The limits of a unit; without any, all that the protocol allows."""
         return self._limits.get(unit, NO_LIMITS)
 
     async def put(self, unit: int, limits: Limits, set_by: str, set_at: UnixTime) -> None:
-        """Replace the limits of a unit."""
-        await self._database.write(lambda store: _replace(store, self._bus, unit, limits, set_by, set_at))
+        row = self._bus, unit, *astuple(limits), set_by, set_at
+        await self._database.write(lambda store: _replace(store, "limits", [row]))
         self._limits[unit] = limits
 
 
-def _select(store: sqlite3.Connection, bus: str) -> dict[int, Limits]:
-    columns = "unit, lowest, highest, largest_step, per_minute"
-    rows = store.execute(f"SELECT {columns} FROM limits WHERE bus = ?", (bus,))
-    return {unit: Limits(*limits) for unit, *limits in rows}
+@dataclass(frozen=True, slots=True)
+class CommandBlock:
+    """Why a unit is blocked, by whom, since when (seconds since the epoch)."""
+
+    reason: str
+    set_by: str
+    set_at: UnixTime
 
 
-def _replace(
-    store: sqlite3.Connection, bus: str, unit: int, limits: Limits, set_by: str, set_at: UnixTime
-) -> None:
-    store.execute(
-        "INSERT OR REPLACE INTO limits (bus, unit, lowest, highest, largest_step, per_minute, set_by, set_at)"
-        " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-        (bus, unit, *astuple(limits), set_by, set_at),
-    )
+class BlockStore:
+    """The blocks of the units of one bus: read once, written through."""
+
+    def __init__(self, database: Database, bus: str) -> None:
+        self._database = database
+        self._bus = bus
+        self._blocks: dict[int, CommandBlock] = {}
+
+    async def load(self) -> None:
+        """Load from the database; once, before the first command."""
+        rows = await self._database.read(lambda store: _rows(store, "blocks", self._bus))
+        self._blocks = {unit: CommandBlock(*block) for _, unit, *block in rows}
+
+    def of(self, unit: int) -> CommandBlock | None:
+        """The block of a unit, or None."""
+        return self._blocks.get(unit)
+
+    async def put(self, unit: int, block: CommandBlock) -> None:
+        """Block a unit, or give another reason."""
+        row = self._bus, unit, *astuple(block)
+        await self._database.write(lambda store: _replace(store, "blocks", [row]))
+        self._blocks[unit] = block
+
+    async def lift(self, unit: int) -> None:
+        await self._database.write(lambda store: _delete_block(store, self._bus, unit))
+        self._blocks.pop(unit, None)
+
+
+def read_protection(store: sqlite3.Connection) -> Protection:
+    """Every limit and block of a store. Raises sqlite3.Error for one that cannot be read."""
+    return {table: _rows(store, table) for table in _COLUMNS}
+
+
+def keep_in_force(restored: sqlite3.Connection, protection: Protection) -> None:
+    """Apply the limits and blocks that were in force before a store was restored from a backup.
+
+    They replace those of the same units; others of the restored store stay.
+    """
+    for table, rows in protection.items():
+        _replace(restored, table, rows)
+
+
+def _rows(store: sqlite3.Connection, table: str, bus: str | None = None) -> list[Row]:
+    """Of one bus; of all without ``bus``."""
+    where, values = ("", ()) if bus is None else (" WHERE bus = ?", (bus,))
+    return [tuple(row) for row in store.execute(f"SELECT {_COLUMNS[table]} FROM {table}{where}", values)]
+
+
+def _replace(store: sqlite3.Connection, table: str, rows: Iterable[Row]) -> None:
+    columns = _COLUMNS[table]
+    marks = ", ".join("?" for _ in columns.split(","))
+    store.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", rows)
+
+
+def _delete_block(store: sqlite3.Connection, bus: str, unit: int) -> None:
+    store.execute("DELETE FROM blocks WHERE bus = ? AND unit = ?", (bus, unit))

@@ -7,9 +7,8 @@ from collections.abc import Awaitable, Callable
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
-from app.commands.safeguards.blocks import BlockStore, CommandBlock
 from app.commands.safeguards.control import Control, ControlledError, Holding
-from app.commands.safeguards.limits import Limits, LimitsStore
+from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
@@ -50,7 +49,6 @@ class Safeguards:
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
-        """Load from the database."""
         await self.limits.load()
         await self.blocks.load()
 
@@ -64,7 +62,6 @@ class Safeguards:
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
-        """Replace the limits of a unit."""
         before = self.limits.of(unit)
         await self.limits.put(unit, limits, person.name, self._now())
         await self._record(

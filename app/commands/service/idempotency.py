@@ -134,7 +134,6 @@ class IdempotencyCache:
         return None if key is None else self._kept.get((person.sender, key))
 
     def keep(self, person: Person, key: str, command: KeptCommand) -> None:
-        """Bind the key to this command."""
         place = (person.sender, key)
         self._kept[place] = command
         while len(self._kept) > REMEMBERED and next(iter(self._kept.values())).result.done():

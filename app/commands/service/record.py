@@ -49,7 +49,6 @@ class CommandRecord:
         return await self._database.read(lambda connection: idempotency.find(connection, sender, key))
 
     def is_same(self, earlier: idempotency.Earlier, bus: str, action: Action) -> bool:
-        """Whether ``earlier`` is this command."""
         return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:

@@ -35,7 +35,7 @@ from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import maybe_shown, message_shown
+from app.web.shape import maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.messages import Message, in_english

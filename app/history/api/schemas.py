@@ -9,8 +9,8 @@ from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
 from app.history.status import StoreState
-from app.web.message_shown import MaybeMessage, MessageShown
 from app.web.schema_problem import problems
+from app.web.shape import MaybeMessage, MessageShown
 from bus.instants import UnixTime
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]

@@ -80,7 +80,6 @@ SpanOf = Annotated[Span, Depends(wanted_span)]
 
 
 async def wanted_points(points: int = 1000) -> int:
-    """At most how many points."""
     if not 1 <= points <= MOST_POINTS:
         raise Problem(422, "invalid", Message.of("points_out_of_range", most=MOST_POINTS))
     return points

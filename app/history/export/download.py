@@ -84,7 +84,6 @@ def _text(cell: Cell | None) -> str:
 
 
 def _csv_lines(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as CSV."""
     buffer = io.StringIO()
     csv.writer(buffer).writerows(rows)
     return buffer.getvalue()

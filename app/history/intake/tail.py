@@ -97,7 +97,6 @@ class Tail:
             self._lost.clear()
 
     def everything(self) -> list[tuple[int, Run]]:
-        """All of it, unit by unit."""
         with self._lock:
             return [(unit, run) for (unit, _), runs in sorted(self._minutes.items()) for run in runs]
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
-from app.history.intake.folding import compact
+from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock

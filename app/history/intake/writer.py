@@ -119,7 +119,6 @@ class Writer:
 
     @property
     def status(self) -> Status:
-        """How it is now."""
         status = self._status
         message = status.message or (DAMAGED if status.damaged else None)
         return replace(status, message=message, waiting=self._waiting - self._taken, lost=self._lost)

@@ -45,7 +45,6 @@ def micros(at: UnixTime) -> int:
 
 
 def run_of(reading: Reading) -> Run:
-    """One reading as a run."""
     at = micros(reading.at)
     word = reading.outputs << 8 | reading.inputs
     return Run(at, at, 1, reading.commanded, reading.actual, reading.analog, word)

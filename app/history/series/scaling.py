@@ -44,7 +44,6 @@ class LinearScale:
         return self.offset + raw * self.rise / self.per
 
     def apply_all(self, raws: Iterable[float]) -> list[float]:
-        """The same for many."""
         offset, rise, per = self.offset, self.rise, self.per
         return [offset + raw * rise / per for raw in raws]
 

@@ -39,7 +39,6 @@ VALUES: dict[str, Value] = {
 
 
 def unit_settings(bus: BusSettings, number: int) -> UnitSettings:
-    """A configured unit."""
     return next(unit for unit in bus.unit if unit.id == number)
 
 

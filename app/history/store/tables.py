@@ -58,7 +58,6 @@ def units_of(connection: StoreConnection, bus: str) -> list[int]:
 
 
 def every_unit(connection: StoreConnection) -> list[int]:
-    """Every key."""
     return [row[0] for row in connection.execute("SELECT id FROM unit")]
 
 
@@ -175,7 +174,6 @@ def oldest_raw(connection: StoreConnection) -> int | None:
 
 
 def rollup_row(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    """The rollups that one row holds."""
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
     if row is None:

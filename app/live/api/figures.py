@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.web.message_shown import MessageShown, message_shown
+from app.web.shape import MessageShown, message_shown
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 from bus.instants import UnixTime

@@ -17,8 +17,7 @@ from app.live.screen.fields import Translator
 from app.live.state.age import scan_s_of, unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
-from app.web.message_shown import maybe_shown, message_shown
-from app.web.shape import iso
+from app.web.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,

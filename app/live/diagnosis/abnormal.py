@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.diagnosis.rungs import Level
+from app.live.diagnosis.cause import Cause, Level, unit_cause
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
 from bus.catalogue.numbers import OWN_ADDRESS
@@ -34,7 +33,6 @@ class UnitView:
 
     @property
     def level(self) -> Level:
-        """How soon it needs a person."""
         return self.cause.level if self.cause is not None else ""
 
 

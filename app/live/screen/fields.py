@@ -60,7 +60,6 @@ class Translator:
     formats: Formats
 
     def t(self, text: str | Message, /, **values: object) -> str:
-        """The text in this language."""
         return self.language.t(text, **values)
 
     def tn(self, one: str, many: str, n: int, /, **values: object) -> str:
@@ -69,7 +68,6 @@ class Translator:
 
 
 def unit_key(bus: str, unit: int) -> str:
-    """The group of a unit's fields."""
     return f"{bus}/{unit}"
 
 

@@ -69,7 +69,6 @@ class Screen:
         return changed
 
     def refresh(self, now: UnixTime) -> Groups:
-        """Render everything again."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
             for group, fields in self.see(name, bus.units, now, include_bus=True).items():

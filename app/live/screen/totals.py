@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from app.live.diagnosis.abnormal import LEVELS, StateCounts, UnitView, all_offline
-from app.live.diagnosis.cause import Cause, bus_cause
-from app.live.diagnosis.rungs import Level
+from app.live.diagnosis.cause import Cause, Level, bus_cause
 from app.live.screen.cause_text import cause_line, cause_text, since_text
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now

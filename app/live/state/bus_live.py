@@ -152,7 +152,6 @@ class BusLive:
         self.link = link
 
     def take_reading(self, unit: UnitLive, reading: Reading) -> None:
-        """With all that follows from it."""
         unit.reading = reading
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))

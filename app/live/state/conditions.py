@@ -47,7 +47,6 @@ def mode_of(unit: UnitLive, bits: StatusBits) -> str:
 
 @lru_cache(maxsize=4096)
 def status_conditions(bits: StatusBits) -> frozenset[Condition]:
-    """The conditions in the status bits."""
     return frozenset(name for name, holds in STATUS_CONDITIONS.items() if holds(bits))
 
 

@@ -8,8 +8,7 @@ from enum import IntEnum
 
 from bus.instants import Monotonic
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, ProcedureResult, Wait
-from bus.line.exchange.send import Send, SendResult
-from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
+from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult
 from bus.line.statistics.trace import TracedFrame
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses

@@ -38,7 +38,6 @@ class Member:
 
     @property
     def unit(self) -> int:
-        """Its address."""
         return self.record.unit
 
     @property

@@ -132,7 +132,6 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
-    """That 85h shows ``raw``."""
     readback = Readback(False)
     for look in range(1 + REREADS):
         if look:

@@ -6,8 +6,7 @@ import msgspec
 
 from bus.instants import Monotonic
 from bus.line.clock import LineClock
-from bus.line.exchange.send import NO_NOISE, LineNoise
-from bus.line.exchange.send_attempts import ExchangeResult
+from bus.line.exchange.send import NO_NOISE, ExchangeResult, LineNoise
 from bus.wire.exchange import Exchange
 
 
@@ -36,7 +35,6 @@ class CurrentExchange(msgspec.Struct):
         return self.garbled or self.unexpected or self.late > 0
 
     def result(self, clock: LineClock) -> ExchangeResult:
-        """How it ended."""
         exchange = self.exchange
         responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
         return ExchangeResult(

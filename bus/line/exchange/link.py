@@ -96,7 +96,6 @@ class Link:
 
     @property
     def open(self) -> bool:
-        """Whether there is a port."""
         return self._port is not None
 
     @property
@@ -183,7 +182,6 @@ class Link:
         self._statistics.ended(ended, self._byte_s)
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came in."""
         now = self._clock.now()
         current = self._current
         exchange = current.exchange if current is not None else self._last

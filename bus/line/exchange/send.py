@@ -1,14 +1,18 @@
-"""A request with all its attempts, as a procedure orders it, and what became of it."""
+"""One request through all its attempts: fences, retries, deadline, and its result. Pure: time in seconds is
+passed in."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
 import msgspec
+from msgspec.structs import replace
 
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
+from bus.line.clock import NEVER
 from bus.settings import Dialect
 from bus.wire.commands import Nak, Reply, Request, is_write
+from bus.wire.fence import PendingResponses
 
 READ_ATTEMPTS = 3
 WRITE_ATTEMPTS = 4
@@ -84,3 +88,134 @@ class SendResult(msgspec.Struct, frozen=True):
         """Whether a write may have been carried out: a NAK speaks for its own attempt, not for an earlier one
         whose response was lost."""
         return self.attempts > 1 or (self.attempts == 1 and self.refusal is None)
+
+
+MOST_FENCES = 8
+"""Fences with a response, each before a try without one: such a unit receives one frame in two."""
+
+
+class ExchangeResult(msgspec.Struct, frozen=True):
+    """How one exchange ended. ``reply`` None: no response in its window.
+
+    ``began`` and ``ended`` are the line's own time, ``sent_at`` and ``responded_at`` Unix time, in seconds.
+    """
+
+    request: Request
+    reply: Reply | None
+    began: Monotonic
+    ended: Monotonic
+    sent_at: UnixTime
+    """The request's last byte on the wire."""
+    responded_at: UnixTime | None = None
+    frame: bytes = b""
+    noise: LineNoise = NO_NOISE
+    dialect: Dialect | None = None
+    """How the request was written."""
+    overdue: tuple[int, ...] = ()
+    """Units whose response to an earlier request came, once for each response."""
+
+
+class SendAttempts:
+    """Call ``next_request`` and ``settle`` in turn, until ``result`` is there.
+
+    A timeout of a fence counts like a timeout of the request: so many in a row mean no response. A write
+    never leaves after ``deadline`` (on the clock of ``now``), whatever the outcome of its earlier tries.
+    """
+
+    def __init__(self, send: Send, deadline: Monotonic = NEVER) -> None:
+        self.send = send
+        self.result: SendResult | None = None
+        self._deadline = NEVER if send.withdraws or not is_write(send.request) else deadline
+        self._attempts = 0
+        self._fences = 0
+        self._without_response = 0
+        self._sent_at: UnixTime | None = None
+        self._noise = NO_NOISE
+        self._late = 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether the request itself has left."""
+        return self._attempts > 0
+
+    def dialect_of(self, request: Request) -> Dialect | None:
+        """How ``request`` is written, where not as the bus does."""
+        return self.send.dialect if request == self.send.request else None
+
+    def reports(self, request: Request) -> bool:
+        """Return whether the sending of ``request`` is reported: the first time only, and not for a fence."""
+        return self.send.reports_sent and not self.begun and request == self.send.request
+
+    def next_request(self, now: Monotonic, pending: PendingResponses) -> Request | None:
+        """Return what to send now; None once ``result`` is there. ``pending``: of the addressed unit."""
+        if self.result is not None:
+            return None
+        fence = self._fence(pending)
+        if fence is not None:
+            return fence
+        if now > self._deadline:
+            self._end(SendStatus.TOO_LATE)
+            return None
+        return self.send.request
+
+    def settle(self, exchange: ExchangeResult) -> bool:
+        """Take the exchange of the last request; return whether it is retried for lack of a response."""
+        self._late += exchange.noise.late
+        if exchange.request != self.send.request:
+            self._noise = exchange.noise
+            self._settle_fence(responded=exchange.reply is not None)
+        else:
+            self._settle_request(exchange)
+        return self.result is None and exchange.reply is None
+
+    def _settle_request(self, exchange: ExchangeResult) -> None:
+        self._attempts += 1
+        self._sent_at = exchange.sent_at
+        if exchange.request.unit == 0:
+            self._end(SendStatus.SENT)
+        elif exchange.reply is not None:
+            self._end(SendStatus.RESPONDED, exchange)
+        else:
+            self._noise = exchange.noise
+            self._timed_out()
+
+    def close(self) -> None:
+        """The port is gone."""
+        if self.result is None:
+            self._end(SendStatus.PORT_CLOSED)
+
+    def _fence(self, pending: PendingResponses) -> Request | None:
+        """A retry may take the response to the try before, which is hardly older. A later request may not: a
+        response that a buffer on the way kept for seconds would be shown as new.
+        """
+        fence = pending.fence_before(self.send.request)
+        fresh = self.send.fresh or not self.begun
+        if fence is None and fresh and self.send.request in pending.outstanding:
+            fence = pending.fence()
+        return fence if fence != self.send.request else None
+
+    def _settle_fence(self, *, responded: bool) -> None:
+        if responded:
+            self._without_response = 0
+            self._fences += 1
+            if self._fences > MOST_FENCES:
+                self._end(SendStatus.TIMED_OUT)
+        else:
+            self._timed_out()
+
+    def _timed_out(self) -> None:
+        self._without_response += 1
+        if (
+            self._without_response >= self.send.attempts_allowed
+            or self._attempts >= self.send.attempts_allowed
+        ):
+            self._end(SendStatus.TIMED_OUT)
+
+    def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
+        reply = exchange.reply if exchange is not None else None
+        responded_at = exchange.responded_at if exchange is not None else None
+        frame = exchange.frame if exchange is not None else b""
+        noise = exchange.noise if exchange is not None else self._noise
+        if noise.late != self._late:
+            noise = replace(noise, late=self._late)
+        self.result = SendResult(status, reply, self._attempts, self._sent_at, responded_at, frame, noise)

@@ -82,7 +82,6 @@ class ScanPort:
         self._lost: Message | None = None
 
     def attach(self, port: OpenPort) -> None:
-        """Use ``port``."""
         self._port = port
         self._window.attach(port, self._byte_s)
 
@@ -141,7 +140,6 @@ class ScanPort:
     # --- bus.line.port.port.Receiver ----------------------------------------------------------------
 
     def data_received(self, data: bytes) -> None:
-        """Bytes came in."""
         now, current = self._clock.now(), self._current
         if current is None:
             self._unrequested_bytes += len(data)
@@ -155,6 +153,5 @@ class ScanPort:
         self._window.shorten(now)
 
     def connection_lost(self, cause: Message) -> None:
-        """The port is gone."""
         self._lost = cause
         self._on_window_over(self._clock.now())

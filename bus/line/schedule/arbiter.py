@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 from bus.instants import Monotonic
 from bus.line.commands.command_run import CommandRun, Priority
-from bus.line.exchange.send import Send
-from bus.line.exchange.send_attempts import ExchangeResult, SendAttempts
+from bus.line.exchange.send import ExchangeResult, Send, SendAttempts
 from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule, Task, TaskKind
 from bus.wire.commands import Nak, ReadParameterRequest, ReadStatusRequest, Request

@@ -29,7 +29,6 @@ class CommandQueue:
         return len(self._all)
 
     def add(self, run: CommandRun) -> None:
-        """Let it have its turn."""
         self._all.append(run)
         self._all.sort(key=lambda each: each.priority)
 

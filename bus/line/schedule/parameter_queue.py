@@ -58,10 +58,6 @@ class ParameterQueue:
         self._waiting = {entry for entry in self._waiting if entry[0] != unit}
         self._urgent = {entry for entry in self._urgent if entry[0] != unit}
 
-    def has_needed(self) -> bool:
-        """Whether a parameter is missing without which a unit is not shown right."""
-        return bool(self._needed)
-
     def next_needed(self) -> tuple[int, int] | None:
         """Unit and number of the next needed parameter, taken from the queue."""
         if not self._needed:

@@ -21,7 +21,6 @@ class WireShare:
         self._ready_at = Monotonic(float("-inf"))
 
     def ready(self, now: Monotonic) -> bool:
-        """Whether it may be used now."""
         return now >= self._ready_at
 
     @property

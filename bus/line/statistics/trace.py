@@ -105,7 +105,6 @@ class Interpreter:
         self._describer = Describer(dialect)
 
     def frame(self, passed: TracedFrame) -> Frame:
-        """As the app shows it."""
         return Frame(
             at=passed.at,
             direction=passed.direction,

@@ -71,7 +71,6 @@ class UnitStatistics:
         self.counts.naks = {**naks, code: naks.get(code, 0) + 1}
 
     def figures(self) -> UnitFigures:
-        """As the app gets it."""
         times = self.times
         return UnitFigures(
             **asdict(self.counts),

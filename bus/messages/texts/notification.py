@@ -88,4 +88,12 @@ TEXTS: dict[str, EnglishText] = {
     "notify_apprise_url": "{path} holds no URL that apprise knows. Check it by its documentation.",
     "notify_apprise_refused": "The service of {name} did not take the message. Check its URL.",
     "notify_failed_unexpectedly": "Sending failed: {error}. Report it with the log of the server.",
+    "check_notify_mail": "mail server {address} responds",
+    "check_notify_webhook": "webhook {address} responds",
+    "check_notify_apprise": "apprise knows the URL of {address}",
+    "check_notify_failed": "notification by {address}: {reason}",
+    "check_notify_no_links": (
+        "notify.dashboard_url is not set: messages of alarms have no link to acknowledge them"
+    ),
+    "check_secret_open": "{path} can be read by every user of this machine: run chmod o= {path}",
 }

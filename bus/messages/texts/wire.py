@@ -1,10 +1,92 @@
-"""What a scan finds at an address, and the likely cause of what is wrong on a bus."""
+"""Texts about the wire: what a frame means, why bytes are none, a unit's errors, what a scan finds.
+
+The wording of frames and errors follows the manual's command pages.
+"""
 
 from __future__ import annotations
 
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
+    "reply_does_not_fit": "{reply} does not fit a frame: {error}",
+    "frame": "{unit}: {meaning}",
+    "frame_unit": "unit {unit}",
+    "frame_all_units": "all units",
+    "frame_secret": "a frame with a secret value (#21), which is not stored",
+    "frame_checksum_wrong": "checksum wrong, {right}h would be right; as received: {frame}",
+    "frame_recorded": "{text}",
+    # Requests: by name, and with what they carry.
+    "request_read_status": "read speed and status",
+    "request_set_speed": "set speed (staged)",
+    "request_set_speed_to": "set speed (staged) {raw}",
+    "request_execute_speed": "execute speed",
+    "request_set_and_execute_speed": "set and execute speed",
+    "request_set_and_execute_speed_to": "set and execute speed {raw}",
+    "request_read_parameter": "read parameter",
+    "request_read_parameter_number": "read parameter {parameter}",
+    "request_write_parameter": "write parameter",
+    "request_write_parameter_to": "write parameter {parameter} = {raw}",
+    "request_write_output": "write auxiliary output",
+    "request_write_output_on": "write auxiliary output {output} on",
+    "request_write_output_off": "write auxiliary output {output} off",
+    "request_write_analog_output": "write analog output",
+    "request_write_analog_output_to": "write analog output {raw}",
+    "parameter_not_listed": "#{number} (not in the list)",
+    "value_hidden": "hidden",
+    # Responses.
+    "request_accepted": "accepted {request}",
+    "request_accepted_with_value": "accepted {request}, and sent a value",
+    "nak": "NAK, {error}",
+    "nak_to_request": "NAK to {request}, {error}",
+    "parameter_response": "{parameter} is {raw}",
+    "ack": "ACK, write accepted",
+    "ack_with_value": (
+        "ACK with {raw}: the value of a parameter, or the response to a write of one; only the "
+        "request shows which"
+    ),
+    "ack_of_wrong_length": "ACK with {count} bytes, which no response has",
+    "nak_of_wrong_length": "NAK with {count} bytes, which no response has",
+    "status_response": "commanded {commanded}, actual {actual}, analog {analog}; {state}",
+    "status_at_speed": "at speed",
+    "status_off_speed": "off speed",
+    "status_remote": "remote",
+    "status_not_remote": "not remote",
+    "status_output": "output {output} on",
+    "status_run": "run",
+    "status_estop": "emergency stop active",
+    "status_preset": "preset",
+    "status_reverse": "reverse",
+    "status_up": "up",
+    "status_down": "down",
+    "status_slave": "follower",
+    # Not a request.
+    "command_unknown": "{command}h is not a command of this length",
+    "output_value_illegal": "output value {value} is not 0 or 1",
+    "number_not_bcd": "{byte}h is not BCD",
+    # Not a frame.
+    "noise": "{count} bytes that are no frame: {reason}",
+    "noise_outside": "outside a frame",
+    "noise_restart": "a new frame began inside",
+    "noise_escape": "10h before a byte that it cannot precede",
+    "noise_too_long": "longer than any legal frame",
+    "noise_too_short": "no address and command",
+    "noise_checksum": "checksum",
+    "noise_cut": "cut off",
+    # A unit's errors: the error byte of a NAK (manual, the command pages).
+    "several": "{messages}",
+    "value_in_measure": "{value} {measure}",
+    "unit_refused": "unit {unit} rejected the command: {error}",
+    "unit_not_remote": "unit is not in REMOTE mode",
+    "illegal_speed": "illegal speed value",
+    "illegal_parameter_number": "illegal parameter number",
+    "illegal_parameter_value": "illegal parameter value",
+    "illegal_output_number": "illegal auxiliary output number",
+    "illegal_output_value": "illegal auxiliary output value",
+    "illegal_command": "illegal command",
+    "analog_output_not_by_link": "analog output is not set for link control",
+    "illegal_analog_value": "illegal analog output value",
+    "error_not_in_manual": "error {code}h, which the manual does not name",
+    # What a scan finds at an address, and the likely cause of what is wrong on a bus.
     "suspect_by_address": "unit {unit} may respond in its place (#17)",
     "suspect_by_duplicates": "unit {unit} may respond in its place (each response comes twice)",
     # A scan.
@@ -67,12 +149,4 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "diagnosis_late": "Responses of unit {units} come late or twice: a longer turnaround_ms may be needed.",
     "diagnosis_foreign": ("Unit {units} responds with another address or length: is it a DIGIMAX IV?"),
-    "check_notify_mail": "mail server {address} responds",
-    "check_notify_webhook": "webhook {address} responds",
-    "check_notify_apprise": "apprise knows the URL of {address}",
-    "check_notify_failed": "notification by {address}: {reason}",
-    "check_notify_no_links": (
-        "notify.dashboard_url is not set: messages of alarms have no link to acknowledge them"
-    ),
-    "check_secret_open": "{path} can be read by every user of this machine: run chmod o= {path}",
 }
