@@ -5,6 +5,7 @@ complete sites come first: the many small ones fill the time in which the last o
 from __future__ import annotations
 
 import gc
+import os
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator
@@ -102,6 +103,7 @@ def stores_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
         patch.setattr(app.database.connection, "open_for_writing", open_without_waiting)
+        patch.setattr(os, "fsync", lambda _: None)
         if writer := sys.modules.get("app.history.intake.writer"):
             patch.setattr(writer, "prepare", history_copied(writer, tmp_path_factory.mktemp("history")))
         yield

@@ -345,18 +345,23 @@ async def staged(
     config = uvicorn.Config(
         _ByHeader(stage.app), port=0, lifespan="off", log_level="critical", ws="websockets-sansio"
     )
+    config.load()
     server = uvicorn.Server(config)
-    serving = asyncio.create_task(server.serve())
+    server.lifespan = config.lifespan_class(config)
+    # Without the loop of uvicorn, which looks every 0.1 s whether it is to end.
+    await server.startup()
     recording = asyncio.create_task(stage.recorder.follow())
-    await until(lambda: server.started, "the server listening")
     stage.url = f"127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     try:
         yield stage
     finally:
         await stage.close()
-        server.should_exit = True
-        server.force_exit = True
-        await serving
+        for listening in server.servers:
+            listening.close()
+        served = server.server_state
+        for connection in tuple(served.connections):
+            connection.shutdown()
+        await until(lambda: not served.connections and not served.tasks, "the end of all connections")
         recording.cancel()
         with suppress(asyncio.CancelledError):
             await recording

@@ -10,6 +10,10 @@ TOKENS = (static_dir() / "css" / "tokens.css").read_text(encoding="utf-8")
 BASE = (static_dir() / "css" / "base.css").read_text(encoding="utf-8")
 SYSTEM = re.compile(r"\b(Canvas|CanvasText|ButtonText|ButtonFace|Highlight|HighlightText|Mark|MarkText)\b")
 WITHOUT_PAINT = {"--shadow"}
+WIDTHS = re.compile(r"^@media [^{]*\bwidth\b[^{]*\{.*?^\}", re.MULTILINE | re.DOTALL)
+PAINT = re.compile(r"^ *((?:[\w-]*color|background[\w-]*|opacity|filter|mix-blend-mode):.*)", re.MULTILINE)
+PANEL_REM = 80
+"""The width of a panel, 1280 px."""
 
 
 def declared(css: str) -> dict[str, str]:
@@ -31,3 +35,15 @@ def test_paper_is_light_also_where_the_dark_theme_was_chosen() -> None:
     assert (chosen, printed) == ([':root[data-theme="dark"]'], [":root:root"]), (
         "the later of equal weight holds"
     )
+
+
+def test_no_style_of_a_window_wider_than_a_panel_changes_a_color() -> None:
+    """For this reason the browser tests judge the contrast up to that width."""
+    wider = [
+        block
+        for sheet in (static_dir() / "css").rglob("*.css")
+        for block in WIDTHS.findall(sheet.read_text(encoding="utf-8"))
+        if any(float(rem) > PANEL_REM for rem in re.findall(r"([\d.]+)rem", block.partition("{")[0]))
+    ]
+    assert len(wider) >= 3
+    assert [painted for block in wider for painted in PAINT.findall(block)] == []

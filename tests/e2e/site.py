@@ -40,8 +40,9 @@ from tests.fork_server import ForkedProcess
 
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
-AT_REST = ("--no-script",)
-"""Units to which nothing happens but what the test does."""
+AT_REST = ("--no-script", "--turnaround-ms", "20")
+"""Units to which nothing happens but what the test does. They respond as late as drives do, so that the
+processes of a line do half as much for as long as it is there."""
 
 
 def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_S) -> Any:
@@ -51,7 +52,7 @@ def eventually(condition: Callable[[], Any], what: str, *, within: float = UNIT_
         result = condition()
         if result:
             return result
-        time.sleep(0.02)
+        time.sleep(0.05)
     raise AssertionError(f"not within {within:g} s: {what}")
 
 

@@ -44,8 +44,8 @@ def children(number: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
-def test_the_page_shows_the_units_values(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("viewer", viewport=OFFICE)
+def test_the_page_shows_the_units_values(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("viewer", viewport=OFFICE)
     page.goto("/")
     for unit in range(1, 9):
         raw = site.line.remote.do("state", unit=unit)["commanded"]
@@ -53,9 +53,9 @@ def test_the_page_shows_the_units_values(site: Site, browser_page: OpensPages) -
 
 
 def test_a_speed_set_by_the_api_reaches_the_unit_once_and_the_page_by_reading(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = browser_page("viewer", viewport=OFFICE)
+    page = shared_page("viewer", viewport=OFFICE)
     page.goto("/")
     before = len(acted(site, 0x84))
     with site.api("operator") as client:
@@ -67,9 +67,9 @@ def test_a_speed_set_by_the_api_reaches_the_unit_once_and_the_page_by_reading(
 
 
 def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = browser_page("viewer", viewport=OFFICE)
+    page = shared_page("viewer", viewport=OFFICE)
     page.goto("/")
     tile = page.locator('[data-unit="line/4"]').first
     site.line.remote.do("fault", kind="dead", rate=1, unit=4)
@@ -86,9 +86,9 @@ def test_a_unit_that_does_not_respond_is_shown_as_such_and_comes_back(
     ("path", "role"), [("/login", None), ("/users", "admin"), ("/account", "viewer"), ("/nothing", "viewer")]
 )
 def test_a_page_beside_the_line_is_accessible(
-    browser_page: OpensPages, flaws: Callable[..., list[str]], path: str, role: str | None, locale: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, role: str | None, locale: str
 ) -> None:
-    page = browser_page(role, locale=locale)
+    page = shared_page(role, locale=locale)
     page.goto(path)
     assert flaws(page, locale) == []
 
@@ -161,9 +161,9 @@ def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPag
 
 
 def test_a_user_is_added_given_a_role_disabled_and_removed(
-    browser_page: OpensPages, axe: Callable[..., list[str]]
+    shared_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:
-    page = browser_page("admin", viewport={"width": 1920, "height": 1080})
+    page = shared_page("admin", viewport={"width": 1920, "height": 1080})
     page.goto("/users")
     card = page.locator("section", has=page.get_by_role("heading", name="Add a user"))
     card.get_by_label("Name").fill("with space")
@@ -187,9 +187,9 @@ def test_a_user_is_added_given_a_role_disabled_and_removed(
 
 
 def test_a_token_is_revoked_after_a_confirmation(
-    site: Site, browser_page: OpensPages, axe: Callable[..., list[str]]
+    site: Site, shared_page: OpensPages, axe: Callable[..., list[str]]
 ) -> None:
-    page = browser_page("admin", viewport={"width": 360, "height": 740})
+    page = shared_page("admin", viewport={"width": 360, "height": 740})
     page.goto("/users")
     card = page.locator("section", has=page.get_by_role("heading", name="New token"))
     card.get_by_label("Name").fill("plc")

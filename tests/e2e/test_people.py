@@ -119,9 +119,9 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
 
 @pytest.mark.usefixtures("holder")
-def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensPages) -> None:
+def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPages) -> None:
     before = received_writes(site)
-    page = opened(browser_page("operator", viewport=PANEL), "/units/line/1")
+    page = opened(shared_page("operator", viewport=PANEL), "/units/line/1")
     expect(page.locator(".plate__set")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
     page.get_by_role("button", name="Set now").click()
@@ -142,8 +142,8 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, browser_page: OpensP
 
 
 @pytest.mark.usefixtures("holder")
-def test_refusals_are_shown_in_the_language_of_the_page(browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
+def test_refusals_are_shown_in_the_language_of_the_page(shared_page: OpensPages) -> None:
+    page = opened(shared_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
     expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Token) hat die Bedienhoheit")
@@ -280,20 +280,42 @@ def _ended(client: httpx.Client, restore: str) -> Any:
     return spoken if spoken["state"] not in ("planned", "running", "proving") else None
 
 
-def test_a_block_is_shown_on_every_page_and_lifted_by_name(
-    site: Site, browser_page: OpensPages, pages: list[str]
+# --- every page -----------------------------------------------------------------------------------
+
+UNREACHABLE = """() => [...document.querySelectorAll(
+        "[hx-get]:not([hx-trigger], form), [hx-post]:not(form), [data-pad], [data-command]:not(form)")]
+    .filter(element => element.tabIndex < 0 || !element.matches("a[href], button, input, select, summary"))
+    .map(element => element.outerHTML.slice(0, 120))"""
+
+
+def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
+    site: Site, shared_page: OpensPages, pages: list[str]
 ) -> None:
-    page = opened(browser_page("admin", viewport=PANEL), "/units/line/1")
+    page = opened(shared_page("admin", viewport=PANEL), "/units/line/1")
+    with site.api("admin") as client:
+        client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
     page.locator("summary").click()
     page.locator("#reason").fill("belt off since 14:20")
     page.get_by_role("button", name="Block commands to Unwind").click()
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
+    before = received_writes(site)
     unsaid = []
     for path in pages:
         opened(page, path)
         expect(page.locator("[data-live='line_summary.verdict']").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
             unsaid.append(path)
+        assert page.evaluate(UNREACHABLE) == [], path
+        button = page.get_by_role("button", name="Set line to zero")
+        button.focus()
+        page.keyboard.press("Enter")
+        expect(page.locator("[data-review-act]")).to_have_text("Set 2 units to speed 0")
+        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+        page.keyboard.press("Escape")
+        expect(page.locator("dialog[open]")).to_have_count(0)
+        expect(button).to_be_focused()
+    assert unsaid == []
+    assert received_writes(site) == before
     opened(page, "/units/line/1")
     page.locator("summary").click()
     page.get_by_role("button", name="Lift the command block of Unwind").click()
@@ -304,36 +326,6 @@ def test_a_block_is_shown_on_every_page_and_lifted_by_name(
         ("admin", "command block lifted"),
         ("admin", "commands blocked"),
     ]
-    assert unsaid == []
-
-
-# --- every page -----------------------------------------------------------------------------------
-
-UNREACHABLE = """() => [...document.querySelectorAll(
-        "[hx-get]:not([hx-trigger], form), [hx-post]:not(form), [data-pad], [data-command]:not(form)")]
-    .filter(element => element.tabIndex < 0 || !element.matches("a[href], button, input, select, summary"))
-    .map(element => element.outerHTML.slice(0, 120))"""
-
-
-def test_zero_is_one_press_and_one_confirm_from_every_page_by_keyboard(
-    site: Site, browser_page: OpensPages, pages: list[str]
-) -> None:
-    page = browser_page("admin", viewport=PANEL)
-    before = received_writes(site)
-    with site.api("admin") as client:
-        client.post("/buses/line/control/hand-over", json={"to": "admin"}).raise_for_status()
-    for path in pages:
-        opened(page, path)
-        assert page.evaluate(UNREACHABLE) == [], path
-        button = page.get_by_role("button", name="Set line to zero")
-        button.focus()
-        page.keyboard.press("Enter")
-        expect(page.locator("[data-review-act]")).to_have_text("Set 3 units to speed 0")
-        expect(page.get_by_role("button", name="Cancel")).to_be_focused()
-        page.keyboard.press("Escape")
-        expect(page.locator("dialog[open]")).to_have_count(0)
-        expect(button).to_be_focused()
-    assert received_writes(site) == before
 
 
 AT_ONCE = 4
@@ -346,13 +338,14 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
+    opened_tabs = [context.new_page() for _ in range(AT_ONCE)]
     for first in range(0, len(pages), AT_ONCE):
-        tabs = {path: opened(context.new_page(), path) for path in pages[first : first + AT_ONCE]}
+        paths = pages[first : first + AT_ONCE]
+        tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():
             expect(tab.locator(LIVE), path).to_be_attached()
             expect(tab, path).to_have_url(re.compile(re.escape(path)))
-            tab.close()
     assert (received_writes(site), newest_event(site)) == before
 
 
@@ -410,9 +403,9 @@ LISTEN = """() => {
 
 @pytest.mark.parametrize("path", ["/", "/units/line/2", "/setpoints"])
 def test_a_screen_reader_gets_the_verdict_and_no_figures(
-    site: Site, browser_page: OpensPages, holder: httpx.Client, path: str
+    site: Site, shared_page: OpensPages, holder: httpx.Client, path: str
 ) -> None:
-    page = opened(browser_page("viewer", viewport=PANEL), path)
+    page = opened(shared_page("viewer", viewport=PANEL), path)
     page.evaluate(LISTEN)
     site.line.remote.do("mode", unit=3, to="local")
     try:
@@ -427,8 +420,8 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
-def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
+def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
     field.focus()
     page.keyboard.type("4")
@@ -442,9 +435,9 @@ def test_focus_stays_while_a_unit_does_not_respond(site: Site, browser_page: Ope
     expect(field).to_have_value("45")
 
 
-def test_focus_stays_in_the_row_that_was_written(browser_page: OpensPages, holder: httpx.Client) -> None:
+def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder: httpx.Client) -> None:
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "engineer"})
-    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").focus()
     page.keyboard.type("12.5")

@@ -65,20 +65,20 @@ def opened(page: Page, path: str) -> Page:
 
 
 @pytest.mark.parametrize("path", PAGES)
-def test_nothing_lies_over_what_can_be_pressed(browser_page: OpensPages, path: str) -> None:
-    page = opened(browser_page("engineer", viewport={"width": 1280, "height": 600}), path)
+def test_nothing_lies_over_what_can_be_pressed(shared_page: OpensPages, path: str) -> None:
+    page = opened(shared_page("engineer", viewport={"width": 1280, "height": 600}), path)
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 600})
         assert page.evaluate(COVERED) == [], width
 
 
-def test_nothing_lies_over_the_rows_of_a_restore(site: Site, browser_page: OpensPages) -> None:
+def test_nothing_lies_over_the_rows_of_a_restore(site: Site, shared_page: OpensPages) -> None:
     unit = "/buses/line/units/1"
     with site.api("engineer") as client:
         taken = client.post("/buses/line/sets", json={"units": [1]}).raise_for_status().json()
         client.put(f"{unit}/parameters/6", json={"raw": 77}).raise_for_status()
         plan = client.post(f"{unit}/restores", json={"set": taken["id"]}).raise_for_status().json()
-    page = browser_page("engineer", viewport={"width": 1280, "height": 600}, locale="de-DE")
+    page = shared_page("engineer", viewport={"width": 1280, "height": 600}, locale="de-DE")
     opened(page, f"/restores/{plan['id']}")
     expect(page.get_by_role("checkbox").first).to_be_visible()
     for width in WIDTHS:
@@ -88,9 +88,9 @@ def test_nothing_lies_over_the_rows_of_a_restore(site: Site, browser_page: Opens
 
 @pytest.mark.parametrize("width", [360, 700, 1280])
 def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
-    browser_page: OpensPages, width: int
+    shared_page: OpensPages, width: int
 ) -> None:
-    page = opened(browser_page("operator", viewport={"width": width, "height": 520}), "/setpoints")
+    page = opened(shared_page("operator", viewport={"width": width, "height": 520}), "/setpoints")
     page.locator("[data-together-do=all]").click()
     page.locator("[data-together=scale]").fill("101")
     page.locator("[data-together-do=scale]").click()
@@ -105,8 +105,8 @@ def test_a_group_change_opens_at_its_head_and_its_result_at_the_verdict(
 
 
 @pytest.mark.parametrize("width", [360, 820, 1280, 1920])
-def test_a_change_of_many_units_is_one_row_that_fits(browser_page: OpensPages, axe: Axe, width: int) -> None:
-    page = opened(browser_page("viewer", viewport={"width": width, "height": 900}), "/events?kind=command")
+def test_a_change_of_many_units_is_one_row_that_fits(shared_page: OpensPages, axe: Axe, width: int) -> None:
+    page = opened(shared_page("viewer", viewport={"width": width, "height": 900}), "/events?kind=command")
     parts = page.locator(".event__parts", has_text="8 units: 8 verified").last
     expect(parts).to_be_visible()
     assert page.evaluate(TOO_WIDE) == []

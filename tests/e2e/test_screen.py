@@ -44,16 +44,16 @@ def too_wide(page: Page) -> int:
 @pytest.mark.parametrize("path", PAGES)
 @pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 def test_a_page_is_accessible_and_fits_its_window(
-    browser_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
-    page = opened(browser_page("engineer", viewport=PHONE, locale=locale), path)
+    page = opened(shared_page("engineer", viewport=PHONE, locale=locale), path)
     expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
     assert flaws(page, locale) == []
     expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
 
 
-def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/?view=matrix")
+def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/?view=matrix")
     expect(page.locator(".cell__pointer:not([data-step=''])")).to_have_count(8)
     drawn = page.locator(".cell__pointer").evaluate_all(
         "pointers => pointers.map(pointer => getComputedStyle(pointer).backgroundImage)"
@@ -75,13 +75,13 @@ def test_response_figures_are_cards_on_a_phone_with_links_large_enough_for_glove
 
 
 @pytest.mark.parametrize("path", ["/", "/units/line/1"])
-def test_at_twice_the_size_nothing_is_lost(browser_page: OpensPages, path: str) -> None:
-    page = opened(browser_page(viewport={"width": 640, "height": 400}), path)
+def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -> None:
+    page = opened(shared_page(viewport={"width": 640, "height": 400}), path)
     assert too_wide(page) <= 0
 
 
-def test_the_review_is_accessible_too(browser_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/2")
+def test_the_review_is_accessible_too(shared_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/2")
     page.locator("#setpoint").fill("100.0")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -89,9 +89,9 @@ def test_the_review_is_accessible_too(browser_page: OpensPages, axe: Callable[[P
 
 
 def test_a_line_with_faults_is_accessible_and_names_them(
-    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
+    site: Site, shared_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
+    page = opened(shared_page(viewport=PANEL), "/")
     expect(page.locator("h1 a[href]")).to_have_count(0)
     site.line.remote.do("input", unit=2, input="estop", on=True)
     site.line.remote.do("mode", unit=3, to="local")
@@ -111,14 +111,14 @@ def test_a_line_with_faults_is_accessible_and_names_them(
     expect(page.locator("[data-strip] a")).to_have_count(0)
 
 
-def test_the_phone_shows_the_state_without_a_touch(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=PHONE), "/")
+def test_the_phone_shows_the_state_without_a_touch(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=PHONE), "/")
     expect(page.locator("h1")).to_be_in_viewport()
     expect(page.locator("h1")).to_have_text("All 8 units at speed")
 
 
-def test_german_is_german_with_its_decimal_sign(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL, locale="de-DE"), "/units/line/1")
+def test_german_is_german_with_its_decimal_sign(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL, locale="de-DE"), "/units/line/1")
     raw = site.unit(1)["commanded_raw"]
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(f"{raw / 10:.1f}".replace(".", ","))
     expect(page.get_by_role("button", name="Linie auf null")).to_be_visible()
@@ -144,8 +144,8 @@ def test_nothing_shifts_while_values_arrive(browser_page: OpensPages) -> None:
     assert page.evaluate("window.shifted") == []
 
 
-def test_the_view_is_chosen_and_remembered(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
+def test_the_view_is_chosen_and_remembered(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/")
     expect(page.locator(".tile")).to_have_count(8)
     page.get_by_role("link", name="Rows").click()
     expect(page.locator(".rows__row")).to_have_count(8)
@@ -155,8 +155,8 @@ def test_the_view_is_chosen_and_remembered(browser_page: OpensPages) -> None:
     expect(page.locator(".tile")).to_have_count(8)
 
 
-def test_a_unit_is_two_presses_away_by_keyboard(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
+def test_a_unit_is_two_presses_away_by_keyboard(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/")
     page.locator('[data-unit="line/5"] a').focus()
     page.keyboard.press("Enter")
     expect(page).to_have_url("/units/line/5")
@@ -174,18 +174,18 @@ def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -
 
 
 def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
     eventually(lambda: site.unit(1)["inputs"]["run"], "the run input seen")
-    page = opened(browser_page("viewer", viewport=PANEL), "/?view=tiles")
+    page = opened(shared_page("viewer", viewport=PANEL), "/?view=tiles")
     aloud = page.locator('[data-unit="line/1"]').aria_snapshot()
     assert "actual" in aloud
     assert "Run input on" in aloud
     assert "Preset input" not in aloud
 
 
-def test_a_viewer_sees_no_control(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
+def test_a_viewer_sees_no_control(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=PANEL), "/units/line/1")
     expect(page.locator(".main [data-command]")).to_have_count(0)
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("#review")).to_contain_text("Setting the line to zero needs the role operator")

@@ -43,9 +43,9 @@ def take_set(page: Page) -> str:
 
 
 def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
+    page = shared_page("engineer", viewport=OFFICE)
     address = take_set(page)
     expect(page.get_by_role("row", name=re.compile("Acceleration Ramp Rate")).first).to_contain_text("20.0 s")
     page.get_by_role("button", name="Mark as golden set").first.click()
@@ -136,8 +136,8 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     expect(restore).to_be_focused()
 
 
-def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
+def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", viewport=OFFICE)
     page.goto("/bus/line")
     expect(page.locator("body[data-link=live]")).to_be_attached()
     page.get_by_label("New baud rate").select_option("4800")
@@ -183,8 +183,8 @@ def responded_since(served: Site, number: int, moment: datetime) -> bool:
     )
 
 
-def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
+def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", viewport=OFFICE)
     address = take_set(page)
     with site.api("engineer") as client:
         for number, raw in ((6, 33), (9, 444)):
@@ -217,8 +217,8 @@ def test_a_file_that_is_no_set_is_refused_in_words(
     expect(page.get_by_text("wrong.toml: not a parameter set")).to_be_visible()
 
 
-def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
+def test_a_recipe_is_saved_tried_out_and_loaded_as_one_change(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", viewport=OFFICE)
     page.goto("/recipes")
     page.get_by_label(re.compile("Name of the product")).fill("Kraft 80")
     for name, value in (("Unwind", "100,0"), ("Infeed nip", "100.5"), ("Coater", "101.0")):
@@ -283,8 +283,8 @@ def requests(served: Site, command: int, unit: int) -> list[dict[str, Any]]:
     return [entry for entry in entries if entry["unit"] == unit and bytes.fromhex(entry["hex"])[1] == command]
 
 
-def test_one_parameter_over_many_units(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=OFFICE)
+def test_one_parameter_over_many_units(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", viewport=OFFICE)
     page.goto("/batch/line?number=12")
     before = len(writes(site, 0x86))
     page.get_by_label("New value for Unwind").fill("2.5")
@@ -301,8 +301,8 @@ def test_one_parameter_over_many_units(site: Site, browser_page: OpensPages) -> 
     expect(unwind.get_by_role("textbox")).to_have_value("")
 
 
-def test_what_a_unit_is_already_is_not_written_again(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page("engineer", viewport=PHONE)
+def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: OpensPages) -> None:
+    page = shared_page("engineer", viewport=PHONE)
     page.goto("/batch/line?number=9")
     now = page.locator("#batch-rows tr", has_text="Unwind").locator("td").first.inner_text().split()[-1]
     page.get_by_label("New value for Unwind").fill(now)
@@ -333,9 +333,9 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, browser_page: O
     ],
 )
 def test_accessible_and_as_wide_as_the_screen(
-    browser_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
-    page = browser_page("engineer", locale=locale)
+    page = shared_page("engineer", locale=locale)
     page.goto(path)
     expect(page.get_by_role("heading", level=1)).to_be_visible()
     assert flaws(page, locale) == []

@@ -39,8 +39,8 @@ def type_on_pad(page: Page, text: str) -> None:
         page.locator(f'[data-pad="{key}"]').click()
 
 
-def test_nothing_leaves_before_the_confirm(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+def test_nothing_leaves_before_the_confirm(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
     type_on_pad(page, "101.5")
     page.get_by_role("button", name="Set now").click()
@@ -60,8 +60,8 @@ def test_nothing_leaves_before_the_confirm(site: Site, browser_page: OpensPages)
     assert len(writes(site)) == len(before) + 1
 
 
-def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
     page.locator("#setpoint").fill("99,5")
     page.keyboard.press("Enter")
@@ -76,8 +76,8 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, browse
     assert writes(site) == before
 
 
-def test_keyboard_alone_sets_a_speed(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/4")
+def test_keyboard_alone_sets_a_speed(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/4")
     page.locator("#setpoint").focus()
     page.keyboard.type("88.0")
     page.keyboard.press("Enter")
@@ -88,8 +88,8 @@ def test_keyboard_alone_sets_a_speed(site: Site, browser_page: OpensPages) -> No
     assert state(site, 4)["setpoint"] == 880
 
 
-def test_undo_is_an_ordinary_command_with_a_review(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/5")
+def test_undo_is_an_ordinary_command_with_a_review(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/5")
     former = page.locator("#setpoint").input_value()
     page.locator("#setpoint").fill("77.0")
     page.get_by_role("button", name="Set now").click()
@@ -104,8 +104,8 @@ def test_undo_is_an_ordinary_command_with_a_review(site: Site, browser_page: Ope
     assert state(site, 5)["setpoint"] == round(float(former) * 10)
 
 
-def test_a_review_ends_when_the_value_has_moved(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/6")
+def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/6")
     page.locator("#setpoint").fill("66.0")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -135,8 +135,8 @@ def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_p
     assert writes(site) == before
 
 
-def test_out_of_range_is_refused_with_the_nearest(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
     page.locator("#setpoint").fill("99999")
     page.get_by_role("button", name="Set now").click()
@@ -167,8 +167,8 @@ def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPage
     assert writes(site) == before
 
 
-def test_paste_works_and_scrolling_changes_nothing(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/3")
+def test_paste_works_and_scrolling_changes_nothing(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/3")
     before = writes(site)
     field = page.locator("#setpoint")
     field.focus()
@@ -232,8 +232,8 @@ def test_by_touch_every_number_has_a_pad_that_names_it_and_its_limits(browser_pa
     expect(page.locator('[data-together="offset"]')).to_have_value("-5")
 
 
-def test_a_refused_parameter_value_offers_the_nearest(browser_page: OpensPages) -> None:
-    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").fill("99999")
     row.get_by_role("button", name="Write").click()
@@ -243,16 +243,16 @@ def test_a_refused_parameter_value_offers_the_nearest(browser_page: OpensPages) 
     expect(row.locator("[name=value]")).to_be_focused()
 
 
-def test_a_small_nudge_needs_no_review(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/7")
+def test_a_small_nudge_needs_no_review(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/7")
     was = state(site, 7)["setpoint"]
     page.locator(".nudges button").nth(2).click()
     expect(page.locator("#setpoint-error")).to_contain_text("verified")
     assert state(site, 7)["setpoint"] == was + 2
 
 
-def test_staging_changes_nothing_until_executed(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/8")
+def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/8")
     was = state(site, 8)["setpoint"]
     page.locator("#setpoint").fill("91.0")
     page.get_by_role("button", name="Stage…", exact=True).click()
@@ -267,8 +267,8 @@ def test_staging_changes_nothing_until_executed(site: Site, browser_page: OpensP
     eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
 
 
-def test_an_output_is_switched_behind_a_review(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/2")
+def test_an_output_is_switched_behind_a_review(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/2")
     was = state(site, 2)["outputs"]
     page.get_by_role("button", name="Switch output 1").click()
     expect(page.locator("[data-review-act]")).to_contain_text("output 1")
@@ -277,8 +277,8 @@ def test_an_output_is_switched_behind_a_review(site: Site, browser_page: OpensPa
     assert state(site, 2)["outputs"] == [True, *was[1:]]
 
 
-def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/1")
+def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/1")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("mode", unit=1, to="local")
@@ -295,8 +295,8 @@ def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, browser
     expect(page.locator("#setpoint")).to_be_visible()
 
 
-def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     before = writes(site)
     former = [state(site, unit)["setpoint"] for unit in (3, 4)]
     for unit, text in ((3, "70.0"), (4, "71.0")):
@@ -321,8 +321,8 @@ def test_several_units_are_one_change(site: Site, browser_page: OpensPages) -> N
     assert [state(site, unit)["setpoint"] for unit in (3, 4)] == former
 
 
-def test_scaling_fills_in_checked_rows(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+def test_scaling_fills_in_checked_rows(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     commanded = float(page.locator('[data-live="line/2.commanded"]').inner_text())
     page.locator("tr[data-unit='line/2'] [data-tick]").check()
     page.locator('[data-together="scale"]').fill("50")
@@ -338,8 +338,8 @@ def test_scaling_fills_in_checked_rows(browser_page: OpensPages) -> None:
     expect(page.locator("#setpoints-error-line")).to_contain_text("below 0")
 
 
-def test_a_parameter_is_written_and_its_row_shows_it(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+def test_a_parameter_is_written_and_its_row_shows_it(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
     row.locator("[name=value]").fill("12.5")
     row.get_by_role("button", name="Write").click()
@@ -350,8 +350,8 @@ def test_a_parameter_is_written_and_its_row_shows_it(site: Site, browser_page: O
     assert site.line.remote.do("parameter", unit=2, number=6) == 125
 
 
-def test_a_dangerous_parameter_wants_a_word(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("engineer", viewport=PANEL), "/units/line/2/parameters")
+def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     before = writes(site)
     row = page.locator("#parameter-19")
     row.locator("[name=value]").select_option("Local")
@@ -367,15 +367,15 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, browser_page: OpensPages
 @pytest.mark.parametrize(
     "path", ["/", "/units/line/1", "/setpoints", "/bus/line", "/events", "/trends", "/sets"]
 )
-def test_the_line_is_two_presses_from_zero_on_every_page(browser_page: OpensPages, path: str) -> None:
-    page = opened(browser_page(viewport=PANEL), path)
+def test_the_line_is_two_presses_from_zero_on_every_page(shared_page: OpensPages, path: str) -> None:
+    page = opened(shared_page(viewport=PANEL), path)
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("[data-review-act]")).to_have_text("Set 8 units to speed 0")
     page.get_by_role("button", name="Cancel").click()
 
 
-def test_a_block_is_shown_and_lifted(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/7")
+def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/units/line/7")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
     with site.api("engineer") as client:
@@ -392,9 +392,9 @@ def test_a_block_is_shown_and_lifted(site: Site, browser_page: OpensPages) -> No
     expect(page.locator("#setpoint")).to_be_visible()
 
 
-def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
+def test_the_line_goes_to_zero(site: Site, shared_page: OpensPages) -> None:
     eventually(lambda: all(site.unit(unit)["link"] == "online" for unit in range(1, 9)), "every unit online")
-    page = opened(browser_page(viewport=PANEL), "/")
+    page = opened(shared_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("8 units accepted speed 0")
@@ -408,9 +408,9 @@ def test_the_line_goes_to_zero(site: Site, browser_page: OpensPages) -> None:
 
 
 def test_a_unit_that_is_blocked_meanwhile_has_no_field_among_the_setpoints(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     field = page.locator("[name=new-2]")
     expect(field).to_be_visible()
     with site.api("operator") as client:

@@ -81,14 +81,14 @@ def judged(page: Page, axe: Axe) -> list[str]:
 
 
 @pytest.mark.parametrize("path", ["/", "/units/line/2", "/units/line/3", "/units/line/4", "/setpoints"])
-def test_active_conditions_are_accessible(browser_page: OpensPages, axe: Axe, path: str) -> None:
-    assert judged(opened(browser_page(), path), axe) == []
+def test_active_conditions_are_accessible(shared_page: OpensPages, axe: Axe, path: str) -> None:
+    assert judged(opened(shared_page(), path), axe) == []
 
 
 def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
-    site: Site, browser_page: OpensPages, axe: Axe
+    site: Site, shared_page: OpensPages, axe: Axe
 ) -> None:
-    page = opened(browser_page("engineer", viewport=WALL), "/units/line/1")
+    page = opened(shared_page("engineer", viewport=WALL), "/units/line/1")
     before = site.unit(1)["commanded"]
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/1/limits", json={"highest": 9990}).status_code == 200
@@ -117,9 +117,9 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
 
 
 def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is_done(
-    browser_page: OpensPages, axe: Axe
+    shared_page: OpensPages, axe: Axe
 ) -> None:
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     for unit in (3, 4):
         expect(page.locator(f"[name=new-{unit}]:visible")).to_have_count(0)
     page.locator("[data-together-do=all]").click()
@@ -153,8 +153,8 @@ def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages, path: st
     assert page.evaluate(TOO_SMALL, TARGET) == []
 
 
-def test_the_two_numbers_of_a_tile_never_lie_over_each_other(browser_page: OpensPages) -> None:
-    page = opened(browser_page(), "/?view=tiles")
+def test_the_two_numbers_of_a_tile_never_lie_over_each_other(shared_page: OpensPages) -> None:
+    page = opened(shared_page(), "/?view=tiles")
     for width in (360, 620, 1024, 1280, 1600, 1920):
         page.set_viewport_size({"width": width, "height": 900})
         assert page.evaluate(OVERLAP) == 0, width
@@ -166,9 +166,9 @@ def test_the_two_numbers_of_a_tile_never_lie_over_each_other(browser_page: Opens
 
 @pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
 def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
-    browser_page: OpensPages, locale: str
+    shared_page: OpensPages, locale: str
 ) -> None:
-    page = opened(browser_page(viewport={"width": 1024, "height": 768}, locale=locale), "/setpoints")
+    page = opened(shared_page(viewport={"width": 1024, "height": 768}, locale=locale), "/setpoints")
     room = "one => one.getBoundingClientRect().right <= one.parentElement.getBoundingClientRect().right"
     assert page.locator(".top__verdict [data-live$=verdict]").evaluate(room)
     name = page.locator(".setpoints tbody th > a").first
@@ -179,9 +179,9 @@ def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
 
 @pytest.mark.parametrize(("path", "size"), [("/units/line/1", PHONE), ("/setpoints", PANEL), ("/", PHONE)])
 def test_the_tab_key_reaches_the_end_with_a_visible_focus(
-    browser_page: OpensPages, path: str, size: dict[str, int]
+    shared_page: OpensPages, path: str, size: dict[str, int]
 ) -> None:
-    page = opened(browser_page("engineer", viewport=size), path)
+    page = opened(shared_page("engineer", viewport=size), path)
     hidden = []
     for _ in range(120):
         page.keyboard.press("Tab")
@@ -195,9 +195,9 @@ def test_the_tab_key_reaches_the_end_with_a_visible_focus(
 
 
 def test_a_unit_that_does_not_respond_shows_why_nothing_can_be_set(
-    site: Site, browser_page: OpensPages, axe: Axe
+    site: Site, shared_page: OpensPages, axe: Axe
 ) -> None:
-    page = opened(browser_page(viewport=PANEL), "/units/line/1")
+    page = opened(shared_page(viewport=PANEL), "/units/line/1")
     notice = page.locator(".setting__offline")
     expect(notice).to_be_hidden()
     site.line.remote.do("fault", kind="dead", rate=1, unit=1)

@@ -123,8 +123,8 @@ def test_a_unit_that_did_not_respond_leaves_a_gap_and_its_neighbor_none(site: Si
     assert None not in history(site, "actual", 30, 5)["avg"]
 
 
-def test_the_page_draws_and_follows_now(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE))
+def test_the_page_draws_and_follows_now(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE))
     expect(page.locator("#trend-values tr")).to_have_count(8)
     first = page.locator("#trends").get_attribute("data-drawn")
     page.locator('[data-span="600"]').click()
@@ -154,8 +154,8 @@ def test_a_link_reopens_the_same_view(browser_page: OpensPages) -> None:
     assert view_of(again)["span"] == "300"
 
 
-def test_wheel_drag_and_keys_move_the_picture(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
+def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
     picture = page.locator("#trend-plot .u-over")
     box = picture.bounding_box()
     assert box is not None
@@ -183,9 +183,9 @@ def test_wheel_drag_and_keys_move_the_picture(browser_page: OpensPages) -> None:
     expect(page.locator("#time-difference")).to_have_text(NOTHING)
 
 
-def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_page: OpensPages) -> None:
+def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(shared_page: OpensPages) -> None:
     page = opened(
-        browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/1/analog&span=60&scale=own"
+        shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/1/analog&span=60&scale=own"
     )
     axis = page.locator("#trend-values th button").nth(1)
     axis.focus()
@@ -197,8 +197,8 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(browser_p
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
-def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
+def test_a_value_is_removed_by_keyboard_and_the_cursor_announced(shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=OFFICE), "?s=line/1/actual&s=line/2/actual")
     rows = page.locator("#trend-values tr")
     page.locator("#trend-values button[aria-label]").first.press("Enter")
     expect(rows).to_have_count(1)
@@ -278,8 +278,8 @@ def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPage
     assert {"a", "b"}.isdisjoint(view_of(page))
 
 
-def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
+def test_two_presses_set_two_cursors_and_two_fingers_zoom(shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
     box = page.locator("#trend-plot .u-over").bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 100, box["y"] + 50)
@@ -293,8 +293,8 @@ def test_two_presses_set_two_cursors_and_two_fingers_zoom(browser_page: OpensPag
     assert moments[1] - moments[0] == pytest.approx(300, rel=0.05)
 
 
-def test_the_table_reads_at_the_cursor(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/commanded&s=line/1/run&span=10")
+def test_the_table_reads_at_the_cursor(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/commanded&s=line/1/run&span=10")
     box = page.locator("#trend-plot .u-over").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + box["width"] * 0.8, box["y"] + 50)
@@ -303,26 +303,26 @@ def test_the_table_reads_at_the_cursor(site: Site, browser_page: OpensPages) -> 
     assert float(cell.inner_text()) == site.unit(1)["commanded_raw"] / 10
 
 
-def test_what_happened_is_listed_beside_the_picture(site: Site, browser_page: OpensPages) -> None:
+def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: OpensPages) -> None:
     raw = site.unit(3)["commanded_raw"]
     with site.api("operator") as client:
         client.post("/buses/line/units/3/speed", json={"raw": raw + 10, "execute": True}).raise_for_status()
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
+    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
     page.locator("#trend-events summary").click()
     expect(page.locator("#trend-list li").filter(has_text="line/3").first).to_be_visible()
 
 
 @pytest.mark.parametrize(("locale", "actual"), [(ENGLISH, "actual"), (GERMAN, "ist")])
 def test_it_is_accessible(
-    browser_page: OpensPages, flaws: Callable[..., list[str]], locale: str, actual: str
+    shared_page: OpensPages, flaws: Callable[..., list[str]], locale: str, actual: str
 ) -> None:
-    page = opened(browser_page("viewer", locale=locale), "?s=line/1/actual&s=line/1/run&span=60")
+    page = opened(shared_page("viewer", locale=locale), "?s=line/1/actual&s=line/1/run&span=60")
     expect(page.locator("#trend-summary")).to_contain_text(actual, ignore_case=True)
     assert flaws(page, locale) == []
 
 
-def test_the_export_of_the_page_is_what_it_shows(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/2/run&span=30")
+def test_the_export_of_the_page_is_what_it_shows(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&s=line/2/run&span=30")
     address = page.locator("#export-csv").get_attribute("href")
     assert address is not None
     with site.api("viewer") as client:

@@ -56,19 +56,19 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
-def test_each_unit_shows_the_values_of_its_bus(site: Site, browser_page: OpensPages) -> None:
+def test_each_unit_shows_the_values_of_its_bus(site: Site, shared_page: OpensPages) -> None:
     with site.api("operator") as client:
         assert client.post("/buses/line/units/1/speed", json={"value": "61.0"}).status_code == 200
         assert client.post("/buses/wet/units/1/speed", json={"value": "62.0"}).status_code == 200
-    page = opened(browser_page(viewport=PANEL), "/")
+    page = opened(shared_page(viewport=PANEL), "/")
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(re.compile("61.0"))
     expect(page.locator('[data-live="wet/1.commanded"]')).to_have_text(re.compile("62.0"))
     assert (state(site.line, 1)["setpoint"], state(wet(site), 1)["setpoint"]) == (610, 620)
 
 
-def test_a_speed_set_on_a_page_goes_to_its_bus_alone(site: Site, browser_page: OpensPages) -> None:
+def test_a_speed_set_on_a_page_goes_to_its_bus_alone(site: Site, shared_page: OpensPages) -> None:
     before = state(site.line, 2)["setpoint"]
-    page = opened(browser_page(viewport=PANEL), "/units/wet/2")
+    page = opened(shared_page(viewport=PANEL), "/units/wet/2")
     page.locator("#setpoint").fill("71.5")
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
@@ -77,10 +77,10 @@ def test_a_speed_set_on_a_page_goes_to_its_bus_alone(site: Site, browser_page: O
 
 
 def test_the_setpoints_page_has_both_and_changes_the_one_that_is_meant(
-    site: Site, browser_page: OpensPages
+    site: Site, shared_page: OpensPages
 ) -> None:
     before = state(site.line, 1)["setpoint"]
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     form = page.get_by_role("form", name="wet")
     expect(form.get_by_role("heading", name="wet")).to_be_visible()
     form.locator('[name="new-1"]').fill("81.0")
@@ -98,8 +98,8 @@ def go_to_zero(page: Page, units: int) -> None:
     act.click()
 
 
-def test_zero_covers_both_with_a_result_for_each(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/trends")
+def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/trends")
     go_to_zero(page, 5)
     done = page.locator("[data-review-done=good]")
     expect(done).to_contain_text("5 units accepted speed 0")
@@ -109,11 +109,11 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, browser_page: Opens
     assert {state(wet(site), unit)["setpoint"] for unit in (1, 2)} == {0}
 
 
-def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, browser_page: OpensPages) -> None:
+def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, shared_page: OpensPages) -> None:
     with site.api("operator") as client:
         for bus in ("line", "wet"):
             assert client.post(f"/buses/{bus}/units/1/speed", json={"value": "50.0"}).status_code == 200
-    page = opened(browser_page(viewport=PANEL), "/")
+    page = opened(shared_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
     site.line.remote.do("fault", kind="nak", rate=1, unit=2)
@@ -127,8 +127,8 @@ def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, brows
         site.line.remote.do("clear")
 
 
-def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
+def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("[data-review-act]")).to_have_text("Set 5 units to speed 0")
     site.line.remote.do("mode", unit=2, to="local")
@@ -143,13 +143,13 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, browse
     eventually(lambda: site.unit(2)["remote"], "unit 2 in REMOTE")
 
 
-def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, browser_page: OpensPages) -> None:
+def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, shared_page: OpensPages) -> None:
     with site.api("operator") as client:
         client.post("/buses/line/units/1/speed", json={"value": "40.0"})
         client.post("/buses/line/units/2/speed", json={"value": "90.0", "execute": False})
         client.post("/buses/line/units/2/block", json={"reason": "belt off"})
         try:
-            page = opened(browser_page(viewport=PANEL), "/")
+            page = opened(shared_page(viewport=PANEL), "/")
             go_to_zero(page, 4)
             done = page.locator("[data-review-done=bad]")
             expect(done).to_contain_text("4 of 5 units accepted speed 0")
@@ -160,8 +160,8 @@ def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, brow
             client.delete("/buses/line/units/2/block")
 
 
-def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(viewport=PANEL), "/")
+def test_a_closed_bus_leaves_the_other_its_controls(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(viewport=PANEL), "/")
     wet(site).remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("wet · Port closed since")
@@ -180,8 +180,8 @@ def test_a_closed_bus_leaves_the_other_its_controls(site: Site, browser_page: Op
     eventually(lambda: site.unit(1, "wet")["link"] == "online", "the bus back")
 
 
-def test_a_followers_setpoint_is_a_ratio(site: Site, browser_page: OpensPages, follower: int) -> None:
-    page = opened(browser_page(viewport=PANEL), f"/units/line/{follower}")
+def test_a_followers_setpoint_is_a_ratio(site: Site, shared_page: OpensPages, follower: int) -> None:
+    page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
     before = state(site.line, follower)["setpoint"]
     expect(page.locator("#set")).to_have_text("Ratio")
     expect(page.locator(".plate__set")).to_contain_text("0.5000 to 1.5000")
@@ -211,19 +211,19 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, browser_page: OpensPages, f
 
 
 def test_the_present_ratio_stands_beside_a_follower_that_is_set_with_others(
-    site: Site, browser_page: OpensPages, follower: int
+    site: Site, shared_page: OpensPages, follower: int
 ) -> None:
     read_again(site, follower)
-    page = opened(browser_page(viewport=PANEL), "/setpoints")
+    page = opened(shared_page(viewport=PANEL), "/setpoints")
     ratio = f"{state(site.line, follower)['setpoint'] / 10_000:.4f}"
     expect(page.locator(f'[data-unit="line/{follower}"] th')).to_contain_text(f"ratio {ratio}")
     expect(page.locator('[data-unit="line/1"] th')).not_to_contain_text("ratio")
 
 
 def test_a_staged_value_of_a_follower_is_a_ratio_too(
-    site: Site, browser_page: OpensPages, follower: int
+    site: Site, shared_page: OpensPages, follower: int
 ) -> None:
-    page = opened(browser_page(viewport=PANEL), f"/units/line/{follower}")
+    page = opened(shared_page(viewport=PANEL), f"/units/line/{follower}")
     page.locator("#setpoint").fill("0.9876")
     page.get_by_role("button", name="Stage…", exact=True).click()
     page.locator("[data-review-act]").click()
