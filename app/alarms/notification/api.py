@@ -18,9 +18,8 @@ from app.alarms.notification.service import Notification
 from app.alarms.notification.store import QuietRow
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
-from app.web.message_shown import MaybeMessage, MessageShown, maybe_shown, message_shown
 from app.web.services import service, unknown_bus
-from app.web.shape import StrictBody, iso
+from app.web.shape import MaybeMessage, MessageShown, StrictBody, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
 from bus.messages import in_english
 from bus.text import OneLine

@@ -11,10 +11,9 @@ from app.alarms.notification.notice import OutboxItem
 from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.rules.notices import UNACKNOWLEDGED
 from app.alarms.rules.priority import PRIORITIES
-from app.messages.language import Language
+from app.messages.languages import Language
 from app.web.formats import Formats
-from app.web.message_shown import message_shown
-from app.web.shape import iso
+from app.web.shape import iso, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
