@@ -100,7 +100,7 @@ class DeliveryShown(TypedDict):
     message_id: Annotated[str, Field(description="The same with every attempt.")]
     endpoint: Annotated[str, Field(description="The key of the address.")]
     state: DeliveryStateShown
-    attempts: int
+    attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
     created_at: Annotated[str, Field(description="ISO 8601.")]
     tried_at: Annotated[str | None, Field(description="The last attempt, ISO 8601; null: there was none.")]
     result: Annotated[str, Field(description="Why it was not delivered, English; empty: no reason.")]
