@@ -10,6 +10,7 @@ import pytest
 import websockets
 
 from app.audit.store import Filter
+from app.feed import bus_feed
 from app.feed.holders import Ending
 from app.feed.socket import GOING_AWAY
 from bus.contract import (
@@ -25,6 +26,12 @@ from bus.contract import (
 )
 from bus.messages import Message, term
 from tests.app.stage import OWN_WORKER, Stage, hello, reading, result_of, snapshot, staged, until
+
+
+@pytest.fixture
+def quick_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The app confirms what it received with a tick, which is otherwise once a second."""
+    monkeypatch.setattr(bus_feed, "TICK_S", 0.02)
 
 
 @pytest.mark.parametrize("role", ["", "viewer", "operator", "engineer", "admin"])
@@ -94,6 +101,7 @@ async def test_a_batch_before_the_snapshot_ends_it(stage: Stage) -> None:
     assert stage.live.buses["dry-end"].units[1].reading is None
 
 
+@pytest.mark.usefixtures("quick_ticks")
 async def test_readings_arrive_and_are_confirmed(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 1234))
@@ -126,6 +134,7 @@ async def test_a_missing_number_requests_a_snapshot_once(stage: Stage) -> None:
     assert sum(isinstance(message, WantSnapshot) for message in worker.received) == 1
 
 
+@pytest.mark.usefixtures("quick_ticks")
 async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> None:
     worker = await stage.worker(state=snapshot(seq=7))
     old = reading(1, 42)
@@ -138,6 +147,7 @@ async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> 
     assert not any(isinstance(message, WantSnapshot) for message in worker.received)
 
 
+@pytest.mark.usefixtures("quick_ticks")
 async def test_the_same_worker_gets_its_last_number(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 5))
@@ -150,6 +160,7 @@ async def test_the_same_worker_gets_its_last_number(stage: Stage) -> None:
     assert welcome.seq == 1
 
 
+@pytest.mark.usefixtures("quick_ticks")
 async def test_another_worker_begins_at_zero(stage: Stage) -> None:
     worker = await stage.worker()
     await worker.update(reading(1, 5))
