@@ -38,12 +38,12 @@ def run() -> None:
     """Two tables."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        site(Path(folder), 8, line_options=("--no-script",)) as served,
+        site(Path(folder), 8, line_options=("--no-script",), installed=True) as served,
     ):
         _show_commands(served)
     with (
         tempfile.TemporaryDirectory() as folder,
-        site(Path(folder), MANY, line_options=("--no-script",)) as served,
+        site(Path(folder), MANY, line_options=("--no-script",), installed=True) as served,
     ):
         _show_many(served)
 

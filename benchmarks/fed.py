@@ -18,7 +18,7 @@ def fed_site(folder: Path, units: int, rate: float) -> Iterator[Site]:
     """A served line on which every unit has a new speed ``rate`` times a second."""
     url = f"http://127.0.0.1:{free_port()}"
     feeder = _Feeder()
-    made = Site(folder, feeder, url, units)
+    made = Site(folder, feeder, url, units, installed=True)
     try:
         made.config.write_text(_configuration(made), encoding="utf-8")
         made.add_people()

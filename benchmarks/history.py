@@ -128,7 +128,7 @@ def _recorder(path: Path) -> Recorder:
 
 def _wire() -> str:
     """Polls a second of a bus of eight, quiet and beside a process that stores 5,000 readings a second."""
-    with tempfile.TemporaryDirectory() as folder, site(Path(folder), UNITS) as served:
+    with tempfile.TemporaryDirectory() as folder, site(Path(folder), UNITS, installed=True) as served:
         quiet = _polls(served)
         flood = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.history_victim", folder], stdout=subprocess.PIPE
@@ -264,7 +264,7 @@ def _query_naive(connection: sqlite3.Connection, days: float) -> None:
 def _show_page(folder: Path) -> None:
     (folder / "data").mkdir()
     build(folder / "data" / "history.db", "line", UNITS, micros(time.time()), 2, 2)
-    with site(folder, UNITS) as served, sync_playwright() as playwright:
+    with site(folder, UNITS, installed=True) as served, sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         state = signed_in(chromium, served, "viewer")
         fresh, again = zip(*(_two_pictures(chromium, served.url, state) for _ in range(PAGES)), strict=True)

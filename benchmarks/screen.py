@@ -41,7 +41,7 @@ def run() -> None:
     for units in (UNITS, *GROWTH):
         with (
             tempfile.TemporaryDirectory() as folder,
-            site(Path(folder), units, line_options=("--no-script",)) as served,
+            site(Path(folder), units, line_options=("--no-script",), installed=True) as served,
             viewer_page(served) as page,
         ):
             if units == UNITS:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.e2e.site import free_port, unit_tables
+from tests.e2e.site import LINESIDE, free_port, unit_tables
 
 CONFIG = "lineside.toml"
-LINESIDE = Path(sys.executable).with_name("lineside")
 
 
 def served_line(folder: Path, port: str, units: int) -> list[str]:

@@ -43,7 +43,7 @@ def run() -> None:
 def _line(units: int) -> Iterator[Site]:
     with (
         tempfile.TemporaryDirectory() as folder,
-        site(Path(folder), units, line_options=("--no-script",)) as served,
+        site(Path(folder), units, line_options=("--no-script",), installed=True) as served,
     ):
         time.sleep(CALM_S)
         yield served

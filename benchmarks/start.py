@@ -23,7 +23,7 @@ def run() -> None:
     """One table."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        site(Path(folder), 8) as served,
+        site(Path(folder), 8, installed=True) as served,
         sync_playwright() as playwright,
     ):
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)

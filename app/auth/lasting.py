@@ -1,4 +1,4 @@
-"""A connection lasts for hours; who opened it may have lost the right to it since."""
+"""Ends long-lived connections whose account has lost the right to them."""
 
 from __future__ import annotations
 

@@ -67,31 +67,17 @@ _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
 def _user(row: sqlite3.Row) -> User:
+    """The user in the columns `_USER`, the first of a row."""
+    name, role, panel, home, language, disabled, created_at, seen_at, weak, serial = row[:10]
     return User(
-        row["name"],
-        Role(row["role"]),
-        bool(row["panel"]),
-        row["home"],
-        row["language"],
-        bool(row["disabled"]),
-        row["created_at"],
-        row["seen_at"],
-        bool(row["weak_secret"]),
-        row["secret_serial"],
+        name, Role(role), bool(panel), home, language, bool(disabled), created_at, seen_at, bool(weak), serial
     )
 
 
 def _token(row: sqlite3.Row) -> Token:
-    return Token(
-        row["id"],
-        row["name"],
-        Role(row["role"]),
-        row["created_by"],
-        row["created_at"],
-        row["used_at"],
-        row["bus"],
-        row["expires_at"],
-    )
+    """The token in the columns `_TOKEN`."""
+    number, name, role, *others = row
+    return Token(number, name, Role(role), *others)
 
 
 def users(connection: sqlite3.Connection) -> list[User]:

@@ -1,4 +1,4 @@
-"""Rights that a store restored from a backup must not give again: those withdrawn since.
+"""Withholds from a restored store the rights that were withdrawn since its backup.
 
 Sessions all end. A token holds only where the present store knows it too, and a user may do what both stores
 allow, under the present password. Where there is no present store with users in it, as on a new machine,

@@ -1,4 +1,4 @@
-"""The WebSocket ``/feed``: the one door for workers, opened by a bearer token."""
+"""The WebSocket ``/feed`` of the bus workers, opened with a bearer token."""
 
 from __future__ import annotations
 

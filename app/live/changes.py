@@ -1,4 +1,4 @@
-"""Which changes of a line are worth an entry in the events. Pure: updates in, changes out."""
+"""Selects the changes of a line that become events. Pure: updates in, changes out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recipes at rest: versions side by side, and which one a bus was loaded with last."""
+"""Stores recipes: every version, and which one a bus was loaded with last."""
 
 from __future__ import annotations
 

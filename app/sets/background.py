@@ -1,4 +1,4 @@
-"""Work that outlives the request which began it."""
+"""Runs tasks that outlive the request which began them."""
 
 from __future__ import annotations
 

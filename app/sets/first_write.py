@@ -1,5 +1,5 @@
-"""Before the first write to a unit on a day its values are saved. No write waits for the wire because of
-it: the values are those read by then."""
+"""Saves a unit's values before the first write to it on a day. No write waits for the wire because of it: the
+values are those read by then."""
 
 from __future__ import annotations
 

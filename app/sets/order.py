@@ -1,4 +1,4 @@
-"""In which order the rows of a restore are written, so that no step on the way is worse than its ends. Pure.
+"""Orders the rows of a restore so that no intermediate state is worse than its start or end. Pure.
 
 Each row takes effect at once, so a unit runs for a moment on a mixture of old and new values. Bounds are
 widened before the values that they bound and narrowed after them. What slows a running unit comes before

@@ -1,9 +1,9 @@
-"""Restores at rest: each row on disk before it is sent and again with its outcome."""
+"""Stores restores: each row before it is sent, and again with its outcome."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from app.database import Database
 from app.database.messages import UNREADABLE, message_of, stored_message
@@ -52,8 +52,7 @@ class RestoreStore:
         def work(connection: sqlite3.Connection) -> list[Restore]:
             wanted = ", ".join(f"'{state}'" for state in UNDER_WAY)
             found = connection.execute(f"SELECT id FROM restore WHERE state IN ({wanted})").fetchall()
-            loaded = (_load(connection, restore_id) for (restore_id,) in found)
-            return [restore for restore in loaded if restore is not None]
+            return _load_all(connection, found)
 
         return await self._database.read(work)
 
@@ -65,8 +64,7 @@ class RestoreStore:
                 "SELECT id FROM restore WHERE bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?",
                 (bus, unit, limit),
             ).fetchall()
-            loaded = (_load(connection, restore_id) for (restore_id,) in found)
-            return [restore for restore in loaded if restore is not None]
+            return _load_all(connection, found)
 
         return await self._database.read(work)
 
@@ -175,6 +173,11 @@ def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
         cause_code=cause_code,
         proven=UnitRows(unit, name, proven) if proven else None,
     )
+
+
+def _load_all(connection: sqlite3.Connection, ids: Iterable[tuple[str]]) -> list[Restore]:
+    loaded = (_load(connection, restore_id) for (restore_id,) in ids)
+    return [restore for restore in loaded if restore is not None]
 
 
 def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:

@@ -1,4 +1,4 @@
-"""Parameter sets at rest: stored once, never changed; which set of a unit is golden."""
+"""Stores parameter sets, which never change, and which set of a unit is golden."""
 
 from __future__ import annotations
 

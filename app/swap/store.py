@@ -1,4 +1,4 @@
-"""Swaps at rest, one for each section: a server that ends goes on with them where they were."""
+"""Stores the swap of each section, so that it continues after a restart."""
 
 from __future__ import annotations
 

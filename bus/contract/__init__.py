@@ -25,7 +25,20 @@ from bus.contract.actions import (
     WriteOutput,
     WriteParameter,
 )
-from bus.contract.bounds import LONGEST_FRAME, LONGEST_MEANING, MOST_MEANINGS, MOST_UPDATES
+from bus.contract.bounds import (
+    BUFFER_AGE_S,
+    CONTRACT_VERSION,
+    LONGEST_FRAME,
+    LONGEST_MEANING,
+    MOST_MEANINGS,
+    MOST_UPDATES,
+    BusLinkState,
+    Direction,
+    Outcome,
+    Stage,
+    TaggedStruct,
+    UnitLinkState,
+)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -64,16 +77,6 @@ from bus.contract.session import (
     decode_from_app,
     decode_from_worker,
     encode,
-)
-from bus.contract.tagged import (
-    BUFFER_AGE_S,
-    CONTRACT_VERSION,
-    BusLinkState,
-    Direction,
-    Outcome,
-    Stage,
-    TaggedStruct,
-    UnitLinkState,
 )
 
 __all__ = [

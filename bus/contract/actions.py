@@ -19,9 +19,9 @@ from bus.contract.bounds import (
     ParameterNumber,
     Speed,
     Stamp,
+    TaggedStruct,
     UnitId,
 )
-from bus.contract.tagged import TaggedStruct
 
 
 class BusAction(TaggedStruct, frozen=True):

@@ -1,5 +1,7 @@
-"""What each field of a message can hold at most. Checked where a message is decoded, on both sides: neither a
-worker nor an app is trusted to keep to it. NaN and the infinities are outside every range.
+"""The base of every message between worker and app, and what each of its fields can hold at most.
+
+Bounds are checked where a message is decoded, on both sides: neither a worker nor an app is trusted to keep
+to them. NaN and the infinities are outside every range.
 
 The ranges are those of the wire (manual, the command pages): speeds to 99999, four-byte values, one byte for
 each of the analog input, outputs, inputs and errors, 40 parameters, addresses 1-255.
@@ -7,11 +9,27 @@ each of the analog input, outputs, inputs and errors, 40 parameters, addresses 1
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta
 
 from bus.instants import UnixTime
+
+CONTRACT_VERSION = 4
+BUFFER_AGE_S = 7 * 86_400.0
+"""How old an update may be that a worker kept while the app was away. An older one is refused."""
+
+UnitLinkState = Literal["unknown", "online", "stale", "offline"]
+BusLinkState = Literal["open", "closed"]
+Outcome = Literal["verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed"]
+Stage = Literal["waiting", "sent", "searching", "acknowledged", "proving"]
+Direction = Literal["out", "in"]
+
+
+class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
+    """Base of every message and part of a message: immutable, with its type in the field ``is``."""
+
 
 MOST_UNITS = 255
 MOST_UPDATES = 500

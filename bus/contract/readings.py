@@ -12,7 +12,9 @@ from bus.contract.bounds import (
     MOST_MEANINGS,
     MOST_REMARKS,
     MOST_UNITS,
+    BusLinkState,
     Byte,
+    Direction,
     DurationSeconds,
     FourBytes,
     FrameBytes,
@@ -20,10 +22,11 @@ from bus.contract.bounds import (
     ParameterNumber,
     Share,
     Stamp,
+    TaggedStruct,
     Total,
     UnitId,
+    UnitLinkState,
 )
-from bus.contract.tagged import BusLinkState, Direction, TaggedStruct, UnitLinkState
 from bus.messages import Message
 
 

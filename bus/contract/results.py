@@ -15,12 +15,14 @@ from bus.contract.bounds import (
     DurationSeconds,
     FourBytes,
     Id,
+    Outcome,
+    Stage,
     Stamp,
+    TaggedStruct,
     Total,
     UnitId,
 )
 from bus.contract.readings import Frame, ParameterValue
-from bus.contract.tagged import Outcome, Stage, TaggedStruct
 from bus.messages import Message
 
 

@@ -8,7 +8,17 @@ import msgspec
 from msgspec import Meta
 
 from bus.contract.actions import Action
-from bus.contract.bounds import MOST_UNITS, MOST_UPDATES, Id, LongText, Sequence, ShortText, Stamp, UnitId
+from bus.contract.bounds import (
+    MOST_UNITS,
+    MOST_UPDATES,
+    Id,
+    LongText,
+    Sequence,
+    ShortText,
+    Stamp,
+    TaggedStruct,
+    UnitId,
+)
 from bus.contract.readings import (
     BusFigures,
     BusLink,
@@ -20,7 +30,6 @@ from bus.contract.readings import (
     UnitState,
 )
 from bus.contract.results import Progress, Result
-from bus.contract.tagged import TaggedStruct
 
 Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
 

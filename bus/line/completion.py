@@ -1,4 +1,4 @@
-"""What the loop of a line waits for: it continues in the turn of the event loop in which that happens.
+"""An awaitable whose waiter continues in the same turn of the event loop in which it is set.
 
 A task continues one turn later, which is 0.026 ms of an idle wire for each poll, 0.001 of the rate. So
 ``Completion.set`` runs the coroutine that awaits it up to its next wait, on the stack of the callback that

@@ -1,4 +1,4 @@
-"""Keeps the port open: waits for one that is absent or taken, notices a lost one and opens it again."""
+"""Keeps the port open: waits for an absent or occupied one, detects its loss and reopens it."""
 
 from __future__ import annotations
 

@@ -17,11 +17,10 @@ from typing import Any
 from bus.catalogue import numbers
 from bus.simulator.faults import EVERY_UNIT, FaultKind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import FACTORY, Memory, Mode
 from bus.simulator.record import Happened, WireEvent
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
-from bus.simulator.unit import Traits, Unit
+from bus.simulator.unit import FACTORY, Memory, Mode, Traits, Unit
 
 ControlRequest = dict[str, Any]
 

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 from bus.catalogue import numbers
 from bus.settings import UnitLabels, UnitSettings
-from bus.simulator.memory import Memory
 from bus.simulator.plant import Plant, Script
 from bus.simulator.section import Section
-from bus.simulator.unit import ORDINARY, Traits, Unit
+from bus.simulator.unit import ORDINARY, Memory, Traits, Unit
 
 LINE_SPEED = 1200
 """120.0 m/min, in the display units of every section."""

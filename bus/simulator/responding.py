@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 from bus.catalogue import numbers
 from bus.errors import UnitErrorCode
-from bus.simulator.memory import Mode, width_by_type
-from bus.simulator.unit import Unit
+from bus.simulator.unit import Mode, Unit, width_by_type
 from bus.wire.bodies import IllegalRequest, encode_reply, parse_request
 from bus.wire.commands import (
     Ack,

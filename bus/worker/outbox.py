@@ -1,4 +1,4 @@
-"""What the app has not confirmed yet: updates in order, numbered as they are sent, bounded. No socket.
+"""Updates that the app has not confirmed yet: in order, numbered as they are sent, bounded. No I/O.
 
 A batch gets its number when it is made. After a lost connection everything that the app does not have
 (``Welcome.seq``) goes back to the front and is numbered from there, so the app never sees a gap.

@@ -1,4 +1,5 @@
-"""The WebSocket to the app: opened from here, and again whenever it ends. Its order: ``bus.contract``."""
+"""The WebSocket to the app: connects, and reconnects whenever it ends. ``bus.contract`` has the order of
+messages."""
 
 from __future__ import annotations
 

@@ -23,12 +23,11 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Memory
 from bus.simulator.plant import Plant
 from bus.simulator.ports import PtyPort
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
-from bus.simulator.unit import Traits, Unit
+from bus.simulator.unit import Memory, Traits, Unit
 
 PATIENCE_MS = "400"
 GONE = Message.of("port_gone", port="it")

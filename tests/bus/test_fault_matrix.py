@@ -32,11 +32,10 @@ from bus.settings import BusSettings, Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode
 from bus.simulator.ports import PtyPort
 from bus.simulator.record import Happened, WireRecord
 from bus.simulator.serve import LineServer
-from bus.simulator.unit import Unit
+from bus.simulator.unit import Mode, Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp

@@ -7,9 +7,8 @@ from collections.abc import Awaitable
 
 from bus.contract import FoundUnit, ParameterValue, Progress, Reading, Result, ScanBus, UnitLink
 from bus.simulator.faults import FaultKind
-from bus.simulator.memory import Memory
 from bus.simulator.section import Section
-from bus.simulator.unit import Unit
+from bus.simulator.unit import Memory, Unit
 from tests.bus.virtual_line import VirtualLine, run
 
 CONFIGURED, PRESENT = 3, 5

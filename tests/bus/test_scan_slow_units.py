@@ -14,9 +14,8 @@ from bus.line.scan.scanner import BaudScan, scan_addresses
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Memory
 from bus.simulator.section import Section
-from bus.simulator.unit import Traits, Unit
+from bus.simulator.unit import Memory, Traits, Unit
 from tests.bus.virtual_line import VirtualClock, VirtualLine, VirtualPort, run, run_virtually
 
 ALLOWED_S = 0.050

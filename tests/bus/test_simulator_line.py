@@ -14,10 +14,9 @@ from bus.settings import Dialect
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
 from bus.simulator.record import Happened, WireRecord
-from bus.simulator.unit import ORDINARY, Traits
+from bus.simulator.unit import ORDINARY, Mode, Traits
 from bus.wire.bodies import encode_request
 from bus.wire.commands import (
     ExecuteSpeedRequest,

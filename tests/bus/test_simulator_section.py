@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from bus.catalogue import numbers
-from bus.simulator.memory import Memory
 from bus.simulator.section import Section
-from bus.simulator.unit import Unit
+from bus.simulator.unit import Memory, Unit
 
 DT = 0.05
 FULL = 2000

@@ -10,9 +10,8 @@ from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode as Code
 from bus.settings import Dialect
-from bus.simulator.memory import Memory, Mode
 from bus.simulator.responding import encode, respond
-from bus.simulator.unit import Inputs, Traits, Unit
+from bus.simulator.unit import Inputs, Memory, Mode, Traits, Unit
 from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
     Ack,

@@ -9,8 +9,8 @@ import pytest
 from bus.catalogue import numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
 from bus.simulator.faults import FaultKind
-from bus.simulator.memory import Mode
 from bus.simulator.record import Happened
+from bus.simulator.unit import Mode
 from tests.bus.virtual_line import VirtualLine, run
 
 ALL = {1: 501, 2: 502, 3: 503, 4: 504}

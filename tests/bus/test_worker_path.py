@@ -37,10 +37,10 @@ from bus.contract import (
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.memory import Mode
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.record import Happened
 from bus.simulator.serve import LineServer
+from bus.simulator.unit import Mode
 from tests import fork_server
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.fork_server import ForkedProcess

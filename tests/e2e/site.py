@@ -13,6 +13,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -38,6 +39,7 @@ from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
 
+LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
 AT_REST = ("--no-script", "--turnaround-ms", "20")
@@ -87,7 +89,7 @@ def start_line(folder: Path, units: int, *options: str, name: str = "line") -> L
     return Line(port, Remote(int(control)), process)
 
 
-def end(process: ForkedProcess, number: int = signal.SIGTERM) -> int:
+def end(process: ForkedProcess | subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
     """Send a signal and wait; what the process returned."""
     if process.poll() is None:
         process.send_signal(number)
@@ -139,7 +141,8 @@ async def _add_all_roles(accounts: Accounts) -> dict[str, str]:
 @dataclass
 class Site:
     """A served line. ``url`` is constant for the life of the site, also when the server is restarted.
-    ``more``: other buses by name, each with its units.
+    ``more``: other buses by name, each with its units. ``installed``: the server is a new process of the
+    installed command, as benchmarks measure it.
     """
 
     folder: Path
@@ -150,7 +153,8 @@ class Site:
     tokens: dict[str, str] = field(default_factory=dict)
     sessions: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
-    server: ForkedProcess | None = None
+    installed: bool = False
+    server: ForkedProcess | subprocess.Popen[bytes] | None = None
     log: IO[bytes] | None = None
 
     @property
@@ -162,9 +166,13 @@ class Site:
         """Start ``lineside serve`` and wait until it responds."""
         self.log = (self.folder / "serve.log").open("ab")
         environment = {**os.environ, **self.environment}
-        self.server = fork_server.start(
-            *("serve", "--config", self.config), stdout=self.log, stderr=self.log, env=environment
-        )
+        called = ("serve", "--config", str(self.config))
+        if self.installed:
+            self.server = subprocess.Popen(
+                [LINESIDE, *called], stdout=self.log, stderr=self.log, env=environment
+            )
+        else:
+            self.server = fork_server.start(*called, stdout=self.log, stderr=self.log, env=environment)
         eventually(self._responds, f"a response from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:
@@ -240,6 +248,7 @@ def site(
     turnaround_ms: int = 500,
     more: dict[str, int] | None = None,
     environment: dict[str, str] | None = None,
+    installed: bool = False,
 ) -> Iterator[Site]:
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
@@ -252,6 +261,7 @@ def site(
             made.more[name] = (start_line(folder, count, *line_options, name=name), count)
         made.config.write_text(_configuration(made, toml, turnaround_ms), encoding="utf-8")
         made.environment = environment or {}
+        made.installed = installed
         made.add_people()
         made.start()
         made.wait_for_units()

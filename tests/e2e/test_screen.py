@@ -22,6 +22,7 @@ PAGES = [
     "/bus/line",
     "/alarms",
     "/alarms/journal",
+    "/notifications",
     "/alarms/line.1.estop_active.0",
 ]
 PHONE = {"width": 360, "height": 740}

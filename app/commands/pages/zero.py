@@ -1,4 +1,4 @@
-"""Setting the line to zero from any page: one press, one confirm, a result for every unit."""
+"""Setting the line to zero from any page: one review, one confirmation, a result for every unit."""
 
 from __future__ import annotations
 

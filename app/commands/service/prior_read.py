@@ -1,4 +1,4 @@
-"""What has to be known of a unit before a command can be judged, read within the time of the command."""
+"""Reads what must be known of a unit before a command can be judged, within the command's time."""
 
 from __future__ import annotations
 

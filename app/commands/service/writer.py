@@ -1,4 +1,4 @@
-"""Senders that are about to write: the wire is reserved while the request is still being read.
+"""Reserves the wire for a sender that is about to write, while its request is still being read.
 
 On a busy bus a poll is always in progress, and the next leaves within a millisecond of its end. A write
 that arrives after that, because of its way through the app and onto its disk, would wait for one more

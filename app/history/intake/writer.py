@@ -1,4 +1,4 @@
-"""The only thread that writes the store. It survives every failure of the disk, and reports it."""
+"""The one thread that writes the store; it survives and reports every disk failure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block that cannot be read costs only itself. zlib's own checksum detects it."""
+"""Detects damaged blocks by zlib's checksum, so that a damaged block costs only itself."""
 
 from __future__ import annotations
 

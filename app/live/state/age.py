@@ -1,4 +1,4 @@
-"""Whether a unit's word is still to be trusted, from its age. Pure: the time is passed in."""
+"""Whether values are live, stale or offline, from their age. Pure: the time is passed in."""
 
 from __future__ import annotations
 

@@ -85,6 +85,12 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_disk_low_cause": "The disk of the server has little space left.",
     "alarm_disk_low_consequence": "The oldest readings are deleted, then none are stored.",
     "alarm_disk_low_response": "Free space on the disk in this shift.",
+    "alarm_notification_failed": "Notification fails",
+    "alarm_notification_failed_cause": (
+        "The mail server or the receiver of a webhook refuses, does not respond, or cannot be reached."
+    ),
+    "alarm_notification_failed_consequence": "People who are away from the screen do not learn of alarms.",
+    "alarm_notification_failed_response": "Watch the alarms here, and repair what page Notification names.",
     "alarm_own_text": "{text}",
     "alarm_own_without_text": "The configuration names none.",
     "alarm_state_normal": "normal",
