@@ -9,6 +9,7 @@ from functools import partial
 
 from app.alarm_settings import AlarmSettings
 from app.alarms.bus_alarms import BusAlarms
+from app.alarms.notification.service import Notification
 from app.alarms.store import AlarmStore
 from app.audit.log import EventLog
 from app.commands.authority import SessionEnds, Withdrawals
@@ -45,6 +46,7 @@ class BusDependencies:
     sets: SetStore
     alarms: AlarmStore
     own_alarms: tuple[AlarmSettings, ...]
+    notification: Notification
     rights: Withdrawals
     sessions: SessionEnds
     find_account: AccountLookup
@@ -89,6 +91,7 @@ class BusService:
         self.sets = SetKeeper(live, self.reader, self.drift, site.sets, site.events, site.rights)
         own_alarms = [alarm for alarm in site.own_alarms if alarm.bus == name]
         self.alarms = BusAlarms(live, own_alarms, site.alarms, lambda unit: bool(self.drift.of(unit)))
+        self.notifier = site.notification.notifier(name, self.alarms.list, self.alarms.place)
         self.set_schedule = SetSchedule(live, self.sets, site.events, site.local_time)
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
 
@@ -101,6 +104,7 @@ class BusService:
         return (
             self.recorder.follow,
             self.alarms.follow,
+            self.notifier.follow,
             partial(self.set_schedule.follow, SERVER),
             partial(self.sets.learn_marked, SERVER),
         )

@@ -13,6 +13,8 @@ from starlette.middleware.gzip import GZipMiddleware
 from app.alarms import api as alarms_api
 from app.alarms import pages as alarms_pages
 from app.alarms import performance_api
+from app.alarms.notification import api as notification_api
+from app.alarms.notification import pages as notification_pages
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -65,6 +67,8 @@ FEATURES = (
     performance_api,
     alarms_api,
     alarms_pages,
+    notification_api,
+    notification_pages,
     live_socket,
     live_pages,
     commands_api,

@@ -21,6 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from app.alarm_settings import AlarmSettings, refuse_misplaced
 from app.messages.languages import catalogs
+from app.notify_settings import NotifySettings, refuse_unknown_names
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
@@ -164,6 +165,7 @@ class Settings(StrictModel):
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
     alarm: tuple[AlarmSettings, ...] = ()
+    notify: NotifySettings = NotifySettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
 
@@ -199,6 +201,7 @@ class Settings(StrictModel):
     @model_validator(mode="after")
     def _alarms_have_their_units(self) -> Settings:
         refuse_misplaced(self.alarm, self.bus)
+        refuse_unknown_names(self.notify, self.bus)
         return self
 
 
@@ -220,6 +223,7 @@ def load(path: Path) -> Settings:
     absolute = {
         "server": settings.server.model_copy(update={"data": data}),
         "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
+        "notify": settings.notify.in_folder(folder),
     }
     loaded = settings.model_copy(update=absolute)
     loaded._file = path.resolve()

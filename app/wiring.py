@@ -14,6 +14,7 @@ import structlog
 
 from app.alarms.banner import AlarmBanner
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.notification.service import Notification
 from app.alarms.site_alarms import SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
@@ -86,6 +87,7 @@ class Services:
     sources: Sources
     history: History
     alarms: LineAlarms
+    notification: Notification
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
@@ -120,6 +122,8 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     recorder = ChangeRecorder(events)
     record_history_faults(history, recorder)
     sets, alarm_store = SetStore(database), AlarmStore(database)
+    local_time = partial(datetime.now, ZoneInfo(site.zone))
+    notification = Notification(settings, database, events, templates.languages, local_time)
     of_site = BusDependencies(
         events=events,
         database=database,
@@ -131,12 +135,15 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sets=sets,
         alarms=alarm_store,
         own_alarms=settings.alarm,
-        local_time=partial(datetime.now, ZoneInfo(site.zone)),
+        notification=notification,
+        local_time=local_time,
         record=CommandRecord(events, database, unix_now),
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
-    conditions = site_conditions(lambda: history.status, partial(_anchor_status, anchoring))
+    conditions = site_conditions(
+        lambda: history.status, partial(_anchor_status, anchoring), notification.dispatcher.is_failing
+    )
     of_buses = {name: bus.alarms for name, bus in buses.items()}
     alarms = LineAlarms(of_buses, SiteAlarms(conditions, alarm_store), alarm_store, events)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
@@ -169,6 +176,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sources=sources,
         history=history,
         alarms=alarms,
+        notification=notification,
         buses=buses,
         recorder=recorder,
         workers=workers,
@@ -206,6 +214,8 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.events.repeated.follow,
         services.recorder.follow,
         services.alarms.site.follow,
+        services.notification.notifier(None, services.alarms.site.list, lambda _: "").follow,
+        services.notification.dispatcher.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,
         services.onsets.follow,
@@ -257,6 +267,7 @@ async def _begin(services: Services) -> None:
     for bus in services.buses.values():
         await bus.load()
     await services.alarms.load()
+    await services.notification.load()
     await services.restores.load()
     await services.swaps.load()
     await services.recipes.load_marks()

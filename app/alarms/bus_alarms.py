@@ -96,6 +96,10 @@ class BusAlarms:
             return None
         return own.present(self._live, self._live.units[unit])
 
+    def place(self, unit: int | None) -> str:
+        """The name of a unit, or (None) of the bus."""
+        return self.bus if unit is None else self._unit_names[unit]
+
     def unit_names(self) -> Mapping[int, str]:
         """The name of each unit on the floor."""
         return self._unit_names

@@ -24,7 +24,7 @@ UnitAlarm = Literal[
     "staged_left",
 ]
 BusAlarm = Literal["port_lost", "no_unit_responds", "worker_lost", "second_master"]
-SiteAlarm = Literal["history_degraded", "audit_degraded", "disk_low"]
+SiteAlarm = Literal["history_degraded", "audit_degraded", "disk_low", "notification_failed"]
 BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
 UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
 BUS_ALARMS: tuple[BusAlarm, ...] = get_args(BusAlarm)
@@ -63,6 +63,7 @@ BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
     "history_degraded": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=5)),
     "audit_degraded": BuiltInAlarm("major", "shift"),
     "disk_low": BuiltInAlarm("major", "shift", AlarmAttributes(on_delay_s=5)),
+    "notification_failed": BuiltInAlarm("severe", "half_hour"),
 }
 
 

@@ -18,13 +18,14 @@ _LOW = frozenset(("low", "scarce", "paused"))
 
 
 def site_conditions(
-    history: Callable[[], Status], anchor: Callable[[], AnchorStatus]
+    history: Callable[[], Status], anchor: Callable[[], AnchorStatus], notification_failed: SiteCondition
 ) -> dict[SiteAlarm, SiteCondition]:
     """Whether the condition of each alarm of the site holds."""
     return {
         "history_degraded": lambda: history().state in _DEGRADED,
         "disk_low": lambda: history().state in _LOW,
         "audit_degraded": lambda: anchor() != AnchorStatus(since=anchor().since),
+        "notification_failed": notification_failed,
     }
 
 

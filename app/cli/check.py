@@ -6,6 +6,7 @@ import typer
 
 from app.cli.ending import complain, ending, report
 from app.cli.findings import findings
+from app.cli.notification_findings import notification_findings
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
 from bus.messages import Message
@@ -21,7 +22,7 @@ def check(config: Config = LINESIDE_TOML) -> None:
         settings = load(config)
         report(Message.of("check_configuration", file=str(config), site=settings.site.name))
         faults = 0
-        for finding in findings(settings):
+        for finding in (*findings(settings), *notification_findings(settings.notify)):
             faults += finding.is_fault
             if finding.is_fault:
                 complain(finding.message)

@@ -26,6 +26,7 @@ DESCRIPTIONS = {
     "kind": "Only events of this kind.",
     "limit": "Entries per response.",
     "name": "Name of the recipe.",
+    "maintenance_id": "Id of a maintenance.",
     "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",
     "other_id": "Id of the other parameter set.",
     "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",

@@ -12,6 +12,7 @@ import httpx
 from fastapi import FastAPI
 
 from app.main import create_app
+from app.notify_settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from app.wiring import Services, running
@@ -78,11 +79,17 @@ class House:
 
 @asynccontextmanager
 async def complete_app(
-    folder: Path, *, demo: bool = False, server: ServerSettings | None = None, **site: Any
+    folder: Path,
+    *,
+    demo: bool = False,
+    server: ServerSettings | None = None,
+    notify: NotifySettings | None = None,
+    **site: Any,
 ) -> AsyncIterator[House]:
     """From start to end, as the server would."""
     settings = settings_in(folder, **site)
-    app = create_app(settings.model_copy(update={"server": server or settings.server}), demo=demo)
+    others = {"server": server or settings.server, "notify": notify or settings.notify}
+    app = create_app(settings.model_copy(update=others), demo=demo)
     house = House(app, app.state.services)
     async with running(house.services):
         try:

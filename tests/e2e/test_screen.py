@@ -23,6 +23,7 @@ PAGES = [
     "/alarms",
     "/alarms/journal",
     "/alarms/performance",
+    "/notifications",
     "/alarms/line.1.estop_active.0",
 ]
 PHONE = {"width": 360, "height": 740}

@@ -105,6 +105,12 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_figure_medium_share": "Share of priority medium",
     "alarm_figure_low_share": "Share of priority low",
     "alarm_figure_acknowledge_median_s": "Time to acknowledge, median",
+    "alarm_notification_failed": "Notification fails",
+    "alarm_notification_failed_cause": (
+        "The mail server or the receiver of a webhook refuses, does not respond, or cannot be reached."
+    ),
+    "alarm_notification_failed_consequence": "People who are away from the screen do not learn of alarms.",
+    "alarm_notification_failed_response": "Watch the alarms here, and repair what page Notification names.",
     "alarm_own_text": "{text}",
     "alarm_own_without_text": "The configuration names none.",
     "alarm_state_normal": "normal",

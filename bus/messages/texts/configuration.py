@@ -62,6 +62,19 @@ TEXTS: dict[str, EnglishText] = {
     "setting_alarm_bus": "alarm {name}: there is no bus {bus}; name one that is configured",
     "setting_alarm_unit": "alarm {name}: bus {bus} has no unit {unit}; name one that is configured",
     "setting_alarm_name": "alarm {name} is given twice for bus {bus}; give each its own name",
+    "setting_mail_address": "write one e-mail address of ASCII characters, such as duty@plant.example",
+    "setting_clock_time": "write hours and minutes of the day, such as 06:30",
+    "setting_web_url": "write a URL that begins with https:// or http://",
+    "setting_url_with_password": "leave user and password out of the URL",
+    "setting_mail_password_open": (
+        'security "none" would send the password unencrypted; use "starttls" or "tls", or leave user out'
+    ),
+    "setting_webhook_url": "write either url or url_file",
+    "setting_group_empty": "group {name} has no one; give it to, or a duty",
+    "setting_group_twice": "group {name} is given twice; give each its own name",
+    "setting_mail_server_missing": "people are notified by e-mail; add [notify.smtp] with host and sender",
+    "setting_rule_group": "there is no group {name}; add a [[notify.group]] of this name",
+    "setting_notify_bus": "there is no bus {bus}; name one that is configured",
     # What ``lineside check`` finds of a configuration on this machine.
     "machine_user": "user {user}",
     "check_configuration": "{file}: {site}",

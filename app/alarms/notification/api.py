@@ -1,0 +1,231 @@
+"""Notification over HTTP: whether the path works, what was sent, a test, and maintenance."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import ConfigDict, Field
+from typing_extensions import TypeAliasType, TypedDict
+
+from app.alarms.notification.endpoints import EndpointKind
+from app.alarms.notification.maintenance import MOST_MINUTES
+from app.alarms.notification.notice import NoticeKind
+from app.alarms.notification.outbox import NotificationDelivery
+from app.alarms.notification.overview import EndpointStatus, duties, endpoint_statuses
+from app.alarms.notification.rules.delivery import DeliveryState
+from app.alarms.notification.service import Notification
+from app.alarms.notification.store import QuietRow
+from app.web.access import Engineer
+from app.web.api_route import ApiRoute
+from app.web.services import service, unknown_bus
+from app.web.shape import MaybeMessage, MessageShown, StrictBody, iso, maybe_shown, message_shown
+from bus.instants import UnixTime
+from bus.messages import in_english
+from bus.text import OneLine
+
+router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
+
+MOST_DELIVERIES = 200
+Notifying = Annotated[Notification, service(Notification)]
+MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
+MaintenanceMinutes = Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a day, 1440.")]
+EndpointKindShown = TypeAliasType("EndpointKindShown", EndpointKind)
+DeliveryStateShown = TypeAliasType("DeliveryStateShown", DeliveryState)
+NoticeKindShown = TypeAliasType("NoticeKindShown", NoticeKind)
+
+
+class EndpointBody(StrictBody):
+    """Which address."""
+
+    endpoint: Annotated[str, Field(max_length=400, description="The key of an address.")]
+
+
+class MaintenanceBody(StrictBody):
+    """Of a bus or, without one, of everything."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    reason: MaintenanceReason
+    minutes: MaintenanceMinutes
+    bus: Annotated[str | None, Field(max_length=80, description="null: all buses and the server.")] = None
+
+
+class NotificationEndpointShown(TypedDict):
+    """An address that is notified."""
+
+    key: Annotated[str, Field(description="Identifies it.")]
+    kind: EndpointKindShown
+    address: Annotated[str, Field(description="As people may see it; a URL is not shown.")]
+    works: Annotated[
+        bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
+    ]
+    tried_at: Annotated[str | None, Field(description="The last attempt, ISO 8601; null: there was none.")]
+    result: Annotated[str, Field(description="Why the last attempt failed, English; empty: it did not.")]
+    result_message: MaybeMessage
+    waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
+
+
+class NotificationGroupShown(TypedDict):
+    """A group, and who of it is on duty now."""
+
+    name: str
+    on_duty: Annotated[list[str], Field(description="Addresses.")]
+    gaps: Annotated[list[MessageShown], Field(description="When no one is on duty.")]
+
+
+class MaintenanceShown(TypedDict):
+    """A maintenance under way."""
+
+    id: int
+    bus: Annotated[str | None, Field(description="null: all buses and the server.")]
+    since: Annotated[str, Field(description="ISO 8601.")]
+    until: Annotated[str, Field(description="ISO 8601.")]
+    who: str
+    reason: str
+
+
+class NotificationShown(TypedDict):
+    """The path of notification, current."""
+
+    endpoints: list[NotificationEndpointShown]
+    groups: list[NotificationGroupShown]
+    maintenance: list[MaintenanceShown]
+
+
+class DeliveryShown(TypedDict):
+    """One message to one address."""
+
+    id: int
+    message_id: Annotated[str, Field(description="The same with every attempt.")]
+    endpoint: Annotated[str, Field(description="The key of the address.")]
+    state: DeliveryStateShown
+    attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
+    created_at: Annotated[str, Field(description="ISO 8601.")]
+    tried_at: Annotated[str | None, Field(description="The last attempt, ISO 8601; null: there was none.")]
+    result: Annotated[str, Field(description="Why it was not delivered, English; empty: no reason.")]
+    result_message: MaybeMessage
+    kinds: Annotated[list[NoticeKindShown], Field(description="Of its notices; several are a digest.")]
+    alarms: Annotated[list[str], Field(description="Ids of the occurrences that it is about.")]
+
+
+class DeliveriesShown(TypedDict):
+    """Newest first. ``next`` is the ``before`` of the next page, null at the end."""
+
+    deliveries: list[DeliveryShown]
+    next: int | None
+
+
+class TestedShown(TypedDict):
+    """``delivery`` is null where the first attempt takes longer than 12 s; it goes on."""
+
+    delivery: DeliveryShown | None
+
+
+@router.get("")
+async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
+    """Every address with its last result, who is on duty, and maintenance."""
+    return {
+        "endpoints": [_endpoint(each) for each in await endpoint_statuses(notification)],
+        "groups": [
+            {
+                "name": each.name,
+                "on_duty": list(each.present),
+                "gaps": [message_shown(gap) for gap in each.gaps],
+            }
+            for each in duties(notification)
+        ],
+        "maintenance": [_maintenance(row) for row in notification.maintenance.present()],
+    }
+
+
+@router.get("/deliveries")
+async def get_notification_deliveries(
+    _: Engineer,
+    notification: Notifying,
+    limit: Annotated[int, Query(ge=1, le=MOST_DELIVERIES)] = 100,
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> DeliveriesShown:
+    """What was sent, or is to be."""
+    found = await notification.outbox.deliveries(limit + 1, before)
+    following = found[limit - 1].id if len(found) > limit else None
+    return {"deliveries": [_delivery(each) for each in found[:limit]], "next": following}
+
+
+@router.post("/test")
+async def send_test_notification(_: Engineer, notification: Notifying, body: EndpointBody) -> TestedShown:
+    """Send a test message on the way of all others, and wait for its first attempt."""
+    delivery = await notification.dispatcher.test(notification.endpoint(body.endpoint))
+    return {"delivery": None if delivery is None else _delivery(delivery)}
+
+
+@router.post("/maintenance")
+async def begin_maintenance(
+    person: Engineer, notification: Notifying, body: MaintenanceBody
+) -> list[MaintenanceShown]:
+    """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
+    await begin(notification, person, body.bus, body.minutes, body.reason)
+    return [_maintenance(row) for row in notification.maintenance.present()]
+
+
+@router.post("/maintenance/{maintenance_id}/end")
+async def end_maintenance(
+    person: Engineer, notification: Notifying, maintenance_id: int
+) -> list[MaintenanceShown]:
+    """Notify again, before its time."""
+    await notification.maintenance.end(person, maintenance_id)
+    return [_maintenance(row) for row in notification.maintenance.present()]
+
+
+async def begin(
+    notification: Notification, person: Engineer, bus: str | None, minutes: int, reason: str
+) -> None:
+    """Begin a maintenance. Raises Problem 404 for a bus that is not configured."""
+    if bus is not None and bus not in notification.buses:
+        raise unknown_bus(bus, notification.buses)
+    await notification.maintenance.begin(person, bus, minutes, reason)
+
+
+def _endpoint(status: EndpointStatus) -> NotificationEndpointShown:
+    return {
+        "key": status.key,
+        "kind": status.kind,
+        "address": status.address,
+        "works": status.works,
+        "tried_at": _time(status.tried_at),
+        "result": in_english(status.result),
+        "result_message": maybe_shown(status.result),
+        "waiting": status.waiting,
+    }
+
+
+def _maintenance(row: QuietRow) -> MaintenanceShown:
+    span = row.span
+    return {
+        "id": row.id,
+        "bus": span.bus,
+        "since": iso(span.starts),
+        "until": iso(span.ends),
+        "who": row.who,
+        "reason": row.reason,
+    }
+
+
+def _delivery(delivery: NotificationDelivery) -> DeliveryShown:
+    return {
+        "id": delivery.id,
+        "message_id": delivery.message_id,
+        "endpoint": delivery.endpoint,
+        "state": delivery.state,
+        "attempts": delivery.attempts,
+        "created_at": iso(delivery.created_at),
+        "tried_at": _time(delivery.tried_at) if delivery.attempts else None,
+        "result": in_english(delivery.result),
+        "result_message": maybe_shown(delivery.result),
+        "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
+        "alarms": [item.notice.id for item in delivery.items if item.notice is not None],
+    }
+
+
+def _time(at: UnixTime | None) -> str | None:
+    return None if at is None else iso(at)

@@ -1,0 +1,31 @@
+"""What the package apprise reaches. It is installed by those who want it."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from app.alarms.notification.compose import Letter
+from app.alarms.notification.in_thread import in_thread
+from app.alarms.notification.secret_file import NotDeliveredError, read_secret_text
+from app.notify_settings import AppriseSettings
+from bus.messages import Message
+
+
+async def notify(settings: AppriseSettings, letter: Letter) -> None:
+    """Deliver a message. Raises NotDeliveredError; apprise does not give the reason."""
+    service = opened(settings)
+    if not await in_thread(lambda: bool(service.notify(title=letter.subject, body=letter.body))):
+        raise NotDeliveredError(Message.of("notify_apprise_refused", name=settings.url_file.name))
+
+
+def opened(settings: AppriseSettings) -> Any:
+    """The service of the URL. Raises NotDeliveredError."""
+    try:
+        package = import_module("apprise")
+    except ImportError:
+        raise NotDeliveredError(Message("notify_apprise_missing")) from None
+    service = package.Apprise()
+    if not service.add(read_secret_text(settings.url_file)):
+        raise NotDeliveredError(Message.of("notify_apprise_url", path=str(settings.url_file)))
+    return service

@@ -1,0 +1,73 @@
+"""What a notification is about, as it is kept in the outbox until it is delivered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+
+from app.alarms.alarm import Alarm
+from app.alarms.rules.priority import AlarmPriority
+from app.alarms.rules.states import AlarmState
+from bus.instants import UnixTime
+from bus.messages import Message
+
+NoticeKind = Literal["alarm", "clear", "heartbeat", "test"]
+
+
+class AlarmNotice(msgspec.Struct, frozen=True):
+    """An alarm as it was when it was to be notified; times in Unix seconds."""
+
+    id: str
+    code: str
+    name: Message
+    place: str
+    """Empty for the site."""
+    bus: str | None
+    unit: int | None
+    priority: AlarmPriority
+    state: AlarmState
+    active: bool
+    at: float
+    cause: Message
+    response: Message
+    escalated: bool = False
+    """It was not acknowledged within the time of a rule."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxItem:
+    """One notice to one address. ``key`` with ``endpoint`` is in the outbox once, whatever happens."""
+
+    key: str
+    endpoint: str
+    kind: NoticeKind
+    created_at: UnixTime
+    notice: AlarmNotice | None = None
+    alarm: str = ""
+    occurrence: int = 0
+    id: int = 0
+
+
+def notice_of(
+    alarm: Alarm, place: str, at: UnixTime, state: AlarmState, occurrence: int, *, escalated: bool = False
+) -> AlarmNotice:
+    """The notice of an alarm in a state."""
+    definition = alarm.definition
+    name = definition.name
+    return AlarmNotice(
+        id=f"{definition.key}.{occurrence}",
+        code=definition.code,
+        name=name if isinstance(name, Message) else Message.of("alarm_own_text", text=name),
+        place=place,
+        bus=definition.bus,
+        unit=definition.unit,
+        priority=definition.priority,
+        state=state,
+        active=state in ("unack_active", "ack_active"),
+        at=float(at),
+        cause=definition.record.cause,
+        response=definition.record.response,
+        escalated=escalated,
+    )

@@ -1,0 +1,102 @@
+"""Follows the alarm journal of one bus, or of the site, and puts what is to be notified into the outbox."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from datetime import datetime
+
+from app.alarms.alarm_list import AlarmList
+from app.alarms.definition import SITE
+from app.alarms.notification.endpoints import NotificationPlan
+from app.alarms.notification.maintenance import Maintenance
+from app.alarms.notification.notice import OutboxItem, notice_of
+from app.alarms.notification.rules.notices import Episode, Followed, PlannedNotice, follow
+from app.alarms.notification.store import NotificationStore
+from app.alarms.store import JournalEntry
+from bus.instants import Clock, UnixTime, unix_now
+
+TICK_S = 1.0
+
+
+class AlarmNotifier:
+    """Each transition of the journal is followed once: how far, and what it has led to, is one transaction.
+    ``place``: the name of a unit of the bus. ``wake`` is called after something was put into the outbox."""
+
+    def __init__(
+        self,
+        bus: str | None,
+        alarms: AlarmList,
+        plan: NotificationPlan,
+        store: NotificationStore,
+        maintenance: Maintenance,
+        place: Callable[[int | None], str],
+        local_time: Callable[[], datetime],
+        wake: Callable[[], None],
+        clock: Clock = unix_now,
+    ) -> None:
+        self._bus = bus
+        self._source = SITE if bus is None else bus
+        self._alarms = alarms.alarms
+        self._plan = plan
+        self._store = store
+        self._maintenance = maintenance
+        self._place = place
+        self._local_time = local_time
+        self._wake = wake
+        self._clock = clock
+        self._cursor = 0
+        self._open: dict[str, Episode] = {}
+
+    async def follow(self) -> None:
+        """Without end."""
+        if not self._plan.endpoints:
+            await asyncio.Event().wait()
+        await self.load()
+        while True:
+            await self.advance()
+            await asyncio.sleep(TICK_S)
+
+    async def load(self) -> None:
+        """Go on where the last run ended."""
+        self._cursor, episodes = await self._store.load(self._source)
+        self._open = {key: each for key, each in episodes.items() if key in self._alarms}
+
+    async def advance(self) -> None:
+        """Take in what the journal has, and what is due by now."""
+        entries, cursor = await self._store.journal_after(self._bus, self._cursor)
+        known = [entry for entry in entries if entry.alarm in self._alarms]
+        now = self._clock()
+        done = follow(self._open, known, self._plan.rules, self._maintenance.spans(), now, self._local_time())
+        if known or done.notices or done.open != self._open:
+            await self._save(done, cursor, {entry.id: entry for entry in known}, now)
+        self._cursor, self._open = cursor, done.open
+
+    async def _save(
+        self, done: Followed, cursor: int, entries: dict[int, JournalEntry], now: UnixTime
+    ) -> None:
+        items = [self._item(each, entries.get(each.episode.entry), now) for each in done.notices]
+        cleared = [self._all_clear(entry, now) for entry in done.cleared]
+        await self._store.save(self._source, cursor, done.open, items, cleared)
+        if items or cleared:
+            self._wake()
+
+    def _item(self, planned: PlannedNotice, entry: JournalEntry | None, now: UnixTime) -> OutboxItem:
+        """``entry``: where it has just been made; else the alarm is as it is by now."""
+        episode, alarm = planned.episode, self._alarms[planned.episode.alarm]
+        state = alarm.facts.state if entry is None else entry.after
+        notice = notice_of(
+            alarm,
+            self._place(alarm.definition.unit),
+            episode.at,
+            state,
+            episode.occurrence,
+            escalated=planned.after_s > 0,
+        )
+        key = f"alarm:{episode.entry}:{planned.after_s:g}"
+        return OutboxItem(key, planned.endpoint, "alarm", now, notice, episode.alarm, episode.occurrence)
+
+    def _all_clear(self, entry: JournalEntry, now: UnixTime) -> OutboxItem:
+        alarm = self._alarms[entry.alarm]
+        notice = notice_of(alarm, self._place(alarm.definition.unit), entry.at, entry.after, entry.occurrence)
+        return OutboxItem(f"clear:{entry.id}", "", "clear", now, notice, entry.alarm, entry.occurrence)

@@ -1,0 +1,277 @@
+"""The outbox on disk: items, and the deliveries that they leave in."""
+
+from __future__ import annotations
+
+import secrets
+import sqlite3
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import msgspec
+
+from app.alarms.notification.notice import AlarmNotice, NoticeKind, OutboxItem
+from app.alarms.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
+from app.database import Database
+from bus.instants import UnixTime
+from bus.messages import Message
+
+MOST_ITEMS = 200
+"""In one message."""
+KEPT_S = 90 * 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class NotificationDelivery:
+    """One message to one address. ``message_id`` stays the same with every attempt."""
+
+    id: int
+    endpoint: str
+    message_id: str
+    state: DeliveryState
+    attempts: int
+    created_at: UnixTime
+    tried_at: UnixTime
+    due: UnixTime
+    result: Message | None = None
+    items: tuple[OutboxItem, ...] = ()
+
+
+_DELIVERY = tuple(field.name for field in fields(NotificationDelivery) if field.name != "items")
+
+
+class NotificationOutbox:
+    """Access to its tables. A delivery leaves in the order of its states."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def add(self, items: Iterable[OutboxItem]) -> None:
+        """Put items into the outbox that are not there yet."""
+        several = list(items)
+        await self._database.write(lambda connection: insert_items(connection, several))
+
+    async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
+        """At start: what was being sent is tried again, and what is for no address that is configured is
+        canceled."""
+        known = list(endpoints)
+        marks = ", ".join("?" * len(known))
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute(
+                "UPDATE notification_delivery SET state = 'retrying', due = ? WHERE state = 'sending'",
+                (float(now),),
+            )
+            result = msgspec.json.encode(gone).decode()
+            connection.execute(
+                "UPDATE notification_delivery SET state = 'canceled', result = ? "
+                f"WHERE state = 'retrying' AND endpoint NOT IN ({marks})",
+                (result, *known),
+            )
+            connection.execute(
+                f"DELETE FROM notification_item WHERE delivery IS NULL AND endpoint NOT IN ({marks})", known
+            )
+
+        await self._database.write(write)
+
+    async def prune(self, now: UnixTime) -> None:
+        """Delete messages that are older than three months."""
+        before = float(now - KEPT_S)
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute("DELETE FROM notification_item WHERE created_at < ?", (before,))
+            connection.execute(
+                "DELETE FROM notification_delivery WHERE created_at < ? "
+                "AND id NOT IN (SELECT delivery FROM notification_item WHERE delivery IS NOT NULL)",
+                (before,),
+            )
+
+        await self._database.write(write)
+
+    async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
+        """What there is for one address."""
+
+        def read(connection: sqlite3.Connection) -> EndpointLoad:
+            items = connection.execute(
+                "SELECT id, created_at FROM notification_item WHERE delivery IS NULL AND endpoint = ? "
+                "ORDER BY id LIMIT ?",
+                (endpoint, MOST_ITEMS),
+            )
+            retries = connection.execute(
+                "SELECT id, attempts, due FROM notification_delivery "
+                "WHERE state = 'retrying' AND endpoint = ?",
+                (endpoint,),
+            )
+            sent = connection.execute(
+                "SELECT tried_at FROM notification_delivery WHERE endpoint = ? AND tried_at > ? "
+                "AND state = 'delivered' ORDER BY tried_at DESC LIMIT 1000",
+                (endpoint, float(now - FLOOD_WINDOW_S)),
+            )
+            return EndpointLoad(
+                [tuple(row) for row in items],
+                [Retry(*row) for row in retries],
+                [row["tried_at"] for row in sent],
+                collects,
+            )
+
+        return await self._database.read(read)
+
+    async def begin(self, endpoint: str, items: Sequence[int], now: UnixTime) -> NotificationDelivery:
+        """Make a message of items. It is on disk as being sent before its first byte leaves."""
+        at, message_id = float(now), secrets.token_hex(16)
+
+        def write(connection: sqlite3.Connection) -> NotificationDelivery:
+            cursor = connection.execute(
+                "INSERT INTO notification_delivery "
+                "(endpoint, message_id, state, attempts, created_at, tried_at, due, result) "
+                "VALUES (?, ?, 'sending', 0, ?, ?, ?, '')",
+                (endpoint, message_id, at, at, at),
+            )
+            connection.executemany(
+                "UPDATE notification_item SET delivery = ? WHERE id = ? AND delivery IS NULL",
+                [(cursor.lastrowid, item) for item in items],
+            )
+            return _select(connection, "id = ?", (cursor.lastrowid,), 1)[0]
+
+        return await self._database.write(write)
+
+    async def resume(self, id: int) -> NotificationDelivery:
+        """Try a delivery again."""
+
+        def write(connection: sqlite3.Connection) -> NotificationDelivery:
+            connection.execute(
+                "UPDATE notification_delivery SET state = 'sending' WHERE id = ? AND state = 'retrying'",
+                (id,),
+            )
+            return _select(connection, "id = ?", (id,), 1)[0]
+
+        return await self._database.write(write)
+
+    async def conclude(self, delivery: NotificationDelivery) -> None:
+        """Write what an attempt has led to."""
+        await self._database.write(self.conclusion(delivery))
+
+    def conclusion(self, delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
+        """The same as a part of another transaction."""
+        return _conclusion(delivery)
+
+    async def deliveries(self, limit: int, before: int | None) -> list[NotificationDelivery]:
+        """The newest deliveries first; ``before``: older than this one."""
+        return await self._deliveries("id < ?", (before or 2**62,), limit)
+
+    async def of_items(self, key: str) -> list[NotificationDelivery]:
+        """The deliveries that have an item of this key."""
+        where = "id IN (SELECT delivery FROM notification_item WHERE key = ?)"
+        return await self._deliveries(where, (key,), 1000)
+
+    async def last_of(self, endpoint: str) -> NotificationDelivery | None:
+        """The delivery to an address that was tried last."""
+        where = (
+            "id = (SELECT id FROM notification_delivery WHERE endpoint = ? ORDER BY tried_at DESC LIMIT 1)"
+        )
+        return next(iter(await self._deliveries(where, (endpoint,), 1)), None)
+
+    async def waiting(self) -> dict[str, int]:
+        """How many items each address has in no message yet."""
+        query = "SELECT endpoint, count(*) FROM notification_item WHERE delivery IS NULL GROUP BY endpoint"
+        return await self._database.read(lambda connection: dict(connection.execute(query).fetchall()))
+
+    async def _deliveries(
+        self, where: str, values: Sequence[object], limit: int
+    ) -> list[NotificationDelivery]:
+        return await self._database.read(lambda connection: _select(connection, where, values, limit))
+
+
+def _conclusion(delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
+    """The writing of what an attempt has led to."""
+    result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
+    values = (
+        delivery.state,
+        delivery.attempts,
+        float(delivery.tried_at),
+        float(delivery.due),
+        result,
+        delivery.id,
+    )
+
+    def write(connection: sqlite3.Connection) -> None:
+        connection.execute(
+            "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
+            "WHERE id = ? AND state = 'sending'",
+            values,
+        )
+
+    return write
+
+
+def _select(
+    connection: sqlite3.Connection, where: str, values: Sequence[object], limit: int
+) -> list[NotificationDelivery]:
+    """The newest deliveries first, with their items."""
+    query = f"SELECT {', '.join(_DELIVERY)} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
+    rows = connection.execute(query, (*values, limit)).fetchall()
+    return [_delivery(row, _items_of(connection, row["id"])) for row in rows]
+
+
+def insert_items(connection: sqlite3.Connection, items: Iterable[OutboxItem]) -> None:
+    """Put items into the outbox that are not there yet."""
+    connection.executemany(
+        "INSERT OR IGNORE INTO notification_item "
+        "(key, endpoint, kind, created_at, notice, alarm, occurrence) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        [
+            (
+                item.key,
+                item.endpoint,
+                item.kind,
+                float(item.created_at),
+                None if item.notice is None else msgspec.json.encode(item.notice).decode(),
+                item.alarm,
+                item.occurrence,
+            )
+            for item in items
+        ],
+    )
+
+
+def to_notified(connection: sqlite3.Connection, item: OutboxItem) -> list[OutboxItem]:
+    """``item`` for each address that was notified of its occurrence."""
+    rows = connection.execute(
+        "SELECT DISTINCT endpoint FROM notification_item "
+        "WHERE alarm = ? AND occurrence = ? AND kind = 'alarm' ORDER BY id",
+        (item.alarm, item.occurrence),
+    )
+    return [
+        OutboxItem(
+            item.key, row["endpoint"], item.kind, item.created_at, item.notice, item.alarm, item.occurrence
+        )
+        for row in rows.fetchall()
+    ]
+
+
+def _items_of(connection: sqlite3.Connection, delivery: int) -> tuple[OutboxItem, ...]:
+    rows = connection.execute(
+        "SELECT key, endpoint, kind, created_at, notice, alarm, occurrence, id FROM notification_item "
+        "WHERE delivery = ? ORDER BY id",
+        (delivery,),
+    )
+    return tuple(_item(row) for row in rows)
+
+
+def _item(row: sqlite3.Row) -> OutboxItem:
+    notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
+    kind: NoticeKind = row["kind"]
+    return OutboxItem(
+        row["key"],
+        row["endpoint"],
+        kind,
+        row["created_at"],
+        notice,
+        row["alarm"],
+        row["occurrence"],
+        row["id"],
+    )
+
+
+def _delivery(row: sqlite3.Row, items: tuple[OutboxItem, ...]) -> NotificationDelivery:
+    values = {name: row[name] for name in _DELIVERY}
+    result = msgspec.json.decode(values["result"], type=Message) if values["result"] else None
+    return NotificationDelivery(**values | {"result": result, "items": items})

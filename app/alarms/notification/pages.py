@@ -1,0 +1,135 @@
+"""The page of notification, and the one that the link of a notification leads to."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Query
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.alarms.api import Alarms
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.notification.api import Notifying, begin
+from app.alarms.notification.dispatcher import subject_of
+from app.alarms.notification.maintenance import MOST_MINUTES
+from app.alarms.notification.overview import duties, endpoint_statuses
+from app.errors import Problem
+from app.web.access import Engineer, Operator, Viewer
+from app.web.templating import render
+from bus.messages import Message
+from bus.text import OneLine
+
+router = APIRouter(include_in_schema=False)
+
+SEE_OTHER = 303
+ON_A_PAGE = 50
+LinkedAlarm = Annotated[str, Query(max_length=300)]
+LinkedUntil = Annotated[int, Query(ge=0, le=2**62)]
+LinkSignature = Annotated[str, Query(max_length=100)]
+
+
+@router.get("/notifications")
+async def notification_page(
+    request: Request,
+    _: Engineer,
+    notification: Notifying,
+    before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> Response:
+    """Whether the path works, who is on duty, maintenance, and what was sent."""
+    found = await notification.outbox.deliveries(ON_A_PAGE + 1, before)
+    addresses = {key: each.address for key, each in notification.plan.endpoints.items()}
+    return render(
+        request,
+        "notification/page.html",
+        endpoints=await endpoint_statuses(notification),
+        groups=duties(notification),
+        maintenance=notification.maintenance.present(),
+        buses=notification.buses,
+        has_url=notification.plan.settings.dashboard_url is not None,
+        deliveries=[
+            (each, addresses.get(each.endpoint, each.endpoint), subject_of(each))
+            for each in found[:ON_A_PAGE]
+        ],
+        older=found[ON_A_PAGE - 1].id if len(found) > ON_A_PAGE else None,
+        before=before,
+    )
+
+
+@router.post("/notifications/test")
+async def send_test(
+    _: Engineer, notification: Notifying, endpoint: Annotated[str, Form(max_length=400)]
+) -> Response:
+    """Send a test message; the page then shows its result."""
+    await notification.dispatcher.test(notification.endpoint(endpoint))
+    return _to_page()
+
+
+@router.post("/notifications/maintenance")
+async def begin_maintenance(
+    person: Engineer,
+    notification: Notifying,
+    minutes: Annotated[int, Form(ge=1, le=MOST_MINUTES)],
+    bus: Annotated[str, Form(max_length=80)] = "",
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
+) -> Response:
+    """Notify nothing for a time."""
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("maintenance_needs_reason"))
+    await begin(notification, person, bus or None, minutes, reason.strip())
+    return _to_page()
+
+
+@router.post("/notifications/maintenance/{maintenance_id}/end")
+async def end_maintenance(person: Engineer, notification: Notifying, maintenance_id: int) -> Response:
+    """Notify again."""
+    await notification.maintenance.end(person, maintenance_id)
+    return _to_page()
+
+
+@router.get("/notifications/acknowledge")
+async def acknowledge_page(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    notification: Notifying,
+    alarm: LinkedAlarm,
+    until: LinkedUntil,
+    signature: LinkSignature,
+) -> Response:
+    """The alarm of a link, with the button. Opening it changes nothing: programs that look for malware open
+    links, too."""
+    notification.check_link(alarm, until, signature)
+    found = alarms.find(alarm).alarm
+    definition = found.definition
+    return render(
+        request,
+        "notification/acknowledge.html",
+        alarm=found,
+        place=alarms.place(definition.bus, definition.unit),
+        state=Message(f"alarm_state_{found.facts.state}"),
+        action=request.url.path + "?" + request.url.query,
+    )
+
+
+@router.post("/notifications/acknowledge")
+async def acknowledge_by_link(
+    person: Operator,
+    alarms: Alarms,
+    notification: Notifying,
+    alarm: LinkedAlarm,
+    until: LinkedUntil,
+    signature: LinkSignature,
+) -> Response:
+    """Acknowledge the occurrence that the link names."""
+    notification.check_link(alarm, until, signature)
+    await alarms.acknowledge(person, alarm)
+    return _to_alarm(alarms, alarm)
+
+
+def _to_alarm(alarms: LineAlarms, alarm: str) -> Response:
+    return RedirectResponse(f"/alarms/{alarms.find(alarm).alarm.id}", SEE_OTHER)
+
+
+def _to_page() -> Response:
+    return RedirectResponse("/notifications", SEE_OTHER)

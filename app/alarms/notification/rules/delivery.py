@@ -1,0 +1,109 @@
+"""A message to one address from the outbox to its end, and which is next. Pure: the time is passed in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from bus.instants import UnixTime
+
+DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"]
+DeliveryTrigger = Literal["begin", "succeed", "fail", "give_up", "restart", "remove"]
+
+TRANSITIONS: dict[tuple[DeliveryState, DeliveryTrigger], DeliveryState] = {
+    ("sending", "succeed"): "delivered",
+    ("sending", "fail"): "retrying",
+    ("sending", "give_up"): "failed",
+    ("sending", "restart"): "retrying",
+    ("sending", "remove"): "canceled",
+    ("retrying", "begin"): "sending",
+    ("retrying", "remove"): "canceled",
+}
+"""Every transition. A delivery begins as ``sending``, on disk before the first byte leaves. ``restart``: the
+server ended in between, and whether the message left is not known: it is sent with the same id."""
+FIRST_RETRY_S = 5.0
+LONGEST_RETRY_S = 900.0
+GIVE_UP_S = 86_400.0
+FLOOD_WINDOW_S = 600.0
+FAILING_ATTEMPTS = 2
+"""So many failures without a success between are no chance: the address is failing."""
+
+
+def retry_after_s(attempts: int) -> float:
+    """The time up to the next attempt after so many: 5, 10, 20 … seconds, at most 15 minutes."""
+    return min(LONGEST_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
+
+
+def trigger_of_failure(created_at: UnixTime, now: UnixTime) -> DeliveryTrigger:
+    """A message is given up after a day."""
+    return "give_up" if now - created_at >= GIVE_UP_S else "fail"
+
+
+@dataclass(frozen=True, slots=True)
+class Retry:
+    """A delivery that is tried again at ``due``."""
+
+    id: int
+    attempts: int
+    due: UnixTime
+
+    def wait_s(self, now: UnixTime) -> float:
+        """A wait longer than any backoff is one of a clock that was set back: it is over."""
+        wait_s = self.due - now
+        return wait_s if 0 < wait_s <= LONGEST_RETRY_S else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointLoad:
+    """What there is for one address. ``items``: not in any message yet, oldest first, and since when;
+    ``sent``: when the last messages left."""
+
+    items: Sequence[tuple[int, UnixTime]]
+    retries: Sequence[Retry]
+    sent: Sequence[UnixTime]
+    collects: bool = True
+    """Whether several items may be one message: people read a digest, programs want each."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeliveryTurn:
+    """``items``: to be sent as one message; else ``retry``: the delivery to be tried; else ``wait_s``."""
+
+    items: tuple[int, ...] = ()
+    retry: int | None = None
+    wait_s: float | None = None
+    """None: until there is something to send."""
+
+
+def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> DeliveryTurn:
+    """What follows for an address. New items go first, so that one refused message holds up no other."""
+    waits: list[float] = []
+    if load.items:
+        wait_s = _digest_wait_s(load, flood, digest_s, now)
+        if wait_s <= 0:
+            return DeliveryTurn(items=_first_items(load, flood, now))
+        waits.append(wait_s)
+    due = [retry for retry in load.retries if not retry.wait_s(now)]
+    if due:
+        return DeliveryTurn(retry=min(due, key=lambda retry: (retry.attempts, retry.id)).id)
+    waits += [retry.wait_s(now) for retry in load.retries]
+    return DeliveryTurn(wait_s=min(waits, default=None))
+
+
+def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
+    """Whether further items are collected: many messages in ten minutes, or an address that is failing."""
+    recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
+    return load.collects and (len(recent) >= flood or bool(load.retries))
+
+
+def _digest_wait_s(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> float:
+    if not is_flooded(load, flood, now):
+        return 0.0
+    since_s = now - load.items[0][1]
+    return digest_s - since_s if since_s >= 0 else 0.0
+
+
+def _first_items(load: EndpointLoad, flood: int, now: UnixTime) -> tuple[int, ...]:
+    several = is_flooded(load, flood, now)
+    return tuple(item for item, _ in (load.items if several else load.items[:1]))

@@ -1,0 +1,74 @@
+"""Sends one message on the way that its address needs, within a bounded time."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import nullcontext
+from typing import TYPE_CHECKING
+
+import structlog
+
+from app.alarms.notification import apprise_url, webhook
+from app.alarms.notification.compose import Composer, hook_body
+from app.alarms.notification.endpoints import NotificationEndpoint
+from app.alarms.notification.outbox import NotificationDelivery
+from app.alarms.notification.secret_file import NotDeliveredError
+from app.notify_settings import AppriseSettings, SmtpSettings, WebhookSettings
+from bus.instants import UnixTime
+from bus.messages import Message
+
+if TYPE_CHECKING:
+    from app.alarms.notification.mail import MailServer
+
+ATTEMPT_S = 30.0
+"""For everything: name, connection, TLS, sign-in, message."""
+MAIL_CONNECTIONS = 4
+log = structlog.get_logger()
+
+
+def _mail_server(settings: SmtpSettings) -> MailServer:
+    from app.alarms.notification.mail import MailServer  # most sites send no mail: it delays their start
+
+    return MailServer(settings)
+
+
+class Senders:
+    """``smtp``: the mail server; None: there is none."""
+
+    def __init__(self, smtp: SmtpSettings | None, composer: Composer, attempt_s: float = ATTEMPT_S) -> None:
+        self._server = None if smtp is None else _mail_server(smtp)
+        self._composer = composer
+        self._attempt_s = attempt_s
+        self._mail = asyncio.Semaphore(MAIL_CONNECTIONS)
+
+    async def send(
+        self, endpoint: NotificationEndpoint, delivery: NotificationDelivery, now: UnixTime
+    ) -> None:
+        """Deliver. Raises NotDeliveredError; whether the message has arrived then is not known."""
+        async with self._mail if endpoint.settings is None else nullcontext():
+            try:
+                async with asyncio.timeout(self._attempt_s):
+                    await self._send(endpoint, delivery, now)
+            except TimeoutError:
+                seconds = round(self._attempt_s)
+                raise NotDeliveredError(Message.of("notify_took_too_long", seconds=seconds)) from None
+            except NotDeliveredError:
+                raise
+            except Exception as error:
+                # Its text may hold a URL or a password.
+                name = type(error).__name__
+                log.error("a notification failed", error=name)
+                raise NotDeliveredError(Message.of("notify_failed_unexpectedly", error=name)) from None
+
+    async def _send(
+        self, endpoint: NotificationEndpoint, delivery: NotificationDelivery, now: UnixTime
+    ) -> None:
+        match endpoint.settings:
+            case WebhookSettings() as settings:
+                await webhook.post(settings, hook_body(self._composer.site, delivery, now), now)
+            case AppriseSettings() as settings:
+                await apprise_url.notify(settings, self._composer.letter(delivery, now))
+            case None:
+                if self._server is None:
+                    raise NotDeliveredError(Message("setting_mail_server_missing"))
+                await self._server.send(endpoint.address, self._composer.letter(delivery, now))

@@ -1,0 +1,88 @@
+"""Notification of a site: its outbox, its dispatcher and its maintenance, and a notifier for each bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+
+from app.alarms.alarm_list import AlarmList
+from app.alarms.notification.acknowledge_link import acknowledge_link, check_link
+from app.alarms.notification.compose import Composer
+from app.alarms.notification.dispatcher import Dispatcher
+from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.alarms.notification.maintenance import Maintenance
+from app.alarms.notification.notifier import AlarmNotifier
+from app.alarms.notification.outbox import NotificationOutbox
+from app.alarms.notification.senders import Senders
+from app.alarms.notification.store import NotificationStore
+from app.audit.log import EventLog
+from app.database import Database
+from app.errors import Problem
+from app.messages.languages import Languages
+from app.settings import Settings
+from app.web.formats import Formats
+from bus.instants import Clock, unix_now
+from bus.messages import Message
+
+
+class Notification:
+    """``local_time``: of the site, by which duty rosters and the heartbeat go. Call :meth:`load` first."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        database: Database,
+        events: EventLog,
+        languages: Languages,
+        local_time: Callable[[], datetime],
+        clock: Clock = unix_now,
+    ) -> None:
+        self.plan = NotificationPlan(settings.notify)
+        self.store = NotificationStore(database)
+        self.outbox = NotificationOutbox(database)
+        self.maintenance = Maintenance(self.store, events, clock)
+        self.buses = [bus.name for bus in settings.bus]
+        self.local_time = local_time
+        self._clock = clock
+        self._key = b""
+        language = languages[settings.site.language]
+        formats = Formats(language.locale, settings.site.zone)
+        composer = Composer(settings.site.name, language, formats, self._link)
+        senders = Senders(settings.notify.smtp, composer)
+        self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, local_time, clock)
+
+    async def load(self) -> None:
+        """Once at start."""
+        self._key = await self.store.link_key()
+        await self.maintenance.load()
+
+    def notifier(
+        self, bus: str | None, alarms: AlarmList, place: Callable[[int | None], str]
+    ) -> AlarmNotifier:
+        """What notifies of the alarms of one bus, or (None) of the site."""
+        return AlarmNotifier(
+            bus,
+            alarms,
+            self.plan,
+            self.store,
+            self.maintenance,
+            place,
+            self.local_time,
+            self.dispatcher.wake,
+            self._clock,
+        )
+
+    def endpoint(self, key: str) -> NotificationEndpoint:
+        """The address of a key. Raises Problem 404."""
+        endpoint = self.plan.endpoints.get(key)
+        if endpoint is None:
+            raise Problem(404, "not_found", Message.of("notify_endpoint_unknown", endpoint=key[:200]))
+        return endpoint
+
+    def check_link(self, alarm_id: str, until: int, signature: str) -> None:
+        """Raises Problem for a link that this dashboard did not make, or that has expired."""
+        check_link(self._key, alarm_id, until, signature, self._clock())
+
+    def _link(self, alarm_id: str) -> str:
+        base = self.plan.settings.dashboard_url
+        return "" if base is None else acknowledge_link(base, self._key, alarm_id, self._clock())

@@ -1,0 +1,149 @@
+"""How far the journal of alarms was followed, maintenance, and the key of links, on disk."""
+
+from __future__ import annotations
+
+import secrets
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+
+from app.alarms.notification.notice import OutboxItem
+from app.alarms.notification.outbox import KEPT_S, insert_items, to_notified
+from app.alarms.notification.rules.notices import Episode, QuietSpan
+from app.alarms.store import JournalEntry
+from app.database import Database
+from bus.instants import UnixTime
+
+MOST_ENTRIES = 1000
+"""Of the journal that are followed in one pass."""
+_ENTRY = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+_EPISODE = tuple(field.name for field in fields(Episode))
+
+
+@dataclass(frozen=True, slots=True)
+class QuietRow:
+    """A maintenance as it was begun."""
+
+    id: int
+    span: QuietSpan
+    who: str
+    reason: str
+
+
+class NotificationStore:
+    """All access to the tables of notification but the outbox."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    async def load(self, source: str) -> tuple[int, dict[str, Episode]]:
+        """How far ``source`` has followed the journal, and its open episodes. Notification that was never on
+        begins with the present."""
+
+        def read(connection: sqlite3.Connection) -> tuple[int, dict[str, Episode]]:
+            row = connection.execute(
+                "SELECT entry FROM notification_cursor WHERE source = ?", (source,)
+            ).fetchone()
+            cursor = _last_entry(connection) if row is None else row["entry"]
+            query = f"SELECT {', '.join(_EPISODE)} FROM notification_episode WHERE source = ?"
+            rows = connection.execute(query, (source,)).fetchall()
+            return cursor, {row["alarm"]: Episode(*row) for row in rows}
+
+        return await self._database.read(read)
+
+    async def journal_after(self, bus: str | None, cursor: int) -> tuple[list[JournalEntry], int]:
+        """The transitions of a bus (None: of the site) after an entry, oldest first, and the last entry that
+        was looked at."""
+
+        def read(connection: sqlite3.Connection) -> tuple[list[JournalEntry], int]:
+            connection.execute("BEGIN")
+            try:
+                last = _last_entry(connection)
+                query = (
+                    f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE id > ? AND bus IS ? "
+                    "ORDER BY id LIMIT ?"
+                )
+                rows = [] if last <= cursor else connection.execute(query, (cursor, bus, MOST_ENTRIES))
+                entries = [JournalEntry(*row) for row in rows]
+            finally:
+                connection.execute("COMMIT")
+            return entries, entries[-1].id if len(entries) == MOST_ENTRIES else max(cursor, last)
+
+        return await self._database.read(read)
+
+    async def save(
+        self,
+        source: str,
+        cursor: int,
+        episodes: Mapping[str, Episode],
+        items: Sequence[OutboxItem],
+        cleared: Sequence[OutboxItem],
+    ) -> None:
+        """Everything that one pass has led to, in one transaction. ``cleared``: for each address that was
+        notified of the occurrence."""
+        rows = [(*astuple(episode), source) for episode in episodes.values()]
+        marks = ", ".join("?" * (len(_EPISODE) + 1))
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute(
+                "INSERT OR REPLACE INTO notification_cursor (source, entry) VALUES (?, ?)", (source, cursor)
+            )
+            connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
+            connection.executemany(
+                f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
+            )
+            insert_items(connection, items)
+            for each in cleared:
+                insert_items(connection, to_notified(connection, each))
+
+        await self._database.write(write)
+
+    async def quiet(self, now: UnixTime) -> list[QuietRow]:
+        """Every maintenance whose end an open alarm may still count from."""
+        query = "SELECT id, starts, ends, bus, who, reason FROM notification_quiet WHERE ends > ?"
+        rows = await self._database.read(
+            lambda connection: connection.execute(query, (float(now - KEPT_S),)).fetchall()
+        )
+        return [
+            QuietRow(row["id"], QuietSpan(row["starts"], row["ends"], row["bus"]), row["who"], row["reason"])
+            for row in rows
+        ]
+
+    async def link_key(self) -> bytes:
+        """The key that signs links; made at its first use."""
+        fresh = secrets.token_bytes(32)
+
+        def write(connection: sqlite3.Connection) -> bytes:
+            connection.execute("INSERT OR IGNORE INTO notification_key (id, key) VALUES (1, ?)", (fresh,))
+            row = connection.execute("SELECT key FROM notification_key").fetchone()
+            return bytes(row["key"])
+
+        return await self._database.write(write)
+
+
+def quiet_beginning(span: QuietSpan, who: str, reason: str) -> Callable[[sqlite3.Connection], None]:
+    """The writing of a maintenance that begins."""
+    values = (span.bus, float(span.starts), float(span.ends), who, reason)
+
+    def write(connection: sqlite3.Connection) -> None:
+        connection.execute(
+            "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)", values
+        )
+
+    return write
+
+
+def quiet_ending(id: int, now: UnixTime) -> Callable[[sqlite3.Connection], None]:
+    """The writing of a maintenance that ends before its time."""
+
+    def write(connection: sqlite3.Connection) -> None:
+        connection.execute(
+            "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?", (float(now), id, float(now))
+        )
+
+    return write
+
+
+def _last_entry(connection: sqlite3.Connection) -> int:
+    last: int = connection.execute("SELECT coalesce(max(id), 0) FROM alarm_journal").fetchone()[0]
+    return last

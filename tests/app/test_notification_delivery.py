@@ -1,0 +1,94 @@
+"""The outbox of one address: whose turn it is, what is collected, when it is tried again."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.alarms.notification.rules.delivery import (
+    GIVE_UP_S,
+    LONGEST_RETRY_S,
+    TRANSITIONS,
+    DeliveryTurn,
+    EndpointLoad,
+    Retry,
+    next_turn,
+    retry_after_s,
+    trigger_of_failure,
+)
+from bus.instants import UnixTime
+
+NOW = UnixTime(10_000.0)
+
+
+def at(seconds: float) -> UnixTime:
+    return NOW - seconds
+
+
+def turn(load: EndpointLoad, flood: int = 2) -> DeliveryTurn:
+    return next_turn(load, flood, 60.0, NOW)
+
+
+def test_nothing_waits_for_something_new() -> None:
+    assert turn(EndpointLoad([], [], [])) == DeliveryTurn()
+
+
+def test_a_new_item_is_a_message_at_once() -> None:
+    assert turn(EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)])) == DeliveryTurn(items=(1,))
+
+
+def test_a_flood_is_collected() -> None:
+    sent = [at(60), at(30)]
+    assert turn(EndpointLoad([(1, at(59)), (2, at(0))], [], sent)) == DeliveryTurn(wait_s=1.0)
+    assert turn(EndpointLoad([(1, at(60)), (2, at(0))], [], sent)) == DeliveryTurn(items=(1, 2))
+    assert turn(EndpointLoad([(1, at(0))], [], [at(601), at(602)])) == DeliveryTurn(items=(1,))
+
+
+def test_a_program_gets_each_alone() -> None:
+    load = EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)] * 100, collects=False)
+    assert turn(load) == DeliveryTurn(items=(1,))
+
+
+def test_new_items_go_before_those_that_were_refused() -> None:
+    retries = [Retry(7, 3, at(0)), Retry(8, 1, at(0)), Retry(9, 1, at(-5))]
+    assert turn(EndpointLoad([(1, at(60))], retries, [])) == DeliveryTurn(items=(1,))
+    assert turn(EndpointLoad([(1, at(50))], retries, [])) == DeliveryTurn(retry=8)
+    assert turn(EndpointLoad([], retries[2:], [])) == DeliveryTurn(wait_s=5.0)
+
+
+def test_a_clock_that_was_set_back_delays_no_retry() -> None:
+    assert turn(EndpointLoad([], [Retry(7, 1, at(-LONGEST_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
+    assert turn(EndpointLoad([(1, at(-3600))], [], [at(60), at(30)])) == DeliveryTurn(items=(1,))
+
+
+def test_the_wait_doubles_up_to_a_quarter_of_an_hour() -> None:
+    assert [retry_after_s(n) for n in (1, 2, 3)] == [5.0, 10.0, 20.0]
+    assert retry_after_s(10_000) == LONGEST_RETRY_S
+
+
+def test_a_message_is_given_up_after_a_day() -> None:
+    assert trigger_of_failure(at(GIVE_UP_S - 1), NOW) == "fail"
+    assert trigger_of_failure(at(GIVE_UP_S), NOW) == "give_up"
+
+
+def test_what_has_ended_never_leaves_again() -> None:
+    ended = {"delivered", "failed", "canceled"}
+    assert {state for state, _ in TRANSITIONS} == {"sending", "retrying"}
+    assert set(TRANSITIONS.values()) == ended | {"sending", "retrying"}
+
+
+retries = st.lists(
+    st.builds(Retry, st.integers(1, 9), st.integers(1, 5), st.floats(-2e3, 2e3).map(at)), max_size=4
+)
+
+
+@given(st.integers(0, 3), retries, st.integers(0, 4), st.booleans())
+def test_there_is_always_a_turn_or_an_end_of_the_wait(
+    items: int, several: list[Retry], sent: int, collects: bool
+) -> None:
+    load = EndpointLoad([(n, at(0)) for n in range(items)], several, [at(1)] * sent, collects)
+    found = turn(load)
+    is_idle = not items and not several
+    assert is_idle == (found == DeliveryTurn())
+    if found.wait_s is not None:
+        assert 0 < found.wait_s <= LONGEST_RETRY_S

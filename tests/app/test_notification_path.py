@@ -1,0 +1,309 @@
+"""From an alarm to its mail and its webhook: the complete app with real servers."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.alarms.notification.notice import OutboxItem
+from app.alarms.notification.outbox import NotificationDelivery
+from app.errors import StoreError
+from app.notify_settings import NotifySettings
+from app.web.access import Role
+from bus.contract import Reading
+from bus.instants import UnixTime
+from bus.messages import Message
+from tests.app.complete_app import House, complete_app
+from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mail_server, receiver
+from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
+
+LIMIT_S = 20.0
+
+
+@dataclass
+class Path_:
+    """The app, and where its notifications go."""
+
+    house: House
+    mail: PlayedMailServer
+    hooks: PlayedReceiver
+
+    async def estop(self, *, active: bool, unit: int = 1) -> None:
+        live = self.house.services.live.buses[BUS]
+        live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)])
+        await self.advance()
+
+    async def advance(self) -> None:
+        """Bring the journal to disk and follow it."""
+        await self.house.services.alarms.write()
+        await self.house.services.buses[BUS].notifier.advance()
+
+    async def events(self, state: str) -> list[dict[str, Any]]:
+        found = await self.house.events("notification")
+        return [event for event in found if f"Notification {state}" in str(event["what"])]
+
+    async def ended(self, state: str, count: int = 1) -> list[NotificationDelivery]:
+        """The deliveries in a state, once there are so many."""
+        notification = self.house.services.notification
+        async with asyncio.timeout(LIMIT_S):
+            while True:
+                attempted = notification.dispatcher.attempted
+                found = [
+                    each for each in await notification.outbox.deliveries(100, None) if each.state == state
+                ]
+                if len(found) >= count:
+                    return found
+                await attempted.wait()
+
+
+def notify(mail: PlayedMailServer, hooks: PlayedReceiver, folder: Path, **more: Any) -> NotifySettings:
+    key = folder / "hook.key"
+    key.write_text("key")
+    smtp = {"host": "127.0.0.1", "port": mail.port, "security": "none", "sender": "lineside@plant"}
+    known = {
+        "dashboard_url": "https://plant.example",
+        "smtp": {**smtp, "to": ["duty@plant"]},
+        "webhook": [{"url": hooks.url, "secret_file": key, "priorities": ["urgent"]}],
+    }
+    return NotifySettings.model_validate({**known, **more})
+
+
+@asynccontextmanager
+async def running(
+    folder: Path, mail: PlayedMailServer, hooks: PlayedReceiver, **more: Any
+) -> AsyncIterator[Path_]:
+    async with complete_app(folder, notify=notify(mail, hooks, folder, **more)) as house:
+        await played_line(house.services)
+        house.services.buses[BUS].alarms.tick()
+        yield Path_(house, mail, hooks)
+
+
+@pytest.fixture
+async def servers() -> AsyncIterator[tuple[PlayedMailServer, PlayedReceiver]]:
+    async with mail_server() as mail, receiver() as hooks:
+        yield mail, hooks
+
+
+@pytest.fixture
+async def path(tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]) -> AsyncIterator[Path_]:
+    async with running(tmp_path, *servers) as path:
+        yield path
+
+
+async def test_an_alarm_reaches_people_and_programs_and_so_does_its_end(path: Path_) -> None:
+    await path.estop(active=True)
+    mail, hook = await path.mail.mail(), await path.hooks.body()
+    assert mail["Subject"] == "urgent: Unwind · Emergency stop active"
+    text = mail.get_content()
+    assert "Response: Go to the machine" in text
+    assert "https://plant.example/notifications/acknowledge?alarm=dry-end.1.estop_active.1" in text
+    assert (hook["kind"], hook["alarm"]["state"], hook["alarm"]["code"]) == (
+        "alarm",
+        "unack_active",
+        "estop_active",
+    )
+    await path.estop(active=False)
+    mail, hook = await path.mail.mail(2), await path.hooks.body(2)
+    assert mail["Subject"] == "Cleared: Unwind · Emergency stop active"
+    assert (hook["kind"], hook["alarm"]["state"], hook["alarm"]["active"]) == ("clear", "rtn_unack", False)
+    await path.ended("delivered", 4)
+    events = await path.house.events("notification")
+    assert [event["unit"] for event in events] == [1] * 4
+    assert {event["what"] for event in events} >= {
+        "Notification delivered to duty@plant: Emergency stop active"
+    }
+
+
+async def test_nothing_is_notified_twice(path: Path_) -> None:
+    await path.estop(active=True)
+    for _ in range(3):
+        await path.advance()
+    await path.ended("delivered", 2)
+    notifier = path.house.services.buses[BUS].notifier
+    await notifier.load()
+    notifier._cursor = 0  # as after a crash between reading the journal and writing the outbox
+    await notifier.advance()
+    assert len(await path.ended("delivered", 2)) == 2
+    assert await path.house.services.notification.outbox.waiting() == {}
+
+
+async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> None:
+    mail, hooks = servers
+    async with complete_app(tmp_path, notify=notify(mail, hooks, tmp_path), language="de") as house:
+        await played_line(house.services)
+        await Path_(house, mail, hooks).estop(active=True)
+        subject = (await mail.mail())["Subject"]
+        assert subject == "dringend: Unwind · Not-Halt aktiv"
+
+
+async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
+    path: Path_, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.alarms.notification.dispatcher.retry_after_s", lambda _: 0.0)
+    path.mail.replies["RCPT"] = "451 later"
+    await path.estop(active=True)
+    site = path.house.services.alarms.site
+    async with asyncio.timeout(LIMIT_S):
+        while not path.house.services.notification.dispatcher.is_failing():
+            await path.house.services.notification.dispatcher.attempted.wait()
+    site.tick()
+    alarm = site.list.alarms["_.notification_failed"]
+    assert alarm.facts.active
+    del path.mail.replies["RCPT"]
+    mail = await path.mail.mail()
+    assert mail["Subject"].startswith("urgent: Unwind")
+    await path.ended("delivered", 2)
+    site.tick()
+    assert not alarm.facts.active
+    (failure,) = await path.events("not delivered")
+    assert "451 later" in failure["message"]
+    assert len(await path.events("delivered")) == 2
+
+
+async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    async with running(tmp_path, *servers) as path:
+        store = path.house.services.notification.outbox
+        now = UnixTime(time.time())
+        await store.add([OutboxItem("test:crash", "mail:duty@plant", "test", now)])
+        ((item, _),) = (await store.load_of("mail:duty@plant", now, collects=True)).items
+        begun = await store.begin("mail:duty@plant", [item], now)
+    async with running(tmp_path, *servers) as path:
+        mail = await path.mail.mail()
+        assert mail["Message-ID"] == f"<{begun.message_id}@plant>"
+        ((delivery),) = await path.ended("delivered")
+        assert delivery.id == begun.id
+
+
+async def test_a_result_that_cannot_be_stored_sends_nothing_twice(
+    path: Path_, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.alarms.notification.dispatcher.STORE_RETRY_S", 0.0)
+    record, failures = path.house.services.events.record, [StoreError(Message("store_closed"))] * 3
+
+    async def fails_thrice(**event: Any) -> int:
+        if failures:
+            raise failures.pop()
+        return await record(**event)
+
+    monkeypatch.setattr(path.house.services.events, "record", fails_thrice)
+    await path.estop(active=True)
+    await path.ended("delivered", 2)
+    assert (len(path.mail.mails), len(path.hooks.received)) == (1, 1)
+
+
+async def test_a_flood_is_one_message_for_people_and_each_for_programs(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    settings = {**dict(notify(*servers, tmp_path, flood=1)), "digest_s": 0.0}
+    async with complete_app(tmp_path, notify=NotifySettings.model_construct(**settings)) as house:
+        await played_line(house.services)
+        path = Path_(house, *servers)
+        await path.estop(active=True)
+        delivered = await path.ended("delivered", 2)
+        store = house.services.notification.outbox
+        items = [replace(each.items[0], key=f"more:{n}") for each in delivered for n in range(4)]
+        await store.add(items)
+        house.services.notification.dispatcher.wake()
+        assert {(await path.hooks.body(count))["kind"] for count in range(1, 6)} == {"alarm"}
+        digest = await path.mail.mail(2)
+        assert digest["Subject"] == "Mill 7: 4 messages, 4 of them urgent"
+        assert digest.get_content().count("urgent: Unwind · Emergency stop active") == 4
+
+
+async def test_an_escalation_goes_to_people_on_duty(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    smtp = {"host": "127.0.0.1", "port": servers[0].port, "security": "none", "sender": "lineside@plant"}
+    duty = {"starts": "00:00", "ends": "00:00", "to": ["chief@plant"]}
+    group, rule = {"name": "chiefs", "duty": [duty]}, {"group": "chiefs", "after_s": 0.01}
+    async with running(tmp_path, *servers, smtp=smtp, group=[group], rule=[rule]) as path:
+        await path.estop(active=True)
+        await asyncio.sleep(0.02)
+        await path.advance()
+        mail = await path.mail.mail()
+        assert (mail["To"], mail["Subject"]) == (
+            "chief@plant",
+            "Not acknowledged, urgent: Unwind · Emergency stop active",
+        )
+
+
+async def test_a_test_message_goes_the_same_way(path: Path_) -> None:
+    dispatcher = path.house.services.notification.dispatcher
+    for endpoint in dispatcher.plan.endpoints.values():
+        delivery = await dispatcher.test(endpoint)
+        assert delivery is not None
+        assert delivery.state == "delivered"
+    assert (await path.mail.mail())["Subject"] == "Mill 7: test of notification"
+    assert (await path.hooks.body())["kind"] == "test"
+
+
+async def test_each_address_gets_one_heartbeat_a_day(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks: list[int] = []
+
+    def due(*_: object) -> str:
+        checks.append(len(checks))
+        return "2026-11-22"
+
+    monkeypatch.setattr("app.alarms.notification.dispatcher.heartbeat_due", due)
+    monkeypatch.setattr("app.alarms.notification.dispatcher.HEARTBEAT_CHECK_S", 0.01)
+    async with running(tmp_path, *servers) as path:
+        assert (await path.mail.mail())["Subject"] == "Mill 7: notification works"
+        assert (await path.hooks.body())["kind"] == "heartbeat"
+        delivered = await path.ended("delivered", 2)
+        seen = len(checks)
+        await path.house.services.notification.dispatcher.test(
+            next(iter(path.house.services.notification.plan.endpoints.values()))
+        )
+        assert len(checks) > seen
+        heartbeats = [each for each in await path.ended("delivered", 3) if each.items[0].kind == "heartbeat"]
+        assert [each.id for each in heartbeats] == [each.id for each in delivered]
+
+
+async def test_an_address_that_was_removed_gets_nothing_more(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    servers[0].replies["RCPT"] = "451 later"
+    async with running(tmp_path, *servers) as path:
+        await path.estop(active=True)
+        await path.ended("retrying")
+    async with running(tmp_path, *servers, smtp=None, group=[], rule=[]) as path:
+        (canceled,) = await path.ended("canceled")
+        assert canceled.endpoint == "mail:duty@plant"
+
+
+async def test_a_fault_of_one_address_leaves_the_others(path: Path_, monkeypatch: pytest.MonkeyPatch) -> None:
+    outbox = path.house.services.notification.outbox
+    load_of = outbox.load_of
+
+    async def fails_for_mail(endpoint: str, *given: Any, **more: Any) -> Any:
+        if endpoint.startswith("mail"):
+            raise RuntimeError("damaged")
+        return await load_of(endpoint, *given, **more)
+
+    monkeypatch.setattr(outbox, "load_of", fails_for_mail)
+    await path.estop(active=True)
+    assert (await path.hooks.body())["kind"] == "alarm"
+
+
+async def test_no_secret_is_in_the_events_or_the_store(path: Path_) -> None:
+    await path.estop(active=True)
+    await path.ended("delivered", 2)
+    assert path.house.services.settings.server.data.exists()
+    database = path.house.services.settings.server.store
+    stored = b"".join(each.read_bytes() for each in database.parent.iterdir() if each.is_file())
+    assert b"Emergency stop" in stored
+    assert b"hooks/s3cret" not in stored
+    viewer = await path.house.program(Role.VIEWER)
+    events = (await viewer.get("/api/v1/events", params={"limit": 100})).text
+    assert "s3cret" not in events
