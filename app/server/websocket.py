@@ -31,6 +31,8 @@ SLICE_BYTES = 512
 room for 40,000, which take half a second."""
 MOST_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
+MOST_AFTER_CLOSE_BYTES = 4096
+"""Of what a page sent before it saw the server's Close frame, its own Close frame included."""
 
 
 class Endings:
@@ -67,6 +69,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         super().__init__(*args, **options)
         self.connection = connection
         self._is_feed = False
+        self._after_close_bytes = 0
         self._bucket = Bucket(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -100,13 +103,17 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
             super().data_received(data)
             return
         for start in range(0, len(data), SLICE_BYTES):
-            if self.close_sent or self.transport.is_closing():
+            part = data[start : start + SLICE_BYTES]
+            if self.transport.is_closing():
+                return
+            if self.close_sent and not self._is_closing_in_bounds(len(part)):
+                self.transport.abort()
                 return
             if self.handshake_initiated and not self.handshake_complete:
                 # A client waits for the response to its handshake (RFC 6455, 4.1).
                 self.transport.abort()
                 return
-            super().data_received(data[start : start + SLICE_BYTES])
+            super().data_received(part)
 
     def handle_connect(self, event: Request) -> None:
         """The handshake, with its path and headers."""
@@ -162,6 +169,11 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     def _is_trusted(self) -> bool:
         """Whether it is a worker's, which has shown its token by the time it is accepted."""
         return self._is_feed and self.handshake_complete
+
+    def _is_closing_in_bounds(self, size: int) -> bool:
+        """Whether ``size`` more bytes may be parsed for the Close frame that ends the connection at once."""
+        self._after_close_bytes += size
+        return self._after_close_bytes <= MOST_AFTER_CLOSE_BYTES
 
     def _is_allowed(self) -> bool:
         if self.close_sent or self.transport.is_closing():

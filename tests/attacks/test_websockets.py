@@ -33,7 +33,7 @@ HANDSHAKE = (
     "GET {path} HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
 )
-FIN, CONT, TEXT, PING, PONG = 0x80, 0x0, 0x1, 0x9, 0xA
+FIN, CONT, TEXT, CLOSE, PING, PONG = 0x80, 0x0, 0x1, 0x8, 0x9, 0xA
 CPU_S = 0.5
 """Of this thread; one chunk of empty frames alone took half a second."""
 
@@ -78,6 +78,8 @@ class Site:
         await self.reads.wait()
         while (message := await socket.receive())["type"] != "websocket.disconnect":
             self.messages.append(message.get("text", ""))
+            if self.messages[-1] == "close":
+                await socket.close(4401)
         self.closed = message["code"]
 
     async def connect(self, path: str = "/live") -> asyncio.StreamReader:
@@ -201,6 +203,20 @@ async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Si
         await gone.read()
     for reader, _ in burst[:50]:
         assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [frame(FIN | CLOSE, struct.pack("!H", 4401)), frame(FIN | PING) * 2000],
+    ids=["its Close frame", "a flood"],
+)
+async def test_what_follows_the_close_of_the_server_ends_the_connection(site: Site, sent: bytes) -> None:
+    reader = await site.connect()
+    site.protocol.close_timeout = 10 * PATIENCE_S
+    site.writers[-1].write(frame(FIN | TEXT, b"close"))
+    assert (await reader.readexactly(4))[:1] == bytes([FIN | CLOSE])
+    site.writers[-1].write(sent)
+    assert await everything(reader) == b""
 
 
 async def test_fragments_count_together(site: Site) -> None:
