@@ -186,7 +186,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         restores=restores,
         swaps=SwapService(events, SwapStore(database), restores, unix_now),
         recipes=recipes,
-        measured=MetricSources(live, hub, Counts(events), partial(_anchor_status, anchoring), alarms),
+        measured=MetricSources(
+            live, lambda: hub.connected, Counts(events), partial(_anchor_status, anchoring), alarms
+        ),
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now),
         turns=Turns(),
     )

@@ -45,7 +45,8 @@ def test_each_test_is_counted_once_for_each_run_in_which_it_failed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "test_sometimes.py").write_text(EVERY_SECOND_RUN)
-    assert main(["2", *OPTIONS, str(tmp_path)]) == 1
+    # Without it names depend on where the repository is.
+    assert main(["2", *OPTIONS, f"--rootdir={tmp_path}", str(tmp_path)]) == 1
     assert capfd.readouterr().out.splitlines()[-2:] == [
         "failed in 2 of 2 runs: test_sometimes::test_has_a_broken_fixture",
         "failed in 1 of 2 runs: test_sometimes::test_fails_every_second_run",

@@ -13,7 +13,6 @@ from starlette.responses import Response
 from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import AnchorStatus
 from app.audit.log import Event, EventLog
-from app.live.browsers.hub import Hub
 from app.live.state.bus_live import LiveState
 from app.web.access import Viewer
 from app.web.services import service
@@ -35,10 +34,10 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class MetricSources:
-    """``anchor``: how well the audit log is anchored now."""
+    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored."""
 
     live: LiveState
-    hub: Hub
+    pages: Callable[[], int]
     counts: Counts
     anchor: Callable[[], AnchorStatus]
     alarms: LineAlarms

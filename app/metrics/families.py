@@ -37,7 +37,7 @@ class _LineCollector(Collector):
         measured = self._measured
         yield from _of_units(measured.live.buses.items())
         yield from _of_buses(measured.live.buses.items())
-        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.hub.connected)
+        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
         for outcome, count in measured.counts.commands.items():
             commands.add_metric([outcome], count)
