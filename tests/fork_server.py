@@ -67,7 +67,8 @@ class ForkedProcess:
     def send_signal(self, number: int) -> None:
         """Nothing where it has ended."""
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):  # it has ended, and its report is on the way
+                os.kill(self.pid, number)
 
     def terminate(self) -> None:
         """By SIGTERM."""

@@ -17,8 +17,7 @@ from bus.catalogue.parameters import PARAMETERS
 from bus.contract import UnitLink, UnitLinkState
 from tests.app.played_commands import ANNA, SetScene
 
-NOON = datetime.now(UTC).replace(hour=12, minute=0, second=0, microsecond=0)
-"""Of today: sets are stored with the time of the machine."""
+NOON = datetime(2026, 3, 4, 12, tzinfo=UTC)
 MIDNIGHT = NOON - timedelta(hours=12)
 
 
@@ -37,8 +36,9 @@ class Scene(SetScene):
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
     made = Scene(tmp_path)
+    monkeypatch.setattr("app.sets.keeper.unix_now", lambda: made.now.timestamp())
     yield made
     made.database.close()
 

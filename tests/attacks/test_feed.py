@@ -303,7 +303,12 @@ def test_messages_over_the_rate_are_not_read_yet(
     assert sum(pause > 0 for pause in pauses) > 10
 
 
-def test_memory_does_not_grow_with_what_a_worker_sends(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_what_a_worker_sends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What is read once, a second after a start, is no growth.
+    monkeypatch.setattr("app.history.pages.AFTER_S", 3600.0)
+
     async def attack(scene: Scene) -> None:
         for _ in range(2):
             frames = [Frame(time.time(), "in", bytes(1024), []) for _ in range(100)]
