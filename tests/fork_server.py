@@ -219,12 +219,21 @@ def _become(request: Mapping[str, Any], streams: list[int]) -> Program:
     return program
 
 
+def compile_catalogs_once() -> None:
+    """Every site has a folder for them, in which its first start would compile all catalogs again."""
+    languages = import_module("app.messages.languages")
+    languages._parsed = cache(languages._parsed)
+    for path in languages.catalogs().values():
+        languages._parsed(path.read_bytes(), path.stem)
+
+
 def main() -> None:
     """Serve, and run the program in a forked process: it returns to the interpreter, whose end is that of
     any program."""
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     for module in (*IMPORTED, *(module for module, _ in ENTRY_POINTS.values())):
         import_module(module)
+    compile_catalogs_once()
     gc.collect()
     gc.freeze()
     requests = socket.socket(fileno=os.dup(sys.stdin.fileno()))
