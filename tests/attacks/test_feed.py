@@ -306,7 +306,7 @@ def test_messages_over_the_rate_are_not_read_yet(
 def test_memory_does_not_grow_with_what_a_worker_sends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # What is read once, a second after a start, is no growth.
+    # Catalogs and files are read once, a second after a start: that is no growth.
     monkeypatch.setattr("app.history.pages.AFTER_S", 3600.0)
 
     async def attack(scene: Scene) -> None:
