@@ -35,6 +35,7 @@ from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
+from app.handover.service import Handover
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
@@ -88,6 +89,7 @@ class Services:
     history: History
     alarms: LineAlarms
     notification: Notification
+    handover: Handover
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
@@ -177,6 +179,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         history=history,
         alarms=alarms,
         notification=notification,
+        handover=Handover(settings, database, events),
         buses=buses,
         recorder=recorder,
         workers=workers,
