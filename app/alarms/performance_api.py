@@ -61,9 +61,7 @@ ObservedShown = TypedDict(
     {
         "from": Annotated[str, Field(description="ISO 8601; where alarms were observed only later: then.")],
         "to": str,
-        "observed_s": Annotated[
-            float, Field(description="How long alarms were observed in this time.")
-        ],
+        "observed_s": Annotated[float, Field(description="How long alarms were observed in this time.")],
     },
 )
 
