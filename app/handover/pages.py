@@ -47,6 +47,12 @@ async def shifts_page(
     )
 
 
+@router.get("/shifts/present")
+async def present_page(_: Viewer, shifts: Shifts) -> Response:
+    """A link to the sheet of the shift under way, whenever it is opened."""
+    return RedirectResponse(_path(shifts.present()), SEE_OTHER)
+
+
 @router.get("/shifts/{start}", dependencies=[SEARCH])
 async def sheet_page(
     request: Request,
