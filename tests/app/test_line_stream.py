@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.live.api.line_stream import AWAY_S, RETRY, LineStream
+from app.live.api.line_stream import AWAY_S, RETRY, TICKS_OF_ALL, LineStream
 from app.live.api.view import line_json
 from app.live.state.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink, Update
@@ -135,7 +135,7 @@ def test_who_follows_the_stream_has_what_the_line_shows(steps: list[Any]) -> Non
                 await program.read()
                 for step in part:
                     await take(world, program, step)
-                for _ in range(2):  # what was compared in between is compared again by the next
+                for _ in range(TICKS_OF_ALL):
                     world.stream.tick(with_heartbeat=True)
                 await program.read()
                 assert settled(program.line | {"time": ""}) == settled(world.shown())
@@ -248,7 +248,8 @@ async def test_a_response_that_is_overdue_is_a_change_without_a_report() -> None
     async with reading_program(world) as program:
         await program.read()
         world.now += 5.0
-        world.stream.tick(with_heartbeat=False)
+        for _ in range(TICKS_OF_ALL):
+            world.stream.tick(with_heartbeat=False)
         changes = [data for _, data in await program.read()]
     assert [(change["unit"], change["link"]) for change in changes] == [(1, "stale"), (2, "stale")]
 

@@ -11,6 +11,8 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import cycle, islice
+from math import ceil
 from secrets import token_hex
 from typing import Any
 
@@ -19,13 +21,15 @@ from app.live.api.recent_events import PIECE_BYTES, RecentEvents
 from app.live.api.view import Json, bus_fields, line_json, unit_json
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
-from app.live.state.bus_live import BusLive, LiveState, changed_by
+from app.live.state.bus_live import LiveState, changed_by
 from app.web.shape import iso
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
 
-TICK_S = 1.0
-HEARTBEAT_TICKS = 5
+TICK_S = 0.1
+TICKS_OF_ALL = 10
+"""To compare a long line at once would hold up everything else for tens of milliseconds."""
+HEARTBEAT_TICKS = 50
 AWAY_S = 60.0
 """For so long after the last program has left, events are noted for its return."""
 PAUSE_S = 0.05
@@ -61,8 +65,9 @@ class LineStream:
         self._recent = RecentEvents(token_hex(4), MOST_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
-        self._compared: set[tuple[str, int | None]] = set()
-        """Since the last tick."""
+        keys = [(name, unit) for name, bus in live.buses.items() for unit in (None, *bus.units)]
+        self._keys = keys
+        self._turns = cycle(keys)
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
         self._readers = 0
         self._left_at = monotonic()
@@ -78,8 +83,7 @@ class LineStream:
         """While a program reads, and for a while after, changes are noted."""
         self._readers += 1
         if not self._shown:
-            for name, bus in self._live.buses.items():
-                self._shown |= {(name, unit): self._fields(bus, unit) for unit in (None, *bus.units)}
+            self._shown = {key: self._fields(*key) for key in self._keys}
         try:
             yield
         finally:
@@ -135,14 +139,13 @@ class LineStream:
             self.tick(with_heartbeat=ticks % HEARTBEAT_TICKS == 0)
 
     def tick(self, *, with_heartbeat: bool) -> None:
-        """What has changed without a report: a response that is overdue, a block. What was compared since the
-        tick before is left to the next one: to compare a long line at once would hold up everything else."""
+        """What has changed without a report: a response that is overdue, a block."""
         if self._shown and not self._readers and self._monotonic() - self._left_at > AWAY_S:
             self._shown, self._snapshots = {}, {}
             self._recent.interrupt()
-        for bus, unit in [key for key in self._shown if key not in self._compared]:
-            self._compare(bus, unit)
-        self._compared.clear()
+        if self._shown:
+            for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
+                self._compare(bus, unit)
         if with_heartbeat:
             self.add("heartbeat", None, lambda: {"time": iso(self._clock())})
 
@@ -161,19 +164,18 @@ class LineStream:
 
     def _compare(self, bus_name: str, unit: int | None) -> None:
         key = bus_name, unit
-        self._compared.add(key)
-        before, after = self._shown[key], self._fields(self._live.buses[bus_name], unit)
+        before, after = self._shown[key], self._fields(*key)
         changed = {name: value for name, value in after.items() if before[name] != value}
         if changed:
             self._shown[key] = after
             self.add("change", bus_name, lambda: {"bus": bus_name, "unit": unit} | changed)
 
-    def _fields(self, bus: BusLive, unit: int | None) -> Json:
-        now = self._clock()
+    def _fields(self, bus_name: str, unit: int | None) -> Json:
+        bus = self._live.buses[bus_name]
         if unit is None:
             return bus_fields(bus)
-        block = self._sources.guards[bus.settings.name].block_reason
-        fields = unit_json(bus, bus.units[unit], now, block, self._english)
+        block = self._sources.guards[bus_name].block_reason
+        fields = unit_json(bus, bus.units[unit], self._clock(), block, self._english)
         # It grows on its own, and ``read_at`` does not.
         del fields["age_ms"]
         return fields
