@@ -17,7 +17,7 @@ from bus.instants import UnixTime
 MOST_EVENTS = 200
 """Of one kind on a sheet, the newest; the events page has all."""
 STARTING_S = 60.0
-"""What is recorded so shortly before a start of the server belongs to that start."""
+"""An event so shortly before a start of the server belongs to that start."""
 _OUTCOME = "COALESCE(f.outcome, e.outcome, '')"
 _ENTRY = ", ".join(f"j.{field.name}" for field in fields(JournalEntry))
 _LAST_TRANSITIONS = f"""
