@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -10,17 +11,21 @@ from dataclasses import replace
 import structlog
 
 from app.alarms.alarm import Alarm
-from app.alarms.definition import AlarmDefinition
+from app.alarms.definition import SITE, AlarmDefinition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts, due_at, shifted
 from app.alarms.rules.first_out import FirstOut
+from app.alarms.rules.observed import ObservedSpan, observed_until
+from app.alarms.rules.priority import AlarmPriority
 from app.alarms.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
 from app.errors import StoreError
 from bus.instants import Clock, UnixTime
 
 RETRY_AFTER_S = 1.0
 TICK_S = 1.0
+OBSERVED_EVERY_S = 60.0
+"""How often the store learns that the alarms are still observed."""
 
 AlarmSubscriber = Callable[[Alarm], None]
 """Called with an alarm after it has changed."""
@@ -31,8 +36,11 @@ class AlarmList:
     """Applies the rules. A change holds at once; the journal has it a moment later, in order, and
     waits where the store cannot be written."""
 
-    def __init__(self, definitions: Iterable[AlarmDefinition], store: AlarmStore) -> None:
+    def __init__(
+        self, definitions: Iterable[AlarmDefinition], store: AlarmStore, bus: str | None = None
+    ) -> None:
         self.alarms = {definition.key: Alarm(definition) for definition in definitions}
+        self._place = bus or SITE
         self._store = store
         self._entries: list[JournalEntry] = []
         self._changed: dict[str, Alarm] = {}
@@ -42,6 +50,11 @@ class AlarmList:
         """Held while transitions are written: one that fails must not come after those that follow it."""
         self._first_out = FirstOut()
         self._subscribers: list[AlarmSubscriber] = []
+        self.annunciated: Counter[AlarmPriority] = Counter()
+        """How often alarms were annunciated since the server started."""
+        self.observed: ObservedSpan | None = None
+        """Since when its conditions are observed without a gap; None: they were not yet."""
+        self._recorded: ObservedSpan | None = None
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
         """Call ``subscriber`` with each alarm that has changed."""
@@ -103,6 +116,8 @@ class AlarmList:
         self._schedule(alarm)
         for each in transitions:
             self._entries.append(entry_of(alarm.definition, each, who, reason))
+            if each.after == "unack_active" != each.before:
+                self.annunciated[alarm.definition.priority] += 1
             if each.trigger == "rise":
                 alarm.first_out = False
                 if not alarm.facts.is_hidden:
@@ -156,6 +171,19 @@ class AlarmList:
                 self.give_back(entries, alarms)
                 raise
 
+    async def record_observed(self) -> None:
+        """Store until when the alarms were observed. Raises StoreError."""
+        if self.observed is not None:
+            await self._store.write_observed(self._place, self.observed)
+            self._recorded = self.observed
+
+    def _is_observed_longer(self) -> bool:
+        """Than the store knows, by so much that it is stored."""
+        if self.observed is None or self._recorded is None:
+            return self.observed is not None
+        is_other = self.observed.start != self._recorded.start
+        return is_other or self.observed.end - self._recorded.end >= OBSERVED_EVERY_S
+
     async def follow(self, tick: Callable[[], None], clock: Clock) -> None:
         """Run ``tick`` every second, what is due at its time, and write what has changed, without end."""
         fault, ticked_at = "", UnixTime(0.0)
@@ -163,10 +191,13 @@ class AlarmList:
             now = clock()
             if not 0 <= now - ticked_at < TICK_S:
                 ticked_at = now
+                self.observed = observed_until(now, self.observed)
                 tick()
             self.advance(now)
             try:
                 await self.write()
+                if self._is_observed_longer():
+                    await self.record_observed()
                 fault = ""
             except StoreError as error:
                 if str(error) != fault:

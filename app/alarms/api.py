@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
+from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState
@@ -98,6 +99,7 @@ async def get_alarms(
     priority: AlarmPriority | None = None,
     bus: str | None = None,
     unit: Annotated[int | None, Query(ge=1, le=255)] = None,
+    group: AlarmGroup | None = None,
 ) -> AlarmsShown:
     """All alarms that are not normal, or those in one state; ``normal`` is one of them."""
     found = [
@@ -107,6 +109,7 @@ async def get_alarms(
         and priority in (None, alarm.definition.priority)
         and bus in (None, alarm.definition.bus)
         and unit in (None, alarm.definition.unit)
+        and group in (None, group_of(alarm.definition))
     ]
     return {"alarms": [alarm_json(alarms, alarm) for alarm in found]}
 

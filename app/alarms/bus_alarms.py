@@ -44,7 +44,7 @@ class BusAlarms:
         self._clock, self._monotonic = clock, monotonic
         self._own = {own_key(each.bus, each.unit, each.name): OwnCondition(each) for each in own}
         self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
-        self.list = AlarmList(self._definitions(), store)
+        self.list = AlarmList(self._definitions(), store, self.bus)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
         self._worker_lost, self._port_lost, self._no_unit_responds = (

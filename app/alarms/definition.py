@@ -44,6 +44,11 @@ class AlarmDefinition:
     attributes: AlarmAttributes = PLAIN
     group: SuppressionGroup | None = None
 
+    @property
+    def is_built_in(self) -> bool:
+        """Whether it has texts of Lineside, and not those of the configuration."""
+        return isinstance(self.name, Message)
+
 
 def key_of(bus: str | None, unit: int | None, code: str) -> str:
     """The key of a built-in alarm."""

@@ -17,7 +17,7 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 LOOK_EVERY_S = 60.0
-Ending = tuple[UnixTime, str]
+Expiry = tuple[UnixTime, str]
 """When something ends, and its name."""
 
 
@@ -65,7 +65,7 @@ def certificates_of(notify: NotifySettings) -> set[Path]:
     return {path for path in named if path is not None}
 
 
-def _first(endings: Iterable[Ending]) -> Message | None:
+def _first(endings: Iterable[Expiry]) -> Message | None:
     at, name = min(endings, default=(None, ""))
     if at is None:
         return None
@@ -73,7 +73,7 @@ def _first(endings: Iterable[Ending]) -> Message | None:
     return Message.of("alarm_expires", name=name, day=day)
 
 
-def _ending(path: Path) -> Ending | None:
+def _ending(path: Path) -> Expiry | None:
     """Of a file with several authorities, the one that lasts longest: it may be the one that counts. None for
     a file that holds none; who uses it reports that."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

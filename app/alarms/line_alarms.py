@@ -13,6 +13,7 @@ from app.alarms.bus_alarms import BusAlarms
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed, NoTransitionError
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
+from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.priority import PRIORITIES
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore, JournalWriting
@@ -79,6 +80,7 @@ class LineAlarms:
         with suppress(StoreError):
             for each in self._lists:
                 await each.write()
+                await each.record_observed()
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
         """Call ``subscriber`` with each alarm that has changed, of every bus and of the site, on the event
@@ -86,10 +88,18 @@ class LineAlarms:
         for each in self._lists:
             each.subscribe(subscriber)
 
+    def list_of(self, bus: str) -> AlarmList:
+        """The alarms of a bus; of the site where ``bus`` is empty."""
+        return self.buses[bus].list if bus else self.site.list
+
     def every(self) -> Iterator[Alarm]:
         """All of them."""
         for each in self._lists:
             yield from each.alarms.values()
+
+    def observed(self) -> list[ObservedSpan]:
+        """Since when each list is observed; the store has it a minute late."""
+        return [each.observed for each in self._lists if each.observed is not None]
 
     def present(self) -> list[Alarm]:
         """Those that are not normal, the most important and newest first."""

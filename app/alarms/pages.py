@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Form, Query
+from fastapi import APIRouter, Depends, Form, Query
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.alarm import Alarm
 from app.alarms.api import MOST_MINUTES, Alarms
+from app.alarms.group import GROUPS, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, Figure
@@ -38,6 +39,16 @@ ON_A_PAGE = 100
 SEE_OTHER = 303
 TypedReason = Annotated[OneLine, Form(max_length=200)]
 AlarmFilter = Annotated[str, Query(max_length=80)]
+
+
+def chosen_filters(
+    state: AlarmFilter = "", priority: AlarmFilter = "", place: AlarmFilter = "", group: AlarmFilter = ""
+) -> dict[str, str]:
+    """What a person filters by; empty: by nothing."""
+    return {"state": state, "priority": priority, "place": place, "group": group}
+
+
+ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +111,10 @@ async def alarms_page(
     request: Request,
     _: Viewer,
     alarms: Alarms,
-    state: AlarmFilter = "",
-    priority: AlarmFilter = "",
-    place: AlarmFilter = "",
+    chosen: ChosenFilters,
     left_out: Annotated[int, Query(ge=0, le=MOST_ROWS)] = 0,
 ) -> Response:
     """The present alarms, filtered; the list draws itself again when one changes."""
-    chosen = {"state": state, "priority": priority, "place": place}
     screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
     return render(
         request,
@@ -116,22 +124,15 @@ async def alarms_page(
         query=urlencode(chosen),
         states=[(each, _state(each)) for each in PRESENT_STATES],
         places=_places(alarms),
+        groups=GROUPS,
         changed=screen.shown[ALARM_GROUP]["changed"],
         left_out=left_out,
     )
 
 
 @router.get("/alarms/list")
-async def alarms_list(
-    request: Request,
-    _: Viewer,
-    alarms: Alarms,
-    state: AlarmFilter = "",
-    priority: AlarmFilter = "",
-    place: AlarmFilter = "",
-) -> Response:
+async def alarms_list(request: Request, _: Viewer, alarms: Alarms, chosen: ChosenFilters) -> Response:
     """The rows alone."""
-    chosen = {"state": state, "priority": priority, "place": place}
     return render(request, "alarms/_list.html", **_listed(alarms, chosen))
 
 
@@ -162,8 +163,8 @@ async def performance_page(
     return render(
         request,
         "alarms/performance.html",
-        start=found.start,
-        end=end,
+        found=found,
+        hours=(formats.number(found.observed_s / 3600, 1), formats.number(found.span_s / 3600)),
         days=int(days),
         spans=(1, 7, 31),
         csv=f"/api/v1/alarms/performance.csv?{span}",
@@ -282,6 +283,7 @@ def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
     filters: tuple[tuple[str, Callable[[], object]], ...] = (
         (chosen["state"], lambda: alarm.facts.state),
         (chosen["priority"], lambda: definition.priority),
+        (chosen["group"], lambda: group_of(definition)),
         (bus, lambda: definition.bus),
         (unit, lambda: str(definition.unit)),
     )

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.rules.observed import ObservedSpan, observed_within
 from app.alarms.rules.performance import (
     CHATTERS_S,
     FLEETING_S,
@@ -22,7 +23,7 @@ from bus.instants import UnixTime
 MOST_FREQUENT = 10
 _ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
 _IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
-_FIRST = "SELECT MIN(at) FROM alarm_journal WHERE at >= :start AND at < :end"
+_OBSERVED = "SELECT starts, ends FROM alarm_observed WHERE ends > :start AND starts < :end"
 _WINDOWS = f"SELECT CAST(at / {WINDOW_S} AS INTEGER), COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _FREQUENT = (
@@ -65,34 +66,53 @@ class FrequentAlarm:
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """``start``: of the span, or the first transition where the journal begins later."""
+    """``start``: the first time of the span at which alarms were observed; its begin where none was."""
 
     start: UnixTime
     end: UnixTime
+    span_s: float
+    """How long the span is."""
+    observed_s: float
+    """In how much of it alarms were observed."""
     figures: list[Figure]
     most_frequent: list[FrequentAlarm]
+
+    @property
+    def is_observed(self) -> bool:
+        """Whether enough of the time was observed for figures."""
+        return self.observed_s >= WINDOW_S
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all of the time was observed, but for a restart."""
+        return self.span_s - self.observed_s < WINDOW_S
 
 
 async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> Performance:
     """The figures of a span. Memory is bounded by its windows of ten minutes, time as any costly read is."""
-    now = _present(alarms, end)
-    return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, now))
+    now, observed = _present(alarms, end), alarms.observed()
+    return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, observed, now))
 
 
 def _measured(
-    connection: sqlite3.Connection, start: UnixTime, end: UnixTime, now: dict[FigureCode, int]
+    connection: sqlite3.Connection,
+    start: UnixTime,
+    end: UnixTime,
+    present: list[ObservedSpan],
+    now: dict[FigureCode, int],
 ) -> Performance:
     span = {"start": start, "end": end}
+    stored = (ObservedSpan(*row) for row in connection.execute(_OBSERVED, span))
+    observed = observed_within((*stored, *present), start, end)
+    observed_s = sum(each.end - each.start for each in observed)
 
     def value(query: str) -> float | None:
         found: float | None = connection.execute(query, span).fetchone()[0]
         return found
 
-    first = value(_FIRST)
     frequent = [FrequentAlarm(*row) for row in connection.execute(_FREQUENT, span)]
-    begins = start if first is None else max(start, UnixTime(first))
     measured = AlarmCounts(
-        span_s=end - begins,
+        observed_s=observed_s,
         in_windows=dict(tuple(row) for row in connection.execute(_WINDOWS, span)),
         top_ten=sum(each.times for each in frequent),
         of_priority=dict(tuple(row) for row in connection.execute(_PRIORITIES, span)),
@@ -101,7 +121,8 @@ def _measured(
         acknowledge_median_s=value(_MEDIAN),
         now=now,
     )
-    return Performance(begins, end, figures(measured), frequent)
+    begins = observed[0].start if observed else start
+    return Performance(begins, end, end - start, observed_s, figures(measured), frequent)
 
 
 def _present(alarms: LineAlarms, now: UnixTime) -> dict[FigureCode, int]:

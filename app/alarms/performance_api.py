@@ -27,7 +27,7 @@ router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRout
 
 MOST_DAYS = 31
 USUAL_DAYS = 7
-COLUMNS = ("code", "value", "at_most", "at_least", "met")
+COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observed_s")
 FigureCodeShown = TypeAliasType("FigureCodeShown", FigureCode)
 FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
 
@@ -36,7 +36,10 @@ class FigureShown(TypedDict):
     """One figure and its target."""
 
     code: FigureCodeShown
-    value: Annotated[float | None, Field(description="Shares 0 to 1; null: there was nothing to measure.")]
+    value: Annotated[
+        float | None,
+        Field(description="Shares 0 to 1; null: nothing to measure, or under 10 minutes were observed."),
+    ]
     at_most: FigureTarget
     at_least: FigureTarget
     met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
@@ -53,15 +56,21 @@ class FrequentAlarmShown(TypedDict):
     times: Annotated[int, Field(description="How often it was annunciated.")]
 
 
-AlarmPerformanceShown = TypedDict(
-    "AlarmPerformanceShown",
+ObservedShown = TypedDict(
+    "ObservedShown",
     {
-        "from": Annotated[str, Field(description="ISO 8601; where the journal begins later: there.")],
+        "from": Annotated[str, Field(description="ISO 8601; where alarms were observed only later: then.")],
         "to": str,
-        "figures": list[FigureShown],
-        "most_frequent": list[FrequentAlarmShown],
+        "observed_s": Annotated[float, Field(description="How long alarms were observed in this time.")],
     },
 )
+
+
+class AlarmPerformanceShown(ObservedShown):
+    """The figures of a time, and in how much of it alarms were observed."""
+
+    figures: list[FigureShown]
+    most_frequent: list[FrequentAlarmShown]
 
 
 async def wanted_performance(
@@ -86,8 +95,7 @@ WantedPerformance = Annotated[Performance, Depends(wanted_performance)]
 async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformanceShown:
     """The figures of ISA-18.2, clause 16, each against its target."""
     return {
-        "from": iso(performance.start),
-        "to": iso(performance.end),
+        **_observed(performance),
         "figures": [_figure(figure) for figure in performance.figures],
         "most_frequent": [_frequent(alarm) for alarm in performance.most_frequent],
     }
@@ -99,9 +107,18 @@ async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance) -
     text = io.StringIO()
     rows = csv.DictWriter(text, COLUMNS)
     rows.writeheader()
-    rows.writerows({**_figure(figure)} for figure in performance.figures)
+    observed = _observed(performance)
+    rows.writerows({**_figure(figure), **observed} for figure in performance.figures)
     name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=name)
+
+
+def _observed(performance: Performance) -> ObservedShown:
+    return {
+        "from": iso(performance.start),
+        "to": iso(performance.end),
+        "observed_s": round(performance.observed_s, 3),
+    }
 
 
 def _figure(figure: Figure) -> FigureShown:

@@ -9,6 +9,7 @@ from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.alarm import Alarm
 from app.alarms.definition import Rationalization
+from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.states import AlarmState, AlarmTrigger
@@ -17,6 +18,7 @@ from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
+AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
@@ -34,6 +36,7 @@ class AlarmShown(TypedDict):
     id: Annotated[str, Field(description="Names the occurrence: another one has another id.")]
     name: str
     code: str
+    group: Annotated[AlarmGroupShown, Field(description="What it is about.")]
     bus: BusName
     unit: UnitNumber
     priority: AlarmPriorityShown
@@ -111,6 +114,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "id": alarm.id,
         "name": str(definition.name),
         "code": definition.code,
+        "group": group_of(definition),
         "bus": definition.bus,
         "unit": definition.unit,
         "priority": definition.priority,

@@ -10,6 +10,7 @@ from typing import TypeVar
 from app.alarms.alarm import Alarm
 from app.alarms.definition import AlarmDefinition
 from app.alarms.rules.facts import AlarmFacts, Transition
+from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.database import Database
@@ -91,6 +92,11 @@ class AlarmStore:
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
         """Transitions in order, and the facts that they led to, in one transaction."""
         await self._database.write(JournalWriting(entries, alarms))
+
+    async def write_observed(self, place: str, span: ObservedSpan) -> None:
+        """The alarms of a bus, or of the site, were observed so long."""
+        statement = "INSERT OR REPLACE INTO alarm_observed (place, starts, ends) VALUES (?, ?, ?)"
+        await self._database.write(lambda connection: connection.execute(statement, (place, *span)))
 
     async def read_costly(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """A read of many transitions. Raises TooCostlyError after a bounded time."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.priority import PRIORITIES
 from app.alarms.rules.states import PRESENT_STATES
@@ -24,6 +25,13 @@ _COUNTED = {
     "checksum_errors": "Responses of a unit with a wrong checksum",
     "retries": "Requests sent again to a unit",
     "late": "Responses of a unit that came after the timeout",
+}
+
+_ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
+    "active": ("Alarms whose condition holds, hidden ones included", lambda alarm: alarm.facts.active),
+    "unacknowledged": ("Alarms to acknowledge", lambda alarm: alarm.is_unacknowledged),
+    "shelved": ("Shelved alarms", lambda alarm: alarm.facts.shelved_until is not None),
+    "out_of_service": ("Alarms out of service", lambda alarm: alarm.facts.out_of_service),
 }
 
 
@@ -42,14 +50,15 @@ class _LineCollector(Collector):
         for outcome, count in measured.counts.commands.items():
             commands.add_metric([outcome], count)
         yield commands
-        yield _of_alarms(measured.alarms)
+        yield _alarm_states(measured.alarms)
+        yield from _of_alarms(measured.alarms)
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
 
-def _of_alarms(alarms: LineAlarms) -> Metric:
+def _alarm_states(alarms: LineAlarms) -> Metric:
     present = Counter((alarm.facts.state, alarm.definition.priority) for alarm in alarms.present())
     labels = ["state", "priority"]
     family = GaugeMetricFamily(
@@ -58,6 +67,24 @@ def _of_alarms(alarms: LineAlarms) -> Metric:
     for state, priority in product(PRESENT_STATES, PRIORITIES):
         family.add_metric([state, priority], present[state, priority])
     return family
+
+
+def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
+    labels = ["bus", "priority"]
+    places = list(product(("", *alarms.buses), PRIORITIES))
+    annunciated = CounterMetricFamily(
+        "lineside_alarm_annunciated", "Alarms annunciated since the server started", labels=labels
+    )
+    for bus, priority in places:
+        annunciated.add_metric([bus, priority], alarms.list_of(bus).annunciated[priority])
+    yield annunciated
+    present = alarms.present()
+    for name, (words, holds) in _ALARM_FACTS.items():
+        count = Counter((a.definition.bus or "", a.definition.priority) for a in present if holds(a))
+        family = GaugeMetricFamily(f"lineside_alarm_{name}", words, labels=labels)
+        for bus, priority in places:
+            family.add_metric([bus, priority], count[bus, priority])
+        yield family
 
 
 def _figures(bus: BusLive) -> Iterable[UnitFigures]:

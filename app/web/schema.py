@@ -25,6 +25,7 @@ DESCRIPTIONS = {
     "gaps": "Read in the gaps of the scan only: slower, and the scan keeps its rate.",
     "kind": "Only events of this kind.",
     "limit": "Entries per response.",
+    "group": "Only alarms of this group: what they are about; own: those of the configuration.",
     "name": "Name of the recipe.",
     "maintenance_id": "Id of a maintenance.",
     "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",

@@ -17,8 +17,9 @@ import * as strip from "./strip.js";
 import * as announce from "./announce.js";
 import * as trace from "./trace.js";
 
-// On a phone the rail is longer than the window: scroll to the current page.
-document.querySelector(".rail__item[aria-current]")?.scrollIntoView({ block: "nearest", inline: "center" });
+// On a phone the rail and the tabs are longer than the window: scroll to the current page.
+for (const current of document.querySelectorAll(":is(.rail__item, .tabs__tab)[aria-current]"))
+  current.scrollIntoView({ block: "nearest", inline: "center" });
 rebind();
 visibility.start(draw, drawAll);
 focus.start();

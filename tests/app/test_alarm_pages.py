@@ -11,10 +11,12 @@ import httpx
 import pytest
 
 from app.alarms.banner import AlarmBanner
+from app.alarms.rules.observed import ObservedSpan
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.web.access import Role
 from bus.contract import Reading
+from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 from tests.app.screens import translator
@@ -75,7 +77,7 @@ async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house
     assert "had changed and was not acknowledged" in await page(operator, done.headers["location"])
 
 
-async def test_the_list_is_filtered_by_place_priority_and_state(house: House) -> None:
+async def test_the_list_is_filtered_by_place_priority_state_and_group(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house, active=True)
     for query, is_in in (
@@ -84,6 +86,8 @@ async def test_the_list_is_filtered_by_place_priority_and_state(house: House) ->
         ("priority=low", False),
         ("state=unack_active", True),
         ("state=shelved", False),
+        ("group=drive", True),
+        ("group=communication", False),
     ):
         assert ("Emergency stop active" in await page(viewer, f"/alarms/list?{query}")) is is_in
 
@@ -167,6 +171,10 @@ async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house, active=True)
     await house.services.alarms.write()
+    assert "observed for less than 10 minutes" in await page(viewer, "/alarms/performance")
+    now = unix_now()
+    await house.services.alarms.store.write_observed(BUS, ObservedSpan(now - 3600, now))
+    assert "observed for 1.0 of 24 hours" in await page(viewer, "/alarms/performance?days=1")
     text = await page(viewer, "/alarms/performance?days=1")
     assert "Alarms in 10 minutes, peak" in text
     assert "Emergency stop active" in text
@@ -176,11 +184,16 @@ async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     assert (figures["urgent_share"]["at_most"], figures["urgent_share"]["met"]) == (0.01, False)
     assert [top["alarm"] for top in found["most_frequent"]] == [ESTOP]
     rows = (await page(viewer, "/api/v1/alarms/performance.csv")).splitlines()
-    assert rows[:2] == ["code,value,at_most,at_least,met", "annunciated,1,,,"]
+    assert rows[0] == "code,value,at_most,at_least,met,from,to,observed_s"
+    assert rows[1].startswith(f"annunciated,1,,,,{found['from']},")
+    assert 3600 <= found["observed_s"] < 4000
     assert len(rows) == len(figures) + 1
     metrics = await page(viewer, "/metrics")
     assert 'lineside_alarms{priority="urgent",state="unack_active"} 1.0' in metrics
     assert 'lineside_alarms{priority="low",state="shelved"} 0.0' in metrics
+    for figure in ("active", "unacknowledged", "annunciated_total"):
+        assert f'lineside_alarm_{figure}{{bus="{BUS}",priority="urgent"}} 1.0' in metrics
+    assert 'lineside_alarm_out_of_service{bus="",priority="low"} 0.0' in metrics
 
 
 async def test_figures_are_of_a_month_at_most(house: House) -> None:

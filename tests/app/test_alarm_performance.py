@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from app.alarms.performance import Performance, measure
+from app.alarms.rules.observed import LONGEST_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import AlarmCounts, figures, flooded
 from app.alarms.store import AlarmStore
 from app.database import Database
@@ -23,6 +24,10 @@ class Journal:
     def __init__(self, database: Database) -> None:
         self._database = database
         self.store = AlarmStore(database)
+        self.spans = [ObservedSpan(UnixTime(T), UnixTime(T + 1800))]
+
+    def observed(self) -> list[ObservedSpan]:
+        return self.spans
 
     def present(self) -> list[object]:
         return []
@@ -52,7 +57,10 @@ class Journal:
             )
 
     async def measure(self, seconds: float) -> dict[str, float | None]:
-        return values(await measure(self, UnixTime(T), UnixTime(T + seconds)))  # type: ignore[arg-type]
+        return values(await self.performance(seconds))
+
+    async def performance(self, seconds: float) -> Performance:
+        return await measure(self, UnixTime(T), UnixTime(T + seconds))  # type: ignore[arg-type]
 
 
 def values(performance: Performance) -> dict[str, float | None]:
@@ -76,7 +84,7 @@ async def test_rates_peak_and_priorities(journal: Journal) -> None:
 
 
 async def test_an_empty_journal_has_no_shares_and_meets_no_target_by_them(journal: Journal) -> None:
-    performance = await measure(journal, UnixTime(T), UnixTime(T + 600))  # type: ignore[arg-type]
+    performance = await journal.performance(600)
     assert values(performance)["low_share"] is None
     assert {figure.code: figure.is_met for figure in performance.figures}["low_share"] is None
     assert {figure.code: figure.is_met for figure in performance.figures}["per_day"] is True
@@ -117,11 +125,37 @@ async def test_a_hidden_alarm_is_not_counted_until_it_is_annunciated(journal: Jo
     assert (await journal.measure(600))["annunciated"] == 1
 
 
-async def test_a_journal_that_begins_later_is_measured_from_there(journal: Journal) -> None:
-    journal.rise("a", 1200)
-    performance = await measure(journal, UnixTime(T), UnixTime(T + 1800))  # type: ignore[arg-type]
-    assert (performance.start, values(performance)["per_10_minutes"]) == (T + 1200, 1)
-    assert [(top.alarm, top.times) for top in performance.most_frequent] == [("a", 1)]
+async def test_a_rate_is_of_the_time_that_was_observed(journal: Journal) -> None:
+    """The server ran for the first ten minutes of a week and, a day later, for twenty."""
+    later = UnixTime(T + 86_400)
+    await journal.store.write_observed("_", ObservedSpan(UnixTime(T - 60), UnixTime(T + 600)))
+    await journal.store.write_observed("dry-end", ObservedSpan(UnixTime(T), UnixTime(T + 600)))
+    journal.spans = [ObservedSpan(later, UnixTime(later + 1200))]
+    journal.rise("a", 1200, 86_400 + 30)
+    performance = await journal.performance(7 * 86_400)
+    assert (performance.start, performance.observed_s) == (T, 1800)
+    assert values(performance)["per_10_minutes"] == pytest.approx(2 / 3)
+    assert (performance.is_observed, performance.is_complete) == (True, False)
+    assert [(top.alarm, top.times) for top in performance.most_frequent] == [("a", 2)]
+
+
+@pytest.mark.parametrize("observed_s", [0, 599])
+async def test_what_was_not_observed_meets_no_target(journal: Journal, observed_s: float) -> None:
+    journal.spans = [ObservedSpan(UnixTime(T), UnixTime(T + observed_s))]
+    performance = await journal.performance(7 * 86_400)
+    assert not performance.is_observed
+    judged = {figure.code for figure in performance.figures if figure.is_met is not None}
+    assert judged == {"stale"}, "which is of the present"
+    assert [code for code, value in values(performance).items() if value is not None] == [
+        *("stale", "standing", "shelved", "suppressed", "out_of_service")
+    ]
+
+
+def test_alarms_are_observed_while_the_engine_looks_every_second() -> None:
+    span = observed_until(UnixTime(T), None)
+    assert observed_until(UnixTime(T + 1), span) == (T, T + 1)
+    assert observed_until(UnixTime(T + LONGEST_GAP_S + 1), span) == (T + LONGEST_GAP_S + 1,) * 2
+    assert observed_until(UnixTime(T - 1), span) == (T - 1, T - 1)
 
 
 def test_a_flood_lasts_until_a_window_with_fewer_than_five() -> None:

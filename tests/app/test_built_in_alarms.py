@@ -85,22 +85,22 @@ def model_of(code: BuiltIn) -> ModelAlarm:
 def test_a_random_history_of_readings_equals_the_model(
     bus: AlarmBus, code: BuiltIn, abnormal: dict[str, int], seed: int
 ) -> None:
-    """Normal, abnormal, silent, and late readings of a moment when it was otherwise."""
+    """Normal, abnormal, quiet, and late readings of a moment when it was otherwise."""
     random, model, alarm = Random(seed), model_of(code), bus.alarm(f"1.{code}")
     read_at, holds = bus.now, False
     for _ in range(40):
-        what = random.choice(("normal", "abnormal", "silent", "late"))
+        what = random.choice(("normal", "abnormal", "quiet", "late"))
         for _ in range(random.randrange(1, 20)):
             bus.now += 0.5
             bus.read(2, 3)
             if what == "late":
                 read_at = bus.now - 30
                 bus.read(1, at=read_at, **({} if holds else abnormal))
-            elif what != "silent":
+            elif what != "quiet":
                 read_at, holds = bus.now, what == "abnormal"
                 bus.read(1, **(abnormal if holds else {}))
                 model.observed.append((bus.now, holds))
-            if what in ("silent", "late") and bus.now - read_at > 2:
+            if what in ("quiet", "late") and bus.now - read_at > 2:
                 model.observed.append((bus.now, None))
             bus.alarms.tick()
             bus.alarms.list.advance(UnixTime(bus.now))

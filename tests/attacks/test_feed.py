@@ -330,5 +330,5 @@ def test_memory_does_not_grow_with_what_a_worker_sends(tmp_path: Path) -> None:
         kept = asyncio.run(kept_after_attacks())
     finally:
         tracemalloc.stop()
-    # What is kept of an attack is kept of each; what the app reads once in its life grows it once.
+    # An attack whose memory is kept adds some each time; the app reads a part of itself only once.
     assert min(after - before for before, after in pairwise(kept)) < 1_000_000, f"each sent 4 MB: {kept}"

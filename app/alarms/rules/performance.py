@@ -89,11 +89,11 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class AlarmCounts:
-    """From the journal, over a span of ``span_s``, and the states at present. ``in_windows``: alarms
-    annunciated in each window of ten minutes that has any; ``top_ten``: how often the ten most frequent
-    came."""
+    """From the journal of a span, of which alarms were observed for ``observed_s``, and the states at
+    present. ``in_windows``: alarms annunciated in each window of ten minutes that has any; ``top_ten``: how
+    often the ten most frequent came."""
 
-    span_s: float
+    observed_s: float
     in_windows: Mapping[int, int]
     top_ten: int
     of_priority: Mapping[AlarmPriority, int]
@@ -104,11 +104,19 @@ class AlarmCounts:
 
 
 def figures(measured: AlarmCounts) -> list[Figure]:
-    """Every figure, in the order in which they are shown."""
+    """Every figure, in the order in which they are shown. Before ten minutes were observed the journal gives
+    none: that no alarm came while none was looked for meets no target."""
+    found = _measured(measured)
+    if measured.observed_s < WINDOW_S:
+        found = {**dict.fromkeys(found), **measured.now}
+    return [Figure(code, value) for code, value in found.items()]
+
+
+def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
     total = sum(measured.in_windows.values())
-    windows = max(1.0, measured.span_s / WINDOW_S)
+    windows = max(1.0, measured.observed_s / WINDOW_S)
     over = sum(count > MANY for count in measured.in_windows.values())
-    found: dict[FigureCode, float | None] = {
+    return {
         "annunciated": total,
         "per_day": total / windows * DAY_S / WINDOW_S,
         "per_10_minutes": total / windows,
@@ -125,7 +133,6 @@ def figures(measured: AlarmCounts) -> list[Figure]:
         },
         "acknowledge_median_s": measured.acknowledge_median_s,
     }
-    return [Figure(code, value) for code, value in found.items()]
 
 
 def flooded(in_windows: Mapping[int, int]) -> Iterator[int]:
