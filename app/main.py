@@ -31,6 +31,7 @@ from app.history import pages as history_pages
 from app.history.api import routes as history_api
 from app.live import pages as live_pages
 from app.live.api import routes as live_api
+from app.live.api import stream_route
 from app.live.browsers import socket as live_socket
 from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
@@ -64,6 +65,7 @@ FEATURES = (
     audit_pages,
     feed,
     live_api,
+    stream_route,
     performance_api,
     alarms_api,
     alarms_pages,

@@ -12,11 +12,13 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
+from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
 from app.alarms.control_watch import ControlWatch, HeldControl
 from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
+from app.alarms.shown import alarm_json
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
@@ -40,12 +42,14 @@ from app.feed.workers import Workers
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
+from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
+from app.messages import DEFAULT
 from app.metrics.api import Counts, MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
@@ -96,6 +100,7 @@ class Services:
     recorder: ChangeRecorder
     workers: Workers
     hub: Hub
+    stream: LineStream
     sets: SetStore
     takings: Takings
     restores: RestoreService
@@ -168,6 +173,13 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )
+    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    stream = LineStream(site.name, live, sources, english, unix_now)
+
+    def stream_alarm(alarm: Alarm) -> None:
+        stream.add("alarm", alarm.definition.bus, partial(alarm_json, alarms, alarm))
+
+    alarms.subscribe(stream_alarm)
     hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
     return Services(
         settings=settings,
@@ -194,6 +206,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         recorder=recorder,
         workers=workers,
         hub=hub,
+        stream=stream,
         sets=sets,
         takings=Takings(),
         restores=restores,
@@ -240,6 +253,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.notification.dispatcher.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,
+        services.stream.follow,
         services.onsets.follow,
         services.history.inspect_daily,
         services.rights.watch,
