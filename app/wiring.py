@@ -14,10 +14,12 @@ import structlog
 
 from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
+from app.alarms.control_watch import ControlWatch, HeldControl
+from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
 from app.alarms.shown import alarm_json
-from app.alarms.site_alarms import SiteAlarms, site_conditions
+from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
 from app.audit.configuration import change_since_last
@@ -37,6 +39,9 @@ from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
+from app.handover.document import SheetDocuments
+from app.handover.service import Handover
+from app.handover.signing import Signing
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
@@ -91,7 +96,12 @@ class Services:
     sources: Sources
     history: History
     alarms: LineAlarms
+    expiry: ExpiryWatch
+    control_watch: ControlWatch
     notification: Notification
+    handover: Handover
+    documents: SheetDocuments
+    signing: Signing
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
@@ -146,11 +156,17 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+    expiry = ExpiryWatch(accounts.tokens, certificates_of(settings.notify))
     conditions = site_conditions(
-        lambda: history.status, partial(_anchor_status, anchoring), notification.dispatcher.is_failing
+        lambda: history.status,
+        partial(_anchor_status, anchoring),
+        notification.dispatcher.is_failing,
+        expiry,
     )
     of_buses = {name: bus.alarms for name, bus in buses.items()}
-    alarms = LineAlarms(of_buses, SiteAlarms(conditions, alarm_store), alarm_store, events)
+    site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store)
+    alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
+    handover, documents = Handover(settings, database, events), SheetDocuments(templates, assets, alarms)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
@@ -188,7 +204,14 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sources=sources,
         history=history,
         alarms=alarms,
+        expiry=expiry,
+        control_watch=ControlWatch(
+            of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
+        ),
         notification=notification,
+        handover=handover,
+        documents=documents,
+        signing=Signing(handover, database, events, sign_in, documents.page),
         buses=buses,
         recorder=recorder,
         workers=workers,
@@ -205,6 +228,11 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now),
         turns=Turns(),
     )
+
+
+def _held_control(bus: BusService) -> HeldControl | None:
+    holding = bus.safeguards.holding()
+    return None if holding is None else (holding.holder, holding.used_at)
 
 
 def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
@@ -229,6 +257,8 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.events.repeated.follow,
         services.recorder.follow,
         services.alarms.site.follow,
+        services.expiry.follow,
+        services.control_watch.follow,
         services.notification.notifier(None, services.alarms.site.list, lambda _: "").follow,
         services.notification.dispatcher.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
