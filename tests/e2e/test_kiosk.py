@@ -213,7 +213,7 @@ def test_cleaning_by_touch_sets_nothing(site: Site, panel: Callable[..., Page]) 
 
 
 def test_it_can_be_installed(browser_page: OpensPages) -> None:
-    page = browser_page(viewport=PANEL)
+    page = browser_page(viewport=PANEL, service_workers="allow")
     page.goto("/")
     page.evaluate("navigator.serviceWorker.ready.then(() => true)")
     devtools = page.context.new_cdp_session(page)
@@ -229,7 +229,7 @@ def test_it_can_be_installed(browser_page: OpensPages) -> None:
 
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_")
 def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensPages) -> None:
-    page = browser_page(viewport=PANEL)
+    page = browser_page(viewport=PANEL, service_workers="allow")
     page.goto("/")
     page.evaluate("navigator.serviceWorker.ready.then(() => true)")
     page.context.set_offline(True)
@@ -245,7 +245,7 @@ def test_without_a_network_it_shows_a_notice_and_comes_back(browser_page: OpensP
 
 @pytest.mark.provokes("WebSocket", "fetch", "ERR_", "script")
 def test_a_form_pressed_as_the_server_dies_is_not_sent_again(site: Site, browser_page: OpensPages) -> None:
-    page = browser_page(viewport=PANEL)
+    page = browser_page(viewport=PANEL, service_workers="allow")
     page.goto(HOME)
     page.evaluate("navigator.serviceWorker.ready.then(() => true)")
     expect(page.locator(LIVE)).to_be_attached()

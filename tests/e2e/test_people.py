@@ -375,7 +375,7 @@ def newest_event(site: Site) -> int:
 
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page("operator", viewport=PANEL, service_workers="block"), "/units/line/2")
+    page = opened(browser_page("operator", viewport=PANEL), "/units/line/2")
     page.locator("summary").click()
     page.locator("#reason").fill("held up")
     page.route(

@@ -83,14 +83,6 @@ def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -
     assert too_wide(page) <= 0
 
 
-def test_the_review_is_accessible_too(shared_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
-    page = opened(shared_page(viewport=PANEL), "/units/line/2")
-    page.locator("#setpoint").fill("100.0")
-    page.get_by_role("button", name="Set now").click()
-    expect(page.locator("[data-review-act]")).to_be_visible()
-    assert axe(page) == []
-
-
 def test_a_line_with_faults_is_accessible_and_names_them(
     site: Site, shared_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:

@@ -395,16 +395,6 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     assert writes(site) == before
 
 
-@pytest.mark.parametrize(
-    "path", ["/", "/units/line/1", "/setpoints", "/bus/line", "/events", "/trends", "/sets"]
-)
-def test_the_line_is_two_presses_from_zero_on_every_page(shared_page: OpensPages, path: str) -> None:
-    page = opened(shared_page(viewport=PANEL), path)
-    page.get_by_role("button", name="Set line to zero").click()
-    expect(page.locator("[data-review-act]")).to_have_text("Set 8 units to speed 0")
-    page.get_by_role("button", name="Cancel").click()
-
-
 def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/7")
     page.get_by_role("button", name="Set now").click()

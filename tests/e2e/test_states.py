@@ -147,10 +147,10 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator("[data-tick]:checked")).to_have_count(0)
 
 
-@pytest.mark.parametrize("path", ["/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters"])
-def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages, path: str) -> None:
-    page = opened(browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True), path)
-    assert page.evaluate(TOO_SMALL, TARGET) == []
+def test_what_a_glove_presses_is_large_enough(browser_page: OpensPages) -> None:
+    page = browser_page("engineer", viewport=PHONE, is_mobile=True, has_touch=True)
+    for path in ("/?view=tiles", "/units/line/1", "/setpoints", "/units/line/1/parameters"):
+        assert opened(page, path).evaluate(TOO_SMALL, TARGET) == [], path
 
 
 def test_the_two_numbers_of_a_tile_never_lie_over_each_other(shared_page: OpensPages) -> None:

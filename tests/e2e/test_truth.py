@@ -50,9 +50,9 @@ def workers(site: Site) -> list[int]:
 
 
 def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
-    own_site: Site, browser_page: OpensPages
+    own_site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("fault", kind="dead", rate=1, unit=2)
     try:
         expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "offline")
@@ -67,8 +67,8 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
     assert not page.locator("form.setter").evaluate("form => form.inert")
 
 
-def test_a_pulled_cable_is_one_cause(own_site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+def test_a_pulled_cable_is_one_cause(own_site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
     own_site.line.remote.do("unplug")
     try:
         expect(page.locator("h1")).to_contain_text("line · Port closed since")
@@ -78,8 +78,8 @@ def test_a_pulled_cable_is_one_cause(own_site: Site, browser_page: OpensPages) -
     expect(page.locator("[data-live='line_summary.abnormal']")).to_have_text("0")
 
 
-def test_a_dead_worker_is_named_and_comes_back(own_site: Site, browser_page: OpensPages) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/")
+def test_a_dead_worker_is_named_and_comes_back(own_site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page(site=own_site, viewport=PANEL), "/")
     (worker,) = workers(own_site)
     os.kill(worker, signal.SIGSTOP)
     try:
@@ -124,9 +124,9 @@ CLICKED_EARLY = """async () => {
 
 
 def test_a_click_that_reads_before_the_first_message_is_repeated_then(
-    own_site: Site, browser_page: OpensPages
+    own_site: Site, shared_page: OpensPages
 ) -> None:
-    page = opened(browser_page(site=own_site, viewport=PANEL), "/units/line/1")
+    page = opened(shared_page(site=own_site, viewport=PANEL), "/units/line/1")
     page.evaluate(CLICKED_EARLY)
     expect(page.locator("#review")).to_be_visible()
 
