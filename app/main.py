@@ -27,10 +27,13 @@ from app.commands.api import trace
 from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.pages import safeguards as safeguards_pages
 from app.feed import socket as feed
+from app.handover import api as handover_api
+from app.handover import pages as handover_pages
 from app.history import pages as history_pages
 from app.history.api import routes as history_api
 from app.live import pages as live_pages
 from app.live.api import routes as live_api
+from app.live.api import stream_route
 from app.live.browsers import socket as live_socket
 from app.metrics import api as metrics_api
 from app.recipes import api as recipes_api
@@ -64,12 +67,15 @@ FEATURES = (
     audit_pages,
     feed,
     live_api,
+    stream_route,
     performance_api,
     occurrences_api,
     alarms_api,
     alarms_pages,
     notification_api,
     notification_pages,
+    handover_api,
+    handover_pages,
     live_socket,
     live_pages,
     commands_api,

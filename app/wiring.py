@@ -12,10 +12,14 @@ from zoneinfo import ZoneInfo
 
 import structlog
 
+from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
+from app.alarms.control_watch import ControlWatch, HeldControl
+from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
-from app.alarms.site_alarms import SiteAlarms, site_conditions
+from app.alarms.shown import alarm_json
+from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
 from app.audit.configuration import change_since_last
@@ -35,15 +39,18 @@ from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
+from app.handover.service import Handover
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
+from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
+from app.messages import DEFAULT
 from app.metrics.api import Counts, MetricSources
 from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
@@ -87,11 +94,15 @@ class Services:
     sources: Sources
     history: History
     alarms: LineAlarms
+    expiry: ExpiryWatch
+    control_watch: ControlWatch
     notification: Notification
+    handover: Handover
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
     hub: Hub
+    stream: LineStream
     sets: SetStore
     takings: Takings
     restores: RestoreService
@@ -141,11 +152,16 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         idempotency=IdempotencyCache(),
     )
     buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+    expiry = ExpiryWatch(accounts.tokens, certificates_of(settings.notify))
     conditions = site_conditions(
-        lambda: history.status, partial(_anchor_status, anchoring), notification.dispatcher.is_failing
+        lambda: history.status,
+        partial(_anchor_status, anchoring),
+        notification.dispatcher.is_failing,
+        expiry,
     )
     of_buses = {name: bus.alarms for name, bus in buses.items()}
-    alarms = LineAlarms(of_buses, SiteAlarms(conditions, alarm_store), alarm_store, events)
+    site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store)
+    alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
@@ -159,6 +175,13 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notices=partial(_notices, history, anchoring),
         history_fault=lambda: history.status.message,
     )
+    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    stream = LineStream(site.name, live, sources, english, unix_now)
+
+    def stream_alarm(alarm: Alarm) -> None:
+        stream.add("alarm", alarm.definition.bus, partial(alarm_json, alarms, alarm))
+
+    alarms.subscribe(stream_alarm)
     hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
     return Services(
         settings=settings,
@@ -176,11 +199,17 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sources=sources,
         history=history,
         alarms=alarms,
+        expiry=expiry,
+        control_watch=ControlWatch(
+            of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
+        ),
         notification=notification,
+        handover=Handover(settings, database, events),
         buses=buses,
         recorder=recorder,
         workers=workers,
         hub=hub,
+        stream=stream,
         sets=sets,
         takings=Takings(),
         restores=restores,
@@ -192,6 +221,11 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now),
         turns=Turns(),
     )
+
+
+def _held_control(bus: BusService) -> HeldControl | None:
+    holding = bus.safeguards.holding()
+    return None if holding is None else (holding.holder, holding.used_at)
 
 
 def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
@@ -216,10 +250,13 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.events.repeated.follow,
         services.recorder.follow,
         services.alarms.site.follow,
+        services.expiry.follow,
+        services.control_watch.follow,
         services.notification.notifier(None, services.alarms.site.list, lambda _: "").follow,
         services.notification.dispatcher.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,
+        services.stream.follow,
         services.onsets.follow,
         services.history.inspect_daily,
         services.rights.watch,

@@ -103,9 +103,13 @@ class AlarmList:
 
     def clock_stepped(self, step_s: float) -> None:
         """The clock of this machine was set: running times keep their length."""
-        for alarm in self.alarms.values():
-            alarm.facts = shifted(alarm.facts, step_s)
-            self._schedule(alarm)
+        for key, alarm in self.alarms.items():
+            facts = shifted(alarm.facts, step_s)
+            if facts != alarm.facts:
+                alarm.facts = facts
+                self._schedule(alarm)
+                self._changed[key] = alarm
+        self._wake.set()
 
     def _apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
         alarm.facts, transitions = changed

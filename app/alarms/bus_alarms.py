@@ -15,13 +15,13 @@ from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
+from app.history.intake.clock_watch import ClockWatch
+from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import BusLive
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
-CLOCK_STEP_S = 1.0
-"""A greater difference between the two clocks of this machine is a step of the one that can be set."""
 _OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
 """Alarms that suppress on all of the bus."""
 
@@ -47,9 +47,12 @@ class BusAlarms:
         self.list = AlarmList(self._definitions(), store, self.bus)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
-        self._worker_lost, self._port_lost, self._no_unit_responds, self._second_master = (
+        self._worker_lost, self._port_lost, self._no_unit_responds = (
             self.list.alarms[key_of(self.bus, None, code)]
-            for code in ("worker_lost", "port_lost", "no_unit_responds", "second_master")
+            for code in ("worker_lost", "port_lost", "no_unit_responds")
+        )
+        self._second_master, self._control_left = (
+            self.list.alarms[key_of(self.bus, None, code)] for code in ("second_master", "control_left")
         )
         self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
         for alarm in self.list.alarms.values():
@@ -57,7 +60,10 @@ class BusAlarms:
                 self._by_unit[alarm.definition.unit].append(alarm)
         self._estops: set[int] = set()
         self._suppressors = Suppressors()
-        self._ahead_s = clock() - UnixTime(float(monotonic()))
+        self._clock_watch = ClockWatch(clock(), monotonic())
+        self._ages_from = Monotonic(0.0)
+        """Before it, ages mean nothing: the clock was set."""
+        self._control_holder: Message | None = None
         self.list.subscribe(self._on_alarm)
         live.subscribe(self._see)
 
@@ -90,7 +96,9 @@ class BusAlarms:
         self._suppress(self.list.alarms.values(), now)
 
     def present(self, alarm: Alarm) -> Message | None:
-        """The present value of what an alarm of the configuration is about."""
+        """The present value of what an alarm is about, where it is about one."""
+        if alarm is self._control_left:
+            return self._control_holder
         own, unit = self._own.get(alarm.definition.key), alarm.definition.unit
         if own is None or unit is None:
             return None
@@ -112,16 +120,16 @@ class BusAlarms:
         """What time alone has changed."""
         now = self._clock()
         self._notice_step(now)
-        self._see_links(now)
+        if self._monotonic() >= self._ages_from:
+            self._see_links(now)
         for monitor in self._monitors.values():
             monitor.see_parameters(now)
         self._suppress_again(now)
 
     def _notice_step(self, now: UnixTime) -> None:
-        ahead_s = now - UnixTime(float(self._monotonic()))
-        step_s = ahead_s - self._ahead_s
-        if abs(step_s) > CLOCK_STEP_S:
-            self._ahead_s = ahead_s
+        running = self._monotonic()
+        if step_s := self._clock_watch.step(now, running):
+            self._ages_from = running + offline_after_s(scan_s_of(self._live))
             self.list.clock_stepped(step_s)
             for monitor in self._monitors.values():
                 monitor.clock_stepped(step_s)
@@ -170,6 +178,11 @@ class BusAlarms:
                 self._monitors[unit.unit].see_figures(unit, now)
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
         self._observe(self._second_master, has_foreign(self._foreign), now)
+
+    def see_control(self, left_by: Message | None) -> None:
+        """Who has left control without releasing it; None: no one."""
+        self._control_holder = left_by
+        self._observe(self._control_left, left_by is not None, self._clock())
 
     # --- suppression ----------------------------------------------------------------------------------
 

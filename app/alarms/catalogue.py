@@ -22,9 +22,21 @@ UnitAlarm = Literal[
     "parameter_drift",
     "duplicate_address",
     "staged_left",
+    "deviation",
+    "analog_out_of_limits",
 ]
-BusAlarm = Literal["port_lost", "no_unit_responds", "worker_lost", "second_master"]
-SiteAlarm = Literal["history_degraded", "audit_degraded", "disk_low", "notification_failed"]
+BusAlarm = Literal[
+    "port_lost", "no_unit_responds", "worker_lost", "second_master", "wire_overloaded", "control_left"
+]
+SiteAlarm = Literal[
+    "history_degraded",
+    "audit_degraded",
+    "disk_low",
+    "notification_failed",
+    "clock_stepped",
+    "certificate_expiring",
+    "token_expiring",
+]
 BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
 UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
 BUS_ALARMS: tuple[BusAlarm, ...] = get_args(BusAlarm)
@@ -54,16 +66,29 @@ BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
     "parameter_drift": BuiltInAlarm("major", "shift"),
     "duplicate_address": BuiltInAlarm("severe", "half_hour", AlarmAttributes(latching=True)),
     "staged_left": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=60), group="unit"),
+    "deviation": BuiltInAlarm(
+        "major", "minutes", AlarmAttributes(on_delay_s=5, off_delay_s=2), group="speed"
+    ),
+    "analog_out_of_limits": BuiltInAlarm(
+        "major", "half_hour", AlarmAttributes(on_delay_s=5, off_delay_s=5), group="speed"
+    ),
     "port_lost": BuiltInAlarm("severe", "minutes", group="bus"),
     "no_unit_responds": BuiltInAlarm(
         "severe", "minutes", AlarmAttributes(on_delay_s=3, off_delay_s=5), group="cable"
     ),
     "worker_lost": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2)),
     "second_master": BuiltInAlarm("severe", "half_hour", AlarmAttributes(off_delay_s=60), group="bus"),
+    "wire_overloaded": BuiltInAlarm(
+        "minor", "shift", AlarmAttributes(on_delay_s=60, off_delay_s=60), group="unit"
+    ),
+    "control_left": BuiltInAlarm("minor", "half_hour", AlarmAttributes(off_delay_s=5)),
     "history_degraded": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=5)),
     "audit_degraded": BuiltInAlarm("major", "shift"),
     "disk_low": BuiltInAlarm("major", "shift", AlarmAttributes(on_delay_s=5)),
     "notification_failed": BuiltInAlarm("severe", "half_hour"),
+    "clock_stepped": BuiltInAlarm("major", "shift", AlarmAttributes(off_delay_s=60)),
+    "certificate_expiring": BuiltInAlarm("major", "shift"),
+    "token_expiring": BuiltInAlarm("major", "shift"),
 }
 
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 from app.alarms.catalogue import BusAlarm, UnitAlarm
 from app.alarms.rules.count_window import CountWindow
+from app.alarms.rules.limits import LimitRule
 from app.live.diagnosis.abnormal import suspicion
 from app.live.diagnosis.cause import bus_cause
 from app.live.state.age import offline_after_s, scan_s_of, unit_link_now
-from app.live.state.bus_live import BusLive, UnitLive, follower
-from bus.catalogue.numbers import MAX_RATIO, MIN_RATIO, RATIO_SETPOINT
+from app.live.state.bus_live import BusLive, UnitLive, follower, reads_ratio
+from bus.catalogue.numbers import MAX_DISPLAY, MAX_RATIO, MIN_RATIO, RATIO_SETPOINT
+from bus.contract import Reading
+from bus.contract.durations import POLL_BYTES
 from bus.instants import UnixTime
+from bus.settings import wire_seconds
 
 DEGRADED_SHARE = 0.05
 """Of the polls of a minute without a valid response: an operator cannot see it, and it only gets worse."""
@@ -36,6 +41,45 @@ def ratio_out_of_limits(_: BusLive, unit: UnitLive) -> bool | None:
         return None
     return not low <= ratio <= high
 
+
+RUNNING = frozenset(("at_speed", "off_speed", "ramping_up", "ramping_down"))
+SETTLED = frozenset(("at_speed", "off_speed"))
+DEVIATION_SHARE = 0.05
+"""Of the maximum display value (#2)."""
+_ANALOG_RANGE = LimitRule(above=254, below=1, deadband=3)
+"""In counts of 8 bits: at the ends, no transducer measures."""
+ValueCondition = Callable[[BusLive, UnitLive, Reading, bool], bool | None]
+
+
+def deviates(bus: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool | None:
+    """Whether the speed of a unit that does not ramp is away from the commanded one, also where the unit
+    itself reports AT SPEED; not known while #2 is not."""
+    if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
+        return False
+    full_scale = unit.parameter_raw(MAX_DISPLAY)
+    if full_scale is None:
+        return None
+    return _deviation_rule(full_scale).holds(abs(reading.commanded - reading.actual), active)
+
+
+@cache
+def _deviation_rule(full_scale: int) -> LimitRule:
+    limit = max(1, round(DEVIATION_SHARE * full_scale))
+    return LimitRule(limit, None, limit // 5)
+
+
+def analog_out_of_limits(_: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool:
+    """Whether an analog input that is wired is at an end of its range while the unit runs."""
+    if not unit.settings.labels.analog or unit.motion.state not in RUNNING:
+        return False
+    return _ANALOG_RANGE.holds(reading.analog, active)
+
+
+BY_VALUE: dict[UnitAlarm, ValueCondition] = {
+    "deviation": deviates,
+    "analog_out_of_limits": analog_out_of_limits,
+}
+"""Conditions of every reading that is live; the last argument: whether the alarm is active."""
 
 BY_PARAMETER: dict[UnitAlarm, UnitCondition] = {
     "ratio_out_of_limits": ratio_out_of_limits,
@@ -74,7 +118,12 @@ def bus_conditions(bus: BusLive, now: UnixTime) -> dict[BusAlarm, bool | None]:
     worker_lost = cause is not None and cause.code in ("worker_lost", "worker_silent")
     port_lost = None if worker_lost else cause is not None
     no_unit_responds = None if cause is not None else has_no_response(bus, now)
-    return {"worker_lost": worker_lost, "port_lost": port_lost, "no_unit_responds": no_unit_responds}
+    return {
+        "worker_lost": worker_lost,
+        "port_lost": port_lost,
+        "no_unit_responds": no_unit_responds,
+        "wire_overloaded": wire_overloaded(bus) if cause is None else None,
+    }
 
 
 def has_no_response(bus: BusLive, now: UnixTime) -> bool:
@@ -84,6 +133,26 @@ def has_no_response(bus: BusLive, now: UnixTime) -> bool:
         return False
     lost = (_lost_at(bus, unit, now) for unit in bus.units.values())
     return any(at is not None and not _has_response_after(bus, at) for at in lost)
+
+
+SCAN_BUDGET = 1.5
+"""Of the time in which every unit is polled once and takes its full turnaround."""
+
+
+def wire_overloaded(bus: BusLive) -> bool | None:
+    """Whether a scan takes longer than the cable and its units explain."""
+    if bus.figures is None:
+        return None
+    at_worst = len(bus.units) * (wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s)
+    return bus.figures.scan_s > SCAN_BUDGET * at_worst
+
+
+CONTROL_IDLE_S = 120.0
+
+
+def control_is_left(used_at: UnixTime, now: UnixTime, *, has_page: bool) -> bool:
+    """Whether a holder of control has no page open and has sent no command for a while."""
+    return not has_page and now - used_at > CONTROL_IDLE_S
 
 
 def is_degraded(window: CountWindow) -> bool | None:

@@ -41,7 +41,7 @@ TypedReason = Annotated[OneLine, Form(max_length=200)]
 AlarmFilter = Annotated[str, Query(max_length=80)]
 
 
-def chosen_filters(
+async def chosen_filters(
     state: AlarmFilter = "", priority: AlarmFilter = "", place: AlarmFilter = "", group: AlarmFilter = ""
 ) -> dict[str, str]:
     """What a person filters by; empty: by nothing."""

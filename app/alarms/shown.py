@@ -107,7 +107,7 @@ def alarm_message(alarm: Alarm, value: Message | None) -> Message:
 def present_value(alarms: LineAlarms, alarm: Alarm) -> Message | None:
     """The present value of what it is about; None where it is about none, or that is not known."""
     bus = alarm.definition.bus
-    return None if bus is None else alarms.buses[bus].present(alarm)
+    return alarms.site.present(alarm) if bus is None else alarms.buses[bus].present(alarm)
 
 
 def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:

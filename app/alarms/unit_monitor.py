@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from app.alarms.alarm import Alarm
 from app.alarms.catalogue import UnitAlarm
-from app.alarms.conditions import BY_PARAMETER, BY_READING, is_degraded, unit_offline
+from app.alarms.conditions import BY_PARAMETER, BY_READING, BY_VALUE, is_degraded, unit_offline
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
 from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
@@ -41,6 +41,7 @@ class UnitMonitor:
         self._observe = observe
         self._has_drift = has_drift
         self._by_reading = [(alarms[code], holds) for code, holds in BY_READING.items()]
+        self._by_value = [(alarms[code], holds) for code, holds in BY_VALUE.items()]
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
@@ -71,6 +72,10 @@ class UnitMonitor:
             for alarm, condition in self._by_reading:
                 self._observe(alarm, condition(bus, unit), now)
             self._see_own(self._own_states, reading, None, now)
+        for alarm, holds in self._by_value:
+            found = holds(bus, unit, reading, alarm.facts.active)
+            if found is not alarm.holds:
+                self._observe(alarm, found, now)
         if self._own_values:
             self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
 
@@ -88,7 +93,7 @@ class UnitMonitor:
             return
         self._status = None
         self._observe(self._alarms["link_degraded"], None, now)
-        for alarm, _ in self._by_reading:
+        for alarm in (*(each for each, _ in self._by_reading), *(each for each, _ in self._by_value)):
             self._observe(alarm, None, now)
         for alarm, own in self._own:
             own.forget()

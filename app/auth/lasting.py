@@ -8,6 +8,8 @@ from contextlib import suppress
 
 from starlette.types import Message, Send
 
+from bus.instants import MonotonicClock, monotonic_now
+
 RECHECK_S = 20.0
 NO_LONGER_SIGNED_IN = 4401
 """Close code: 4000 and the HTTP status of the same refusal."""
@@ -65,15 +67,21 @@ async def while_allowed(
         await _end(task)
 
 
-def sending_while_allowed(send: Send, is_allowed: IsAllowed, rechecks: Rechecks) -> Send:
-    """``send`` of a response that may take long: after a change of rights it is looked again before the next
-    piece. Raises RightsEndedError."""
-    seen = rechecks.count
+def sending_while_allowed(
+    send: Send,
+    is_allowed: IsAllowed,
+    rechecks: Rechecks,
+    every_s: float = RECHECK_S,
+    clock: MonotonicClock = monotonic_now,
+) -> Send:
+    """``send`` of a response that may take long. Rights are checked again after they have changed, and every
+    ``every_s`` seconds, before the next piece. Raises RightsEndedError."""
+    seen, seen_at = rechecks.count, clock()
 
     async def sending(message: Message) -> None:
-        nonlocal seen
-        if message.get("more_body") and rechecks.count != seen:
-            seen = rechecks.count
+        nonlocal seen, seen_at
+        if message.get("more_body") and (rechecks.count != seen or clock() - seen_at >= every_s):
+            seen, seen_at = rechecks.count, clock()
             if not await is_allowed():
                 raise RightsEndedError
         await send(message)

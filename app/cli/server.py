@@ -36,6 +36,7 @@ class Server(uvicorn.Server):
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
+        self._end_streams = app.state.services.stream.end
         super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()
@@ -44,6 +45,7 @@ class Server(uvicorn.Server):
     def end(self) -> None:
         """Close all connections, then return from serving."""
         self.should_exit = True
+        self._end_streams()
         self._ended.set()
 
     def capture_signals(self) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.routing import APIRoute, RouteContext, iter_route_contexts
 from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.web.access import Requires, Role, public
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
@@ -17,15 +17,29 @@ from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
 
 
 class HeadAsGet:
-    """Lets every GET route respond to HEAD. The server leaves the body out, as it knows the method."""
+    """Lets every GET route respond to HEAD. The server leaves the body out, as it knows the method; a stream
+    ends with its first piece."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http" and scope["method"] == "HEAD":
-            scope = {**scope, "method": "GET"}
-        await self._app(scope, receive, send)
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+        is_complete = False
+
+        async def send_head(message: Message) -> None:
+            nonlocal is_complete
+            if is_complete:
+                return
+            await send(message)
+            if message.get("more_body"):
+                # What streams the rest learns from ``receive`` that the response is complete.
+                is_complete = True
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+
+        await self._app({**scope, "method": "GET"}, receive, send_head)
 
 
 def _calls(dependant: Any) -> Iterator[Any]:

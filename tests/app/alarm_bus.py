@@ -11,7 +11,7 @@ from app.alarms.store import AlarmStore
 from app.database import Database
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
-from bus.settings import BusSettings, UnitSettings
+from bus.settings import BusSettings, UnitLabels, UnitSettings
 
 REMOTE, AT_SPEED = 0b0100_0000, 0b1000_0000
 RUN, HEALTHY = 0b01, 0b10
@@ -32,7 +32,10 @@ class AlarmBus:
         self.settings = BusSettings(
             name=BUS,
             port="/dev/null",
-            unit=tuple(UnitSettings(id=n + 1, name=f"Unit {n + 1}") for n in range(units)),
+            unit=tuple(
+                UnitSettings(id=n + 1, name=f"Unit {n + 1}", labels=UnitLabels(analog="Tension"))
+                for n in range(units)
+            ),
         )
         self.live = LiveState([self.settings], self.now).buses[BUS]
         self.alarms = BusAlarms(

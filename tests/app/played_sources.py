@@ -70,7 +70,7 @@ def played_sources(
     controls: Mapping[str, str] | None = None,
 ) -> Sources:
     """Nothing to show but what the test names."""
-    controls = {} if controls is None else controls
-    guards = {bus: PlayedGuards(bus, blocks or {}, controls) for bus in buses}
+    controls, blocks = {} if controls is None else controls, {} if blocks is None else blocks
+    guards = {bus: PlayedGuards(bus, blocks, controls) for bus in buses}
     drift = {bus: NoGoldenSets() for bus in guards}
     return Sources(guards, drift, NoRecipes(), NoAlarms(), lambda _translator, _now: "", lambda: None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.live.browsers.admission import (
+from app.live.admission import (
     MOST_OF_ACCOUNT,
     MOST_OF_ADDRESS,
     Admission,

@@ -22,6 +22,9 @@ from app.web.access import Role
 from app.wiring import Services
 from tests.app.complete_app import settings_in
 
+ENDLESS = "GET /api/v1/stream"
+"""Its own test reads it."""
+
 
 @dataclass
 class Api:
@@ -66,6 +69,8 @@ def test_every_call(api: Api, api_schema: BaseSchema) -> None:
     names = []
     for found in api_schema.get_all_operations():
         operation = found.ok()
+        if operation.label == ENDLESS:
+            continue
         names.append(operation.label)
 
         @settings(

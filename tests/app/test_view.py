@@ -141,7 +141,7 @@ def test_a_bus_with_and_without_figures() -> None:
 
 def test_the_line_has_every_bus() -> None:
     line = line_json(
-        "Paper machine 2", live_with(), time.time(), {"dry-end": not_blocked}, None, translator()
+        "Paper machine 2", live_with().buses, time.time(), {"dry-end": not_blocked}, None, translator()
     )
     assert line["site"] == "Paper machine 2"
     assert [bus["name"] for bus in line["buses"]] == ["dry-end"]

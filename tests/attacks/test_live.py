@@ -11,8 +11,8 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
+from app.live.admission import MOST_OF_ACCOUNT, Admission
 from app.live.browsers import socket
-from app.live.browsers.admission import MOST_OF_ACCOUNT, Admission
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.live.browsers.readers import Readers

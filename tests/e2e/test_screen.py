@@ -24,6 +24,8 @@ PAGES = [
     "/alarms/journal",
     "/alarms/performance",
     "/notifications",
+    "/shifts",
+    "/shifts/present",
     "/alarms/line.1.estop_active.0",
 ]
 PHONE = {"width": 360, "height": 740}

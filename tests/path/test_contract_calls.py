@@ -393,3 +393,14 @@ def test_the_trace_shows_what_was_sent(plant: Dashboard) -> None:
     assert len(decoded) >= len(kept), "every frame of it that is no secret, whole"
     assert all(frame["checksum_ok"] for frame in decoded)
     assert {frame["uid"] for frame in decoded if frame["fields"].get("raw") == 2700} == {1}
+
+
+def test_the_stream_has_a_change_of_the_line(plant: Dashboard) -> None:
+    headers = {"Authorization": f"Bearer {plant.tokens['viewer']}"}
+    with plant.client.stream("GET", "/api/v1/stream?bus=dry-end", headers=headers) as response:
+        assert response.headers["content-type"].startswith("text/event-stream")
+        data = (json.loads(line[6:]) for line in response.iter_lines() if line.startswith("data: "))
+        assert [unit["id"] for unit in next(data)["buses"][0]["units"]][:2] == [MASTER, SIXTEEN]
+        assert plant.bus("POST", f"/units/{ODD}/speed", {"raw": 1250}).status_code == 200
+        assert any(each.get("unit") == ODD and each.get("commanded_raw") == 1250 for each in data)
+        assert plant.bus("POST", f"/units/{ODD}/speed", {"raw": 1234}).status_code == 200

@@ -110,7 +110,7 @@ def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | No
 
 
 def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
-    """The same after the clock was set by ``step_s``: every running time keeps its length."""
+    """The same after the clock was set by ``step_s``: every time keeps its distance from now."""
 
     def moved(time: UnixTime | None) -> UnixTime | None:
         return None if time is None else time + step_s
@@ -119,6 +119,8 @@ def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
         facts,
         shelved_until=moved(facts.shelved_until),
         changing_since=moved(facts.changing_since),
+        since=moved(facts.since),
+        risen_at=moved(facts.risen_at),
         acknowledged_at=moved(facts.acknowledged_at),
         unknown_since=moved(facts.unknown_since),
     )

@@ -43,7 +43,7 @@ async def get_line(
 ) -> dict[str, Any]:
     """Current state of every bus and unit. ``history``: empty, or why no values are stored."""
     blocks, fault = {bus: of.block_reason for bus, of in sources.guards.items()}, sources.history_fault()
-    return line_json(settings.site.name, live, unix_now(), blocks, fault, english)
+    return line_json(settings.site.name, live.buses, unix_now(), blocks, fault, english)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)

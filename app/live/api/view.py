@@ -15,7 +15,7 @@ from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import cause_line
 from app.live.screen.fields import Translator
 from app.live.state.age import scan_s_of, unit_link_now
-from app.live.state.bus_live import BusLive, LiveState, UnitLive, follower
+from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
 from app.web.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
@@ -62,7 +62,7 @@ _NEVER_READ = dict.fromkeys(
 
 def line_json(
     site: str,
-    live: LiveState,
+    buses: Mapping[str, BusLive],
     now: UnixTime,
     blocks: Mapping[str, BlockReason],
     history: Message | None,
@@ -70,12 +70,18 @@ def line_json(
 ) -> Json:
     """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept;
     None while it is."""
-    buses = [bus_json(bus, now, blocks[name], english) for name, bus in live.buses.items()]
+    shown = [bus_json(bus, now, blocks[name], english) for name, bus in buses.items()]
     stored = {"history": in_english(history), "history_message": maybe_shown(history)}
-    return {"site": site, "time": iso(now), **stored, "buses": buses}
+    return {"site": site, "time": iso(now), **stored, "buses": shown}
 
 
 def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
+    """One bus with its units."""
+    units = [unit_json(bus, unit, now, block, english) for unit in bus.units.values()]
+    return bus_fields(bus) | {"units": units}
+
+
+def bus_fields(bus: BusLive) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
     return {
@@ -94,7 +100,6 @@ def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translato
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
         "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
         "scan_s_expected": scan_s_of(bus),
-        "units": [unit_json(bus, unit, now, block, english) for unit in bus.units.values()],
     }
 
 

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from app.live.browsers.admission import Admission
+from app.live.admission import Admission
 from app.live.browsers.browser import Browser
 from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
@@ -20,10 +20,10 @@ from app.live.screen.fields import Translator, frame_fields, health_fields, unit
 from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
-from app.live.state.bus_live import LiveState
+from app.live.state.bus_live import LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
-from bus.contract import BusFigures, BusLink, Frame, Frames, Progress, Update
+from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, MonotonicClock, monotonic_now
 
 HEARTBEAT_S = 1.0
@@ -39,10 +39,6 @@ STAGE_WORDS = {
     "acknowledged": "acknowledged",
     "proving": "reading back",
 }
-_OF_A_BUS = {BusFigures, BusLink}
-"""What changes more than the units that it names."""
-_PASSED_ON = {Progress, Frames, BusFigures}
-"""Sources of data that is not part of the live state."""
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
@@ -187,14 +183,10 @@ class Hub:
     # --- what the workers report -------------------------------------------------------------------
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
-        bus = self.live.buses[bus_name]
-        units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
-        kinds = {type(update) for update in updates}
-        touched = bus.units if BusLink in kinds else units
-        self._render(bus_name, sorted(touched), include_bus=not kinds.isdisjoint(_OF_A_BUS))
-        if not kinds.isdisjoint(_PASSED_ON):
-            for update in updates:
-                self._pass_on(bus_name, update)
+        units, is_bus = changed_by(self.live.buses[bus_name], updates)
+        self._render(bus_name, units, include_bus=is_bus)
+        for update in updates:
+            self._pass_on(bus_name, update)
 
     def _render(self, bus: str, units: list[int], *, include_bus: bool) -> None:
         now = self._clock()
@@ -202,6 +194,7 @@ class Hub:
             readers.publish(readers.screen.see(bus, units, now, include_bus=include_bus))
 
     def _pass_on(self, bus: str, update: Update) -> None:
+        """Data that is not part of the live state."""
         match update:
             case Progress():
                 self._show_progress(bus, update)

@@ -158,6 +158,14 @@ class BusLive:
         unit.onsets.see(reading.at, conditions_of(bits, reading), offline_after_s(scan_s))
 
 
+def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:
+    """The configured units that updates are about, by address, and whether they are about the bus too."""
+    if any(type(update) is BusLink for update in updates):
+        return sorted(bus.units), True
+    units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
+    return sorted(units), any(type(update) is BusFigures for update in updates)
+
+
 def follower(unit: UnitLive) -> bool | None:
     """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
     mode = unit.parameter_raw(FOLLOWER_MODE)

@@ -49,6 +49,18 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_staged_left_cause": "A change was staged (82h) and neither executed nor withdrawn.",
     "alarm_staged_left_consequence": "The next broadcast (83h) moves the unit unexpectedly.",
     "alarm_staged_left_response": "Execute the setpoint, or stage the present speed again.",
+    "alarm_deviation": "Speed deviates",
+    "alarm_deviation_cause": (
+        "The load is too high, the encoder failed, or the window of AT SPEED (#12) is too wide."
+    ),
+    "alarm_deviation_consequence": "The draw to the neighbors is wrong: the web slackens or breaks.",
+    "alarm_deviation_response": "Reduce the speed of the line. Measure the speed at the roll.",
+    "alarm_analog_out_of_limits": "Analog input at its limit",
+    "alarm_analog_out_of_limits_cause": (
+        "The transducer or its wire is broken, or the value is outside the range of the input."
+    ),
+    "alarm_analog_out_of_limits_consequence": "The value is no measurement; a trim by it is wrong.",
+    "alarm_analog_out_of_limits_response": "Check transducer, wire and supply. Switch trim (#26) off.",
     "alarm_port_lost": "Port lost",
     "alarm_port_lost_cause": "The adapter was unplugged, has no power, or its network is interrupted.",
     "alarm_port_lost_consequence": "All drives of the bus keep their speed, neither monitored nor commanded.",
@@ -73,6 +85,35 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_second_master_cause": "Responses came that Lineside had not requested: another program polls.",
     "alarm_second_master_consequence": "Requests collide, and another program may command the units.",
     "alarm_second_master_response": "Find the other program or panel and disconnect it from the cable.",
+    "alarm_wire_overloaded": "Scan too slow",
+    "alarm_wire_overloaded_cause": (
+        "Retries, slow units or other requests take the time of the cable, or too many units share it."
+    ),
+    "alarm_wire_overloaded_consequence": "Values are old when they are shown; alarms come late.",
+    "alarm_wire_overloaded_response": (
+        "Look at page Bus for units with timeouts. Stop scripts that read parameters, or divide the cable."
+    ),
+    "alarm_control_left": "Control not released",
+    "alarm_control_left_cause": "The holder of control has no page open and sends no commands.",
+    "alarm_control_left_consequence": "Until control lapses, no other person can command the line.",
+    "alarm_control_left_response": "Call the holder, or have an administrator hand control over.",
+    "alarm_control_left_by": "held by {who}",
+    "alarm_clock_stepped": "Clock of the server was set",
+    "alarm_clock_stepped_cause": "A person set the clock, or its synchronization was interrupted before.",
+    "alarm_clock_stepped_consequence": (
+        "Times of events, alarms and history before and after it do not match; some overlap or are missing."
+    ),
+    "alarm_clock_stepped_response": "Check the time synchronization of the server. Write the step down.",
+    "alarm_clock_step": "set by {seconds} s",
+    "alarm_certificate_expiring": "Certificate expires",
+    "alarm_certificate_expiring_cause": "A certificate that the configuration names ends within 30 days.",
+    "alarm_certificate_expiring_consequence": "Then no e-mail or webhook that relies on it is sent.",
+    "alarm_certificate_expiring_response": "Get the new certificate of the authority, and replace the file.",
+    "alarm_token_expiring": "Token expires",
+    "alarm_token_expiring_cause": "A token that a program uses ends soon, or has ended.",
+    "alarm_token_expiring_consequence": "The program, or the bus worker, is then refused.",
+    "alarm_token_expiring_response": "Create a token on page Users for the program, and revoke this one.",
+    "alarm_expires": "{name} until {day}",
     "alarm_history_degraded": "History is not stored",
     "alarm_history_degraded_cause": "The disk is full, or the store cannot be used.",
     "alarm_history_degraded_consequence": "Trends of this time will be missing for good.",

@@ -41,6 +41,7 @@ TEXTS: dict[str, EnglishText] = {
     "foreign_origin": ("the request came from a page of {origin}, not of this server; nothing was done"),
     "too_many_requests": "too many of your requests are waiting; wait until some have finished",
     "too_many_pages": "too many pages are open; close some",
+    "too_many_streams": "too many streams are open; close some",
     "nothing_at_path": "there is no page at {path}",
     "method_not_for_path": "{method} is not for {path}; nothing was done",
     "fields_malformed": "{faults}; nothing was sent",

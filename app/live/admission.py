@@ -1,4 +1,4 @@
-"""How many pages one account, or one address, may have open at a time.
+"""How many pages or streams one account, or one address, may have open at a time.
 
 Beyond the limit the newest is refused; to close an older page in its place would
 make two browsers that reconnect by themselves push each other out without end.
@@ -15,15 +15,17 @@ MOST_OF_ADDRESS = 512
 
 
 class Admission:
-    """The open pages, counted."""
+    """Those that are open, counted."""
 
-    def __init__(self) -> None:
+    def __init__(self, of_account: int = MOST_OF_ACCOUNT, of_address: int = MOST_OF_ADDRESS) -> None:
+        self._of_account = of_account
+        self._of_address = of_address
         self._by_account: Counter[str] = Counter()
         self._by_address: Counter[str] = Counter()
 
     def enter(self, account: str, address: str) -> bool:
-        """Count one more page, unless it is one too many. ``address``: as `source_of` names it."""
-        if self._by_account[account] >= MOST_OF_ACCOUNT or self._by_address[address] >= MOST_OF_ADDRESS:
+        """Count one more, unless it is one too many. ``address``: as `source_of` names it."""
+        if self._by_account[account] >= self._of_account or self._by_address[address] >= self._of_address:
             return False
         self._by_account[account] += 1
         self._by_address[address] += 1

@@ -1,0 +1,85 @@
+"""Watches the tokens, and the certificates that the configuration names, for their ends."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import Awaitable, Callable, Iterable
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from app.alarms.rules.expiry import certificate_expires, token_expires
+from app.auth.store import Token
+from app.errors import StoreError
+from app.notify_settings import NotifySettings
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message
+
+LOOK_EVERY_S = 60.0
+Expiry = tuple[UnixTime, str]
+"""When something ends, and its name."""
+
+
+class ExpiryWatch:
+    """``token`` and ``certificate``: what ends first of those that are to be replaced; None: nothing.
+    ``is_known``: whether it has looked."""
+
+    def __init__(
+        self,
+        tokens: Callable[[], Awaitable[list[Token]]],
+        certificates: Iterable[Path],
+        clock: Clock = unix_now,
+    ) -> None:
+        self._tokens = tokens
+        self._certificates = tuple(certificates)
+        self._clock = clock
+        self.is_known = False
+        self.token: Message | None = None
+        self.certificate: Message | None = None
+
+    async def follow(self) -> None:
+        """Look every minute, without end."""
+        while True:
+            with suppress(StoreError):
+                await self.look()
+            await asyncio.sleep(LOOK_EVERY_S)
+
+    async def look(self) -> None:
+        """Look once. Raises StoreError."""
+        now = self._clock()
+        self.token = _first(
+            (token.expires_at, token.name)
+            for token in await self._tokens()
+            if token.expires_at is not None
+            and token_expires(token.created_at, token.expires_at, token.used_at, now)
+        )
+        endings = await asyncio.to_thread(lambda: [_ending(path) for path in self._certificates])
+        self.certificate = _first(each for each in endings if each and certificate_expires(each[0], now))
+        self.is_known = True
+
+
+def certificates_of(notify: NotifySettings) -> set[Path]:
+    """The certificates that the configuration names."""
+    named = (*((notify.smtp.ca_file,) if notify.smtp else ()), *(hook.ca_file for hook in notify.webhook))
+    return {path for path in named if path is not None}
+
+
+def _first(endings: Iterable[Expiry]) -> Message | None:
+    at, name = min(endings, default=(None, ""))
+    if at is None:
+        return None
+    day = datetime.fromtimestamp(float(at), UTC).date().isoformat()
+    return Message.of("alarm_expires", name=name, day=day)
+
+
+def _ending(path: Path) -> Expiry | None:
+    """Of a file with several authorities, the one that lasts longest: it may be the one that counts. None for
+    a file that holds none; who uses it reports that."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(path)
+    except OSError:
+        return None
+    ends = [str(each["notAfter"]) for each in context.get_ca_certs()]
+    return (UnixTime(max(map(ssl.cert_time_to_seconds, ends))), path.name) if ends else None

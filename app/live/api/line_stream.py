@@ -1,0 +1,181 @@
+"""What ``GET /stream`` sends: changes of the line as they are reported, the same for every program.
+
+A change is found once, by comparing what the API shows of a unit with what it showed before; nothing is
+compared while no one reads. A program that reads too slowly, or was away for too long, gets a snapshot in
+place of what it missed: no queue grows for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from itertools import cycle, islice
+from math import ceil
+from secrets import token_hex
+from typing import Any
+
+from app.live.admission import Admission
+from app.live.api.recent_events import PIECE_BYTES, RecentEvents
+from app.live.api.view import Json, bus_fields, line_json, unit_json
+from app.live.screen.fields import Translator
+from app.live.screen.sources import Sources
+from app.live.state.bus_live import LiveState, changed_by
+from app.web.shape import iso
+from bus.contract import Update
+from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
+
+TICK_S = 0.1
+TICKS_OF_ALL = 10
+"""To compare a long line at once would hold up everything else for tens of milliseconds."""
+HEARTBEAT_TICKS = 50
+AWAY_S = 60.0
+"""For so long after the last program has left, events are noted for its return."""
+PAUSE_S = 0.05
+"""From one piece to the next for one program: what comes in between goes together."""
+SNAPSHOT_S = 1.0
+"""A snapshot of this age serves another program: what changed since then follows it."""
+MOST_BYTES = 4 * 1024 * 1024
+"""Of events kept: for the longest line at four readings a second some ten seconds."""
+MOST_OF_ACCOUNT, MOST_OF_ADDRESS = 16, 64
+RETRY = b"retry: 2000\n"
+"""Milliseconds after which a client connects again; of the first event."""
+
+
+class LineStream:
+    """Notes changes while someone reads. ``clock``: Unix time in seconds."""
+
+    def __init__(
+        self,
+        site: str,
+        live: LiveState,
+        sources: Sources,
+        english: Translator,
+        clock: Clock,
+        monotonic: MonotonicClock = monotonic_now,
+    ) -> None:
+        self._site = site
+        self._live = live
+        self._sources = sources
+        self._english = english
+        self._clock = clock
+        self._monotonic = monotonic
+        self.admission = Admission(MOST_OF_ACCOUNT, MOST_OF_ADDRESS)
+        self._recent = RecentEvents(token_hex(4), MOST_BYTES)
+        self._shown: dict[tuple[str, int | None], Json] = {}
+        """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
+        keys = [(name, unit) for name, bus in live.buses.items() for unit in (None, *bus.units)]
+        self._keys = keys
+        self._turns = cycle(keys)
+        self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
+        self._readers = 0
+        self._left_at = monotonic()
+        self._has_more = asyncio.Event()
+        self._is_ending = False
+        for name, bus in live.buses.items():
+            bus.subscribe(partial(self._on_updates, name))
+
+    # --- to the programs ------------------------------------------------------------------------------
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """While a program reads, and for a while after, changes are noted."""
+        self._readers += 1
+        if not self._shown:
+            self._shown = {key: self._fields(*key) for key in self._keys}
+        try:
+            yield
+        finally:
+            self._readers -= 1
+            self._left_at = self._monotonic()
+
+    async def pieces(self, bus: str | None, last_event_id: str = "") -> AsyncIterator[bytes]:
+        """All events after the one of this id, or a snapshot and all after it, until the server ends.
+        ``bus``: only of this one and of the site.
+        """
+        yield RETRY
+        number = self._recent.number_of(last_event_id)
+        while not self._is_ending:
+            has_more = self._has_more
+            if number is None or not self._recent.has_all_after(number):
+                number, text = self._snapshot(bus)
+            else:
+                number, text = self._recent.after(number, bus)
+            for begin in range(0, len(text), PIECE_BYTES):
+                yield text[begin : begin + PIECE_BYTES]
+            if number == self._recent.newest:
+                await has_more.wait()
+            await asyncio.sleep(PAUSE_S)
+
+    def end(self) -> None:
+        """The server ends, and so does every response."""
+        self._is_ending = True
+        self._has_more.set()
+
+    def _snapshot(self, bus: str | None) -> tuple[int, bytes]:
+        made_at, number, text = self._snapshots.get(bus, (Monotonic(0.0), -1, b""))
+        now = self._monotonic()
+        if now - made_at > SNAPSHOT_S or not self._recent.has_all_after(number):
+            number = self._recent.newest
+            text = self._recent.text("snapshot", number, self._line(bus))
+            self._snapshots[bus] = now, number, text
+        return number, text
+
+    def _line(self, bus: str | None) -> Json:
+        buses = self._live.buses if bus is None else {bus: self._live.buses[bus]}
+        blocks = {name: self._sources.guards[name].block_reason for name in buses}
+        fault = self._sources.history_fault()
+        return line_json(self._site, buses, self._clock(), blocks, fault, self._english)
+
+    # --- what changes ---------------------------------------------------------------------------------
+
+    async def follow(self) -> None:
+        """Run until canceled: what has aged, and the heartbeats."""
+        ticks = 0
+        while True:
+            await asyncio.sleep(TICK_S)
+            ticks += 1
+            self.tick(with_heartbeat=ticks % HEARTBEAT_TICKS == 0)
+
+    def tick(self, *, with_heartbeat: bool) -> None:
+        """What has changed without a report: a response that is overdue, a block."""
+        if self._shown and not self._readers and self._monotonic() - self._left_at > AWAY_S:
+            self._shown, self._snapshots = {}, {}
+            self._recent.interrupt()
+        if self._shown:
+            for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
+                self._compare(bus, unit)
+        if with_heartbeat:
+            self.add("heartbeat", None, lambda: {"time": iso(self._clock())})
+
+    def add(self, kind: str, bus: str | None, make: Callable[[], Any]) -> None:
+        """One more event, made where someone reads. ``bus``: None for the site."""
+        if self._shown:
+            self._recent.add(kind, bus, make())
+            self._has_more.set()
+            self._has_more = asyncio.Event()
+
+    def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
+        if self._shown:
+            units, is_bus = changed_by(self._live.buses[bus_name], updates)
+            for unit in (None, *units) if is_bus else units:
+                self._compare(bus_name, unit)
+
+    def _compare(self, bus_name: str, unit: int | None) -> None:
+        key = bus_name, unit
+        before, after = self._shown[key], self._fields(*key)
+        changed = {name: value for name, value in after.items() if before[name] != value}
+        if changed:
+            self._shown[key] = after
+            self.add("change", bus_name, lambda: {"bus": bus_name, "unit": unit} | changed)
+
+    def _fields(self, bus_name: str, unit: int | None) -> Json:
+        bus = self._live.buses[bus_name]
+        if unit is None:
+            return bus_fields(bus)
+        block = self._sources.guards[bus_name].block_reason
+        fields = unit_json(bus, bus.units[unit], self._clock(), block, self._english)
+        # It grows on its own, and ``read_at`` does not.
+        del fields["age_ms"]
+        return fields

@@ -1,0 +1,69 @@
+"""``GET /stream``: readings and alarms as Server-Sent Events."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header
+from starlette.requests import HTTPConnection
+from starlette.responses import StreamingResponse
+
+from app.errors import Problem
+from app.live.api.line_stream import LineStream
+from app.live.api.routes import Live
+from app.live.lookup import bus_or_404
+from app.server.addresses import source_of
+from app.web.access import Viewer
+from app.web.api_route import ApiRoute
+from app.web.services import service
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
+
+EVENT_STREAM = "text/event-stream"
+KINDS = ("snapshot", "change", "alarm", "heartbeat")
+EVENT = {
+    "type": "object",
+    "required": ["id", "event", "data"],
+    "properties": {
+        "id": {"type": "string"},
+        "event": {"type": "string", "enum": KINDS},
+        "data": {"type": "string", "contentMediaType": "application/json"},
+    },
+}
+"""One event of the stream (OpenAPI has no other word for it before 3.2)."""
+EVENTS: dict[int | str, dict[str, Any]] = {200: {"content": {EVENT_STREAM: {"schema": EVENT}}}}
+Stream = Annotated[LineStream, service(LineStream)]
+
+
+async def _admitted(connection: HTTPConnection, person: Viewer, stream: Stream) -> AsyncIterator[None]:
+    """Until the response has ended. Raises Problem 429."""
+    address = source_of(connection.client.host if connection.client else "")
+    if not stream.admission.enter(person.account, address):
+        raise Problem(429, "too_many", Message("too_many_streams")).with_headers(Retry_After="10")
+    try:
+        with stream.reading():
+            yield
+    finally:
+        stream.admission.leave(person.account, address)
+
+
+@router.get("/stream", response_class=StreamingResponse, responses=EVENTS, dependencies=[Depends(_admitted)])
+async def get_stream(
+    _: Viewer,
+    live: Live,
+    stream: Stream,
+    bus: str | None = None,
+    last_event_id: Annotated[str, Header(description="Resumes after this event.")] = "",
+) -> StreamingResponse:
+    """Server-Sent Events without end: a ``snapshot`` (as GET /line), then each ``change`` (``bus``, ``unit``
+    and its fields that changed; ``unit`` null: of the bus itself), ``alarm`` (as in GET /alarms) and, every
+    5 s, a ``heartbeat``. A client that cannot resume, or reads too slowly, gets a ``snapshot`` in place of
+    what it missed. ``bus``: only of this bus and of the site.
+    """
+    if bus is not None:
+        bus_or_404(live, bus)
+    # A proxy would collect a response before it passes it on.
+    headers = {"X-Accel-Buffering": "no"}
+    return StreamingResponse(stream.pieces(bus, last_event_id), headers=headers, media_type=EVENT_STREAM)
