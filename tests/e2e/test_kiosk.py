@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, focus
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -114,6 +114,13 @@ def tap(page: Page, selector: str) -> None:
     page.touchscreen.tap(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
 
 
+def expect_controls(page: Page) -> None:
+    """Wait until the unit can be set: after a leap of the page's clock, it has no controls until it has
+    responded.
+    """
+    expect(page.locator(".main:not([inert]) form.setter:not([inert])")).to_be_attached()
+
+
 def test_a_panel_only_looks_unless_it_is_given_more(panel: Callable[..., Page]) -> None:
     wall = panel("wall", HOME)
     expect(wall.locator(".main [data-command]")).to_have_count(0)
@@ -152,19 +159,23 @@ def test_the_first_touch_after_dark_only_wakes(site: Site, panel: Callable[..., 
     tap(page, ".nudges button >> nth=2")
     expect(page.locator(".cover")).to_have_count(0)
     assert received_writes(site) == before
+    expect_controls(page)
     tap(page, ".nudges button >> nth=2")
     eventually(lambda: received_writes(site) == before + 1, "the second touch")
 
 
 def test_a_key_after_dark_only_wakes(site: Site, panel: Callable[..., Page]) -> None:
     page = panel("first", HOME, clock=True)
-    page.locator(".nudges button").nth(2).focus()
+    button = page.locator(".nudges button").nth(2)
+    focus(button)
     before = received_writes(site)
     page.clock.fast_forward("11:00")
     expect(page.locator(".cover--dark")).to_be_visible()
     page.keyboard.press("Enter")
     expect(page.locator(".cover")).to_have_count(0)
     assert received_writes(site) == before
+    expect_controls(page)
+    expect(button).to_be_focused()
     page.keyboard.press("Enter")
     eventually(lambda: received_writes(site) == before + 1, "the second key")
 
