@@ -204,7 +204,7 @@ async def test_a_port_that_is_taken_is_named_with_who_has_it(line: LineServer, t
 
 
 async def many_polls(line: LineServer) -> None:
-    """Wait while a worker asks the units for their readings."""
+    """Wait while a worker polls the units."""
     before = line.call(lambda simulated: simulated.record.count)
     for _ in range(1200):
         if line.call(lambda simulated: simulated.record.count) > before + 100:
