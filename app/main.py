@@ -29,6 +29,8 @@ from app.commands.api import trace
 from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.pages import safeguards as safeguards_pages
 from app.feed import socket as feed
+from app.handover import api as handover_api
+from app.handover import pages as handover_pages
 from app.history import pages as history_pages
 from app.history.api import routes as history_api
 from app.live import pages as live_pages
@@ -75,6 +77,8 @@ FEATURES = (
     alarms_pages,
     notification_api,
     notification_pages,
+    handover_api,
+    handover_pages,
     live_socket,
     live_pages,
     commands_api,

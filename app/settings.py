@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from app.alarm_settings import AlarmSettings, refuse_misplaced
 from app.messages.languages import catalogs
-from app.notify_settings import NotifySettings, refuse_unknown_names
+from app.notify_settings import ClockTime, NotifySettings, minute_of_day, refuse_unknown_names
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
@@ -147,6 +147,26 @@ class HistorySettings(StrictModel):
     """Those, and the bits as intervals."""
 
 
+class ShiftSettings(StrictModel):
+    """When the shifts of the site begin."""
+
+    starts: Annotated[tuple[ClockTime, ...], Field(min_length=1, max_length=24)] = ("06:00", "14:00", "22:00")
+    """Local times; a shift lasts until the next of them."""
+
+    @property
+    def minutes(self) -> list[int]:
+        """The same as minutes after local midnight."""
+        return [minute_of_day(each) for each in self.starts]
+
+    @field_validator("starts")
+    @classmethod
+    def _each_once(cls, starts: tuple[str, ...]) -> tuple[str, ...]:
+        for index, start in enumerate(starts):
+            if start in starts[:index]:
+                raise ValueError(Message.of("setting_shift_twice", time=start))
+        return starts
+
+
 class Audit(StrictModel):
     """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
 
@@ -166,6 +186,7 @@ class Settings(StrictModel):
     bus: tuple[BusSettings, ...] = ()
     alarm: tuple[AlarmSettings, ...] = ()
     notify: NotifySettings = NotifySettings()
+    shift: ShiftSettings = ShiftSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
 

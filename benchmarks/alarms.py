@@ -11,6 +11,7 @@ from typing import Any
 
 from app.database import Database
 from app.live.state.bus_live import BusLive, LiveState
+from benchmarks import alarm_screen
 from benchmarks.tables import microseconds, show
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
@@ -51,6 +52,7 @@ def run() -> None:
         [f"a change, written, in a flood of {changes}", microseconds(change_s)],
     ]
     show("alarms", ["", "CPU"], rows, "The share should be at most 2 %; the least of five passes counts.")
+    alarm_screen.run()
 
 
 def _steady(database: Database) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 from app.alarms.catalogue import BusAlarm, UnitAlarm
 from app.alarms.rules.count_window import CountWindow
@@ -58,8 +59,13 @@ def deviates(bus: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bo
     full_scale = unit.parameter_raw(MAX_DISPLAY)
     if full_scale is None:
         return None
+    return _deviation_rule(full_scale).holds(abs(reading.commanded - reading.actual), active)
+
+
+@cache
+def _deviation_rule(full_scale: int) -> LimitRule:
     limit = max(1, round(DEVIATION_SHARE * full_scale))
-    return LimitRule(limit, None, limit // 5).holds(abs(reading.commanded - reading.actual), active)
+    return LimitRule(limit, None, limit // 5)
 
 
 def analog_out_of_limits(_: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool:

@@ -28,6 +28,7 @@ EventKind = Literal[
     "run",
     "secret",
     "server",
+    "shift",
     "swap",
     "token",
     "unit",

@@ -66,11 +66,13 @@ class Filter:
     new_raw: int | None = None
     folded: bool = False
     parts_of: tuple[int, ...] | None = None
+    after: int | None = None
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
         """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
         given = {
             "id < ?": self.before,
+            "id > ?": self.after,
             "kind = ?": self.kind,
             "bus = ?": self.bus,
             "unit = ?": self.unit,

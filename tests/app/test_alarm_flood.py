@@ -7,10 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from app.alarms.store import AlarmStore, JournalEntry
 from app.database import Database
 
-KILLS = 3
+KILLS, KILLS_SOAK = 3, 50
 
 
 def flood_and_kill(store: Path, passes: int) -> None:
@@ -33,10 +35,11 @@ def check_chain(entries: list[JournalEntry]) -> None:
         state = entry.after
 
 
-async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [KILLS, pytest.param(KILLS_SOAK, marks=pytest.mark.soak)])
+async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path, kills: int) -> None:
     path = tmp_path / "store.db"
     dice = random.Random(14)
-    for _ in range(KILLS):
+    for _ in range(kills):
         flood_and_kill(path, dice.randint(3, 12))
     database = Database(path)
     store = AlarmStore(database)

@@ -55,6 +55,7 @@ OF_A_NUMBER = {
 CODES = {
     "FrequentAlarm.alarm",
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
+    *("ShiftNote.alarm", "ShiftSignatures.digest", "ShiftSignatures.page_digest", "time_zone"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",
@@ -67,7 +68,7 @@ TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
-    *("Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
+    *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
 }
 IN_THE_READERS_LANGUAGE = {f"HistoryMarkText.{name}" for name in ("what", "old", "new")}
 """The messages of the mark, rendered."""
@@ -76,7 +77,7 @@ TIMES = {
     *("acknowledged_at", "at", "changed_at", "from", "lapses_at", "link_since", "loaded_at", "proven_at"),
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since"),
-    *("created_at", "tried_at", "until"),
+    *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
 }
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),

@@ -132,4 +132,5 @@ TEXTS: dict[str, EnglishText] = {
         "anchor: {user} may not write {file}. Give that user write access to it, or name another file as "
         "anchor in [audit]."
     ),
+    "setting_shift_twice": "{time} starts two shifts",
 }

@@ -1,0 +1,1 @@
+"""Shift hand-over: notes of a shift, and its sheet."""

@@ -1,0 +1,108 @@
+"""Notes of a shift: each is written once, and a correction is a new note that names the earlier one."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import astuple, dataclass, fields, replace
+
+from app.errors import Problem
+from app.handover.rules.shift_times import Shift
+from bus.instants import UnixTime
+from bus.messages import Message
+
+MOST_NOTES = 500
+"""Of a shift: a sheet is read by people."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """``at``: what it is about, ``alarm``: the id of an occurrence, ``sender``: the account with the time of
+    its creation, ``key``: by which its sender repeats the request."""
+
+    at: UnixTime
+    written_at: UnixTime
+    who: str
+    text: str
+    bus: str | None
+    unit: int | None
+    alarm: str | None
+    corrects: int | None
+    sender: str
+    key: str | None
+    id: int = 0
+
+
+class RepeatedNoteError(Exception):
+    """The request was carried out before; ``note`` is what it made."""
+
+    def __init__(self, note: Note) -> None:
+        super().__init__(note.id)
+        self.note = note
+
+
+_COLUMNS = tuple(field.name for field in fields(Note) if field.name != "id")
+_SELECT = f"SELECT {', '.join(_COLUMNS)}, id FROM shift_note"
+_INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
+
+
+def notes_of(connection: sqlite3.Connection, shift: Shift) -> list[Note]:
+    """In the order of what they are about."""
+    rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
+    return [Note(*row) for row in rows]
+
+
+def counts_of(connection: sqlite3.Connection, shifts: list[Shift]) -> list[int]:
+    """How many notes each shift has."""
+    query = "SELECT count(*) FROM shift_note WHERE at >= ? AND at < ?"
+    return [connection.execute(query, (shift.start, shift.end)).fetchone()[0] for shift in shifts]
+
+
+def find_repeated(connection: sqlite3.Connection, note: Note) -> Note | None:
+    """The note that this request made before. Raises Problem 422 where its key was for another one."""
+    row = connection.execute(f"{_SELECT} WHERE sender = ? AND key = ?", (note.sender, note.key)).fetchone()
+    if row is None:
+        return None
+    earlier = Note(*row)
+    same = replace(note, at=earlier.at, written_at=earlier.written_at, id=earlier.id)
+    if same != earlier:
+        raise Problem(422, "invalid", Message("shift_note_key_of_other"))
+    return earlier
+
+
+def add(connection: sqlite3.Connection, note: Note, shift: Shift) -> int:
+    """Store a note, and return its number. Raises RepeatedNoteError, and Problem 404 or 409 where it corrects
+    a note that is not there or was corrected, or the shift has no room."""
+    repeated = find_repeated(connection, note)
+    if repeated is not None:
+        raise RepeatedNoteError(repeated)
+    if note.corrects is not None:
+        _check_corrected(connection, note.corrects)
+    if note.alarm is not None:
+        _check_alarm(connection, note.alarm)
+    if counts_of(connection, [shift])[0] >= MOST_NOTES:
+        raise Problem(409, "too_many", Message.of("shift_notes_full", n=MOST_NOTES))
+    number = connection.execute(_INSERT, astuple(note)[:-1]).lastrowid
+    assert number is not None
+    return number
+
+
+def find(connection: sqlite3.Connection, number: int, shift: Shift) -> Note:
+    """A note of a shift. Raises Problem 404."""
+    row = connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
+    if row is None or not shift.holds(row["at"]):
+        raise Problem(404, "unknown_note", Message.of("shift_note_unknown", note=number))
+    return Note(*row)
+
+
+def _check_corrected(connection: sqlite3.Connection, number: int) -> None:
+    row = connection.execute("SELECT id FROM shift_note WHERE corrects = ?", (number,)).fetchone()
+    if row is not None:
+        message = Message.of("shift_note_superseded", note=number, newer=row["id"])
+        raise Problem(409, "superseded", message, id=row["id"])
+
+
+def _check_alarm(connection: sqlite3.Connection, alarm_id: str) -> None:
+    alarm, _, occurrence = alarm_id.rpartition(".")
+    query = "SELECT 1 FROM alarm_journal WHERE alarm = ? AND occurrence = ?"
+    if connection.execute(query, (alarm, occurrence)).fetchone() is None:
+        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id))

@@ -1,0 +1,153 @@
+"""The pages of shifts: the list, and the sheet of one with its notes."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Form, Query
+from pydantic import AwareDatetime
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from app.alarms.api import Alarms
+from app.alarms.line_alarms import LineAlarms
+from app.auth.pages import address_of
+from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
+from app.handover.rules.shift_times import Shift
+from app.handover.service import NewNote
+from app.handover.sheet import notes_json
+from app.handover.sheet_view import readable_notes, readable_sheet
+from app.handover.signatures import SignedPart
+from app.handover.signing import SignRequest
+from app.web.access import Operator, Viewer
+from app.web.templating import render
+from app.web.turns import SEARCH
+from bus.instants import UnixTime
+from bus.text import Lines, OneLine
+
+router = APIRouter(include_in_schema=False)
+
+ON_A_PAGE = 30
+SEE_OTHER = 303
+FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
+FormWord = Annotated[OneLine, Form(max_length=300)]
+
+
+@router.get("/shifts")
+async def shifts_page(
+    request: Request, _: Viewer, shifts: Shifts, before: AwareDatetime | None = None
+) -> Response:
+    """The shift under way, and those before it."""
+    found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, ON_A_PAGE)
+    return render(
+        request,
+        "handover/page.html",
+        rows=[(each, _path(each.shift)) for each in found],
+        present=shifts.present(),
+        older=_stamp(found[-1].shift.start),
+        before=before,
+    )
+
+
+@router.get("/shifts/present")
+async def present_page(_: Viewer, shifts: Shifts) -> Response:
+    """A link to the sheet of the shift under way, whenever it is opened."""
+    return RedirectResponse(_path(shifts.present()), SEE_OTHER)
+
+
+@router.get("/shifts/{start}", dependencies=[SEARCH])
+async def sheet_page(
+    request: Request,
+    person: Viewer,
+    shifts: Shifts,
+    alarms: Alarms,
+    shift: ShiftOfPath,
+    correct: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+) -> Response:
+    """The sheet, and the form for a note. ``correct``: the note that the form corrects."""
+    found = await shifts.sheet(shift)
+    sheet = readable_sheet(found.sheet)
+    notes = [*sheet["notes"], *readable_notes(notes_json(found.later))]
+    corrected = next((note for note in notes if note["id"] == correct), None)
+    return render(
+        request,
+        "handover/sheet.html",
+        sheet=sheet,
+        later=readable_notes(notes_json(found.later)),
+        signed=found.signed,
+        signs_as=person.name if person.via == "session" and not person.panel else "",
+        shift=shift,
+        page=_path(shift),
+        corrected=corrected,
+        places=_places(alarms),
+        place_of=alarms.place,
+        is_present=shift == shifts.present(),
+        key=secrets.token_urlsafe(16),
+        longest=LONGEST_NOTE,
+    )
+
+
+async def _new_note(
+    text: FormNoteText = "",
+    clock: Annotated[str, Form(pattern=r"^(?:(?:[01]\d|2[0-3]):[0-5]\d)?$")] = "",
+    place: FormWord = "",
+    alarm: FormWord = "",
+    corrects: Annotated[int | None, Form(ge=1, le=2**62)] = None,
+    key: Annotated[str | None, Form(min_length=1, max_length=200)] = None,
+) -> NewNote:
+    bus, _, unit = place.partition("/")
+    address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
+    return NewNote(
+        text=text,
+        clock=clock,
+        bus=bus or None,
+        unit=address,
+        alarm=alarm or None,
+        corrects=corrects,
+        key=key,
+    )
+
+
+@router.post("/shifts/{start}/notes")
+async def write_note(
+    person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
+) -> Response:
+    """Write a note."""
+    note = await shifts.write(person, shift, new)
+    return RedirectResponse(f"{_path(shift)}#note-{note.id}", SEE_OTHER)
+
+
+@router.post("/shifts/{start}/sign")
+async def sign(
+    request: Request,
+    person: Operator,
+    signing: Sign,
+    shift: ShiftOfPath,
+    part: Annotated[SignedPart, Form()],
+    digest: Annotated[str | None, Form(max_length=64)] = None,
+    name: Annotated[str, Form(max_length=64)] = "",
+    password: Annotated[str, Form(max_length=1000)] = "",
+) -> Response:
+    """Sign as the user of the session, or by name and password."""
+    wanted = SignRequest(part, digest, name, password)
+    await signing.sign(person, address_of(request), shift, wanted)
+    return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
+
+
+def _places(alarms: LineAlarms) -> list[tuple[str, Any]]:
+    """Each bus and each of its units."""
+    places: list[tuple[str, Any]] = []
+    for name, bus in alarms.buses.items():
+        places.append((name, name))
+        places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
+    return places
+
+
+def _path(shift: Shift) -> str:
+    return f"/shifts/{_stamp(shift.start)}"
+
+
+def _stamp(at: UnixTime) -> str:
+    return datetime.fromtimestamp(float(at), UTC).isoformat().replace("+00:00", "Z")

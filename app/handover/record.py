@@ -1,0 +1,120 @@
+"""What the store holds of a shift: alarms and blocks at its end, and the events in it."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from app.alarms.store import JournalEntry
+from app.audit import store
+from app.audit.store import Filter
+from app.handover.rules.shift_times import Shift
+from bus.instants import UnixTime
+
+MOST_EVENTS = 200
+"""Of one kind on a sheet, the newest; the events page has all."""
+STARTING_S = 60.0
+"""An event so shortly before a start of the server belongs to that start."""
+_OUTCOME = "COALESCE(f.outcome, e.outcome, '')"
+_ENTRY = ", ".join(f"j.{field.name}" for field in fields(JournalEntry))
+_LAST_TRANSITIONS = f"""
+SELECT {_ENTRY} FROM alarm_facts known JOIN alarm_journal j ON j.id = (
+    SELECT id FROM alarm_journal WHERE alarm = known.alarm AND at < ? ORDER BY id DESC LIMIT 1
+) WHERE j.after <> 'normal' ORDER BY j.at, j.id
+"""
+_LAST_OF_EACH = """
+SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
+"""
+_NEXT_START = """
+SELECT time FROM events WHERE about IS NULL AND kind = 'server' AND time >= ?
+AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') END = 'event_server_started'
+ORDER BY id LIMIT 1
+"""
+_EXTENT = "SELECT min(id), max(id) FROM events WHERE about IS NULL AND time >= ? AND time < ?"
+_COUNTS = f"""
+SELECT e.kind, {_OUTCOME}, count(*) FROM events e LEFT JOIN events f ON f.about = e.id
+WHERE e.about IS NULL AND e.id BETWEEN ? AND ? AND e.time >= ? AND e.time < ?
+AND e.id NOT IN (SELECT event FROM event_parts) GROUP BY 1, 2
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class EventsOfShift:
+    """The newest events of some kinds, oldest first; ``outcomes``: how many had each, in all."""
+
+    events: list[dict[str, Any]]
+    outcomes: dict[str, int]
+
+    @property
+    def total(self) -> int:
+        return sum(self.outcomes.values())
+
+
+class ShiftEvents:
+    """Reads the events of one shift, in one transaction."""
+
+    def __init__(self, connection: sqlite3.Connection, shift: Shift) -> None:
+        self._connection = connection
+        self._shift = shift
+        self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
+        self._counted = self._count()
+
+    def of(self, kinds: Sequence[str]) -> EventsOfShift:
+        """Those of some kinds. A change of several units is one event."""
+        found = [event for kind in kinds for event in self._newest(kind)]
+        found.sort(key=lambda event: -event["id"])
+        outcomes: Counter[str] = Counter()
+        for kind in kinds:
+            outcomes += self._counted.get(kind, Counter())
+        return EventsOfShift(found[:MOST_EVENTS][::-1], dict(sorted(outcomes.items())))
+
+    def _newest(self, kind: str) -> list[dict[str, Any]]:
+        if kind not in self._counted:
+            return []
+        wanted = Filter(
+            before=self._last + 1,
+            after=self._first - 1,
+            kind=kind,
+            since=self._shift.start,
+            until=self._shift.end,
+            folded=True,
+        )
+        return store.select(self._connection, wanted, MOST_EVENTS)
+
+    def _count(self) -> dict[str, Counter[str]]:
+        bounds = (self._first or 0, self._last or 0, self._shift.start, self._shift.end)
+        counted: dict[str, Counter[str]] = {}
+        for kind, outcome, times in self._connection.execute(_COUNTS, bounds):
+            counted.setdefault(kind, Counter())[outcome] = times
+        return counted
+
+
+def alarms_at(connection: sqlite3.Connection, at: UnixTime) -> list[JournalEntry]:
+    """The last transition before a moment of each alarm that was not normal then."""
+    return [JournalEntry(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
+
+
+def last_events(connection: sqlite3.Connection, kind: str, before: UnixTime) -> list[dict[str, Any]]:
+    """The last event of a kind before a moment, for each unit or bus."""
+    numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
+    found = (store.one(connection, number) for number in numbers)
+    return [event for event in found if event is not None]
+
+
+def first_gap(connection: sqlite3.Connection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
+    """From the last record before a start of the server up to that start, where it reaches into a shift."""
+    start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
+    if start is None:
+        return None
+    query = "SELECT max(time) AS time FROM events WHERE about IS NULL AND time < ?"
+    last = connection.execute(query, (start["time"] - STARTING_S,)).fetchone()["time"]
+    return None if last is None or last >= shift.end else (UnixTime(last), UnixTime(start["time"]))
+
+
+def first_event_at(connection: sqlite3.Connection) -> UnixTime | None:
+    """When the log begins."""
+    row = connection.execute("SELECT time FROM events ORDER BY id LIMIT 1").fetchone()
+    return None if row is None else UnixTime(row["time"])

@@ -1,0 +1,221 @@
+"""The shifts of a site: their notes and sheets."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from itertools import islice
+from typing import TypeVar
+from zoneinfo import ZoneInfo
+
+import msgspec
+
+from app.audit.log import EventLog
+from app.database import Database
+from app.errors import Problem
+from app.handover import notes
+from app.handover.notes import Note, RepeatedNoteError
+from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
+from app.handover.sheet import SheetWriter
+from app.handover.signatures import (
+    Signature,
+    SignedPart,
+    SignedSheet,
+    signatures_of,
+    signed_between,
+    signed_sheet,
+)
+from app.notify_settings import minute_of_day
+from app.settings import Settings
+from app.web.access import Person
+from app.web.services import unknown_bus, unknown_unit
+from app.web.shape import iso
+from bus.instants import Clock, UnixTime, unix_now
+from bus.messages import Message
+
+T = TypeVar("T")
+CLOCK_SKEW_S = 5.0
+"""By which the clock of a client may be ahead."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewNote:
+    """A note as it was requested. ``at`` and ``clock`` (06:30, at the site) both empty: now."""
+
+    text: str
+    at: UnixTime | None = None
+    clock: str = ""
+    bus: str | None = None
+    unit: int | None = None
+    alarm: str | None = None
+    corrects: int | None = None
+    key: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftSummary:
+    """One row of the list."""
+
+    shift: Shift
+    notes: int
+    signatures: Mapping[SignedPart, Signature]
+
+
+@dataclass(frozen=True, slots=True)
+class SheetOfShift:
+    """``sheet``: its JSON, as it was signed where it is. ``later``: the notes that were written since."""
+
+    shift: Shift
+    sheet: bytes
+    signed: SignedSheet | None
+    later: list[Note]
+
+
+class Handover:
+    """What people write about a shift, and what the store holds of it."""
+
+    def __init__(
+        self, settings: Settings, database: Database, events: EventLog, clock: Clock = unix_now
+    ) -> None:
+        self.zone = ZoneInfo(settings.site.zone)
+        self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
+        self._starts = settings.shift.minutes
+        self._sheets = SheetWriter(settings)
+        self._database = database
+        self._events = events
+        self._clock = clock
+
+    async def shift_of(self, start: datetime) -> Shift:
+        """The shift that starts then. Raises Problem 404."""
+        at, now = UnixTime(start.timestamp()), self._clock()
+        if not UnixTime(0.0) < at <= now:
+            raise Problem(404, "unknown_shift", Message("shift_not_begun"))
+        signed = await self._database.read(lambda store: signed_between(store, at, at))
+        if signed:
+            return signed[0]
+        shift = shift_at(at, self._starts, self.zone)
+        if shift.start != at:
+            message = Message.of("shift_unknown", time=self.local(at), start=iso(shift.start))
+            raise Problem(404, "unknown_shift", message)
+        return shift
+
+    def present(self) -> Shift:
+        """The shift that is under way."""
+        return shift_at(self._clock(), self._starts, self.zone)
+
+    async def summaries(self, before: UnixTime | None, limit: int) -> list[ShiftSummary]:
+        """The shifts that begin before a moment, newest first; None: from the present one on."""
+        now = self._clock()
+        latest = now if before is None else min(now, before - 1.0)
+        shifts = list(islice(shifts_until(latest, self._starts, self.zone), limit))
+        return await self._database.read(lambda connection: _summaries(connection, shifts))
+
+    async def sheet(self, shift: Shift) -> SheetOfShift:
+        """The sheet of a shift, as it was signed or as it would be now."""
+        now = self._clock()
+        return await self._database.read_costly(
+            lambda connection: _at_one_instant(connection, lambda: self._sheet(connection, shift, now))
+        )
+
+    def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
+        signed = signed_sheet(connection, shift.start)
+        if signed is None:
+            sheet = self._sheets.write(connection, shift, now)
+            return SheetOfShift(shift, msgspec.json.encode(sheet), None, [])
+        known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
+        later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
+        return SheetOfShift(shift, signed.frozen.sheet, signed, later)
+
+    async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
+        """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
+        self._check_place(new)
+        note = Note(
+            at=await self._time_of(shift, new),
+            written_at=self._clock(),
+            who=person.name,
+            text=_given(new.text),
+            bus=new.bus,
+            unit=new.unit,
+            alarm=new.alarm,
+            corrects=new.corrects,
+            sender=person.sender,
+            key=new.key,
+        )
+        try:
+            return await self._store(person, shift, note)
+        except RepeatedNoteError as repeated:
+            return repeated.note
+
+    async def _store(self, person: Person, shift: Shift, note: Note) -> Note:
+        stored: list[int] = []
+        start = self.local(shift.start)
+        what = Message.of("event_shift_note", start=start)
+        if note.corrects is not None:
+            what = Message.of("event_shift_note_corrected", start=start, note=note.corrects)
+        await self._events.record(
+            kind="shift",
+            who=person.name,
+            origin=person.via,
+            bus=note.bus,
+            unit=note.unit,
+            what=what,
+            message=note.text,
+            also=lambda connection: stored.append(notes.add(connection, note, shift)),
+        )
+        return replace(note, id=stored[0])
+
+    async def _time_of(self, shift: Shift, new: NewNote) -> UnixTime:
+        """The moment that a note is about. A correction is about that of the note that it corrects."""
+        now, number = self._clock(), new.corrects
+        if number is not None:
+            return (await self._database.read(lambda store: notes.find(store, number, shift))).at
+        at = new.at
+        if new.clock:
+            at = instant_of(minute_of_day(new.clock), shift, self.zone)
+        elif at is None:
+            if not shift.holds(now):
+                raise Problem(422, "invalid", Message("shift_note_needs_time"))
+            return now
+        if at is None or not shift.holds(at) or at > now + CLOCK_SKEW_S:
+            start, end = self.local(shift.start), self.local(shift.end)
+            raise Problem(422, "invalid", Message.of("shift_note_outside", start=start, end=end))
+        return min(at, now)
+
+    def _check_place(self, new: NewNote) -> None:
+        if new.bus is not None and new.bus not in self._units:
+            raise unknown_bus(new.bus, self._units)
+        if new.unit is not None and new.bus is None:
+            raise Problem(422, "invalid", Message("shift_note_unit_without_bus"))
+        if new.bus is not None and new.unit is not None and new.unit not in self._units[new.bus]:
+            raise unknown_unit(new.bus, new.unit)
+
+    def local(self, at: UnixTime) -> str:
+        return site_time(at, self.zone)
+
+
+def _summaries(connection: sqlite3.Connection, shifts: list[Shift]) -> list[ShiftSummary]:
+    """The computed shifts, and the signed ones among them that had other times by their configuration."""
+    signed = signed_between(connection, shifts[-1].start, shifts[0].start)
+    starts = {shift.start: shift for shift in (*shifts, *signed)}
+    listed = sorted(starts.values(), key=lambda shift: -float(shift.start))
+    return [
+        ShiftSummary(shift, count, signatures_of(connection, shift.start))
+        for shift, count in zip(listed, notes.counts_of(connection, listed), strict=True)
+    ]
+
+
+def _given(text: str) -> str:
+    if not text.strip():
+        raise Problem(422, "invalid", Message("shift_note_empty"))
+    return text.replace("\r\n", "\n").strip()
+
+
+def _at_one_instant(connection: sqlite3.Connection, work: Callable[[], T]) -> T:
+    """What ``work`` reads, without what is written meanwhile."""
+    connection.execute("BEGIN")
+    try:
+        return work()
+    finally:
+        connection.execute("ROLLBACK")

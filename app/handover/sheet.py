@@ -1,0 +1,229 @@
+"""The sheet of a shift, made from the store. What the store does not hold is an omission, never a guess."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
+from zoneinfo import ZoneInfo
+
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from app.alarms.rules.states import AlarmState
+from app.alarms.shown import AlarmTransitionShown, transition_json
+from app.alarms.store import JournalEntry
+from app.audit.api import EventShown, shown
+from app.handover.notes import Note, notes_of
+from app.handover.record import (
+    EventsOfShift,
+    ShiftEvents,
+    alarms_at,
+    first_event_at,
+    first_gap,
+    last_events,
+)
+from app.handover.rules.shift_times import Shift, site_time
+from app.handover.signatures import Signature, SignedSheet
+from app.settings import Settings
+from app.web.shape import MessageShown, iso, message_shown
+from bus.instants import UnixTime
+from bus.messages import Message
+
+SECTIONS: dict[str, tuple[str, ...]] = {
+    "limits": ("limits",),
+    "recipes": ("recipe",),
+    "control": ("control",),
+    "done": ("command", "restore", "parameter_set", "swap", "block", "alarm"),
+    "server": ("server", "configuration", "clock", "worker"),
+}
+"""The kinds of event in each."""
+HIDDEN: tuple[AlarmState, ...] = ("shelved", "suppressed", "out_of_service")
+DRIFT = "parameter_drift"
+
+
+class ShiftNoteShown(TypedDict):
+    """One note. It is never changed."""
+
+    id: int
+    time: Annotated[str, Field(description="What it is about. ISO 8601, UTC.")]
+    written_at: Annotated[str, Field(description="By the clock of the server.")]
+    who: str
+    text: str
+    bus: str | None
+    unit: Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255.")]
+    alarm: Annotated[str | None, Field(description="The id of an occurrence.")]
+    corrects: Annotated[int | None, Field(description="The note in whose place it is.")]
+    corrected_by: Annotated[int | None, Field(description="The note that is in its place.")]
+
+
+class ShiftEventsShown(TypedDict):
+    """Events of the shift: at most the newest 200, oldest first."""
+
+    total: Annotated[int, Field(description="How many there were in all.")]
+    outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
+    events: list[EventShown]
+
+
+class ShiftSheetShown(TypedDict):
+    """What the next shift has to know, up to ``until``."""
+
+    start: str
+    end: str
+    until: Annotated[str, Field(description="The end of the shift, or before it when the sheet was made.")]
+    made_at: str
+    site: str
+    time_zone: Annotated[str, Field(description="IANA name.")]
+    standing: Annotated[
+        list[AlarmTransitionShown],
+        Field(description="Alarms that were not normal, each with its last transition; nothing hides them."),
+    ]
+    shelved: list[AlarmTransitionShown]
+    out_of_service: list[AlarmTransitionShown]
+    drift: Annotated[list[AlarmTransitionShown], Field(description="Differences from the golden sets.")]
+    blocked: Annotated[list[EventShown], Field(description="Units closed to commands, as they were blocked.")]
+    limits: ShiftEventsShown
+    recipes: ShiftEventsShown
+    control: ShiftEventsShown
+    control_before: Annotated[
+        list[EventShown], Field(description="The last event of each bus about control before the shift.")
+    ]
+    done: Annotated[ShiftEventsShown, Field(description="Commands, restores, sets, blocks, acts on alarms.")]
+    server: Annotated[ShiftEventsShown, Field(description="Server, configuration, clocks and bus workers.")]
+    notes: list[ShiftNoteShown]
+    omissions: Annotated[list[MessageShown], Field(description="What the store does not hold of the shift.")]
+
+
+class SignatureShown(TypedDict):
+    """Who signed, and when by the clock of the server."""
+
+    who: str
+    at: str
+
+
+class SignedShown(TypedDict):
+    """What was signed."""
+
+    digest: Annotated[str, Field(description="SHA-256 of the sheet as JSON, hexadecimal.")]
+    page_digest: Annotated[str, Field(description="SHA-256 of its page, hexadecimal.")]
+    altered: Annotated[bool, Field(description="The stored sheet is not the one that the audit log names.")]
+    leaving: SignatureShown | None
+    coming: SignatureShown | None
+
+
+class SheetAndSignaturesShown(ShiftSheetShown):
+    """The sheet, as it was signed where it is."""
+
+    signed: SignedShown | None
+    later_notes: Annotated[
+        list[ShiftNoteShown], Field(description="Those written since it was signed; not part of it.")
+    ]
+
+
+class SheetWriter:
+    """Makes the sheets of a site."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._site = settings.site
+        self._zone = ZoneInfo(settings.site.zone)
+        self._units = sum(len(bus.unit) for bus in settings.bus)
+
+    def write(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> dict[str, Any]:
+        """The sheet as the store is at one instant; in a transaction."""
+        until = min(shift.end, now)
+        seen = Shift(shift.start, until)
+        alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
+        sections = {name: events.of(kinds) for name, kinds in SECTIONS.items()}
+        blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
+        before = last_events(connection, "control", shift.start)
+        return {
+            "start": iso(shift.start),
+            "end": iso(shift.end),
+            "until": iso(until),
+            "made_at": iso(now),
+            "site": self._site.name,
+            "time_zone": self._site.zone,
+            "standing": _transitions(entry for entry in alarms if entry.after not in HIDDEN),
+            "shelved": _transitions(entry for entry in alarms if entry.after == "shelved"),
+            "out_of_service": _transitions(entry for entry in alarms if entry.after == "out_of_service"),
+            "drift": _transitions(entry for entry in alarms if entry.code == DRIFT),
+            "blocked": [_event(each) for each in blocked],
+            **{name: _section(each) for name, each in sections.items()},
+            "control_before": [_event(each) for each in before],
+            "notes": notes_json(notes_of(connection, shift)),
+            "omissions": [*map(message_shown, self._omissions(connection, seen, alarms))],
+        }
+
+    def _omissions(
+        self,
+        connection: sqlite3.Connection,
+        shift: Shift,
+        alarms: Sequence[JournalEntry],
+    ) -> Iterator[Message]:
+        begins = first_event_at(connection)
+        if begins is None or begins > shift.start:
+            yield Message("shift_omits_before_record")
+        gap = first_gap(connection, shift)
+        if gap is not None:
+            last, start = (site_time(each, self._zone) for each in gap)
+            yield Message.of("shift_omits_downtime", last=last, start=start)
+        if alarms:
+            yield Message("shift_omits_quality")
+        (golden,) = connection.execute("SELECT count(*) FROM golden_set").fetchone()
+        if golden < self._units:
+            yield Message.of("shift_omits_drift", golden=golden, units=self._units)
+        yield Message("shift_omits_lapse" if self._site.control else "shift_omits_control")
+
+
+def signed_json(signed: SignedSheet | None) -> SignedShown | None:
+    """The signatures as the API has them."""
+    if signed is None:
+        return None
+    return {
+        "digest": signed.frozen.digest,
+        "page_digest": signed.frozen.page_digest,
+        "altered": signed.is_altered,
+        "leaving": signature_json(signed.signatures.get("leaving")),
+        "coming": signature_json(signed.signatures.get("coming")),
+    }
+
+
+def signature_json(signature: Signature | None) -> SignatureShown | None:
+    return None if signature is None else {"who": signature.who, "at": iso(signature.at)}
+
+
+def notes_json(notes: Sequence[Note]) -> list[ShiftNoteShown]:
+    """Notes as the API has them."""
+    corrected_by = {note.corrects: note.id for note in notes}
+    return [
+        {
+            "id": note.id,
+            "time": iso(note.at),
+            "written_at": iso(note.written_at),
+            "who": note.who,
+            "text": note.text,
+            "bus": note.bus,
+            "unit": note.unit,
+            "alarm": note.alarm,
+            "corrects": note.corrects,
+            "corrected_by": corrected_by.get(note.id),
+        }
+        for note in notes
+    ]
+
+
+def _transitions(entries: Iterator[JournalEntry]) -> list[AlarmTransitionShown]:
+    return [transition_json(entry) for entry in entries]
+
+
+def _section(found: EventsOfShift) -> dict[str, Any]:
+    return {
+        "total": found.total,
+        "outcomes": found.outcomes,
+        "events": [_event(each) for each in found.events],
+    }
+
+
+def _event(event: dict[str, Any]) -> dict[str, Any]:
+    """Without the frames, which are in the events."""
+    return shown({**event, "frames": "[]"})
