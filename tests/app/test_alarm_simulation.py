@@ -180,7 +180,7 @@ def test_a_rate_is_found_within_a_minute_and_over_its_end(tmp_path: Path, shelf:
     database.close()
 
 
-def test_of_minutes_alone_what_is_certain_is_counted(tmp_path: Path, shelf: Shelf) -> None:
+def test_of_minutes_alone_the_certain_is_counted(tmp_path: Path, shelf: Shelf) -> None:
     """Ten minutes above the limit, then a moment: by minutes a delay of a minute is proven for the first."""
     keep(shelf, steadily({(600, 1200): {"actual": 1100}, (1500, 1505): {"actual": 1100}}, 30))
     shelf.fold()

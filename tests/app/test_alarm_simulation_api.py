@@ -102,7 +102,7 @@ async def test_only_an_engineer_may_simulate(house: House) -> None:
     assert "/alarms/own" not in (await operator.get("/alarms")).text
 
 
-async def test_the_work_of_one_is_bounded_and_it_says_so(house: House) -> None:
+async def test_the_work_of_one_is_bounded_and_that_is_stated(house: House) -> None:
     history = house.services.history
     settings = AlarmSettings(name="x", **{**ABOVE, "value": "actual"})
     now = UnixTime(time.time())
@@ -112,7 +112,7 @@ async def test_the_work_of_one_is_bounded_and_it_says_so(house: House) -> None:
     assert (found.is_complete, found.covered_to, found.annunciated) == (False, found.covered_from, 0)
 
 
-async def test_the_page_has_the_form_the_answer_and_the_entry(house: House) -> None:
+async def test_the_page_has_the_form_the_result_and_the_entry(house: House) -> None:
     engineer = await house.signed_in(Role.ENGINEER)
     query = {"place": f"{BUS}/1", "value": "actual", "above": "105.0", "days": "1", "name": "Too fast"}
     page = (await engineer.get("/alarms/own", params=query)).text

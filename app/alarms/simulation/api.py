@@ -16,7 +16,7 @@ from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
 from app.errors import Problem
-from app.history.service import History
+from app.history.api.spans import HistoryOf
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service
@@ -27,20 +27,19 @@ from bus.messages import Message
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
 SimulatorOf = Annotated[Simulator, service(Simulator)]
-HistoryOf = Annotated[History, service(History)]
 WrittenLimit = Annotated[str | int | float, Field(description='As the unit displays it: "80.0" or 80.')]
 WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")]
 SimulatedTime = Annotated[str | None, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
-class ProposedAlarm(StrictBody):
+class AlarmSimulationBody(StrictBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
 
     model_config = ConfigDict(str_strip_whitespace=True, populate_by_name=True)
 
     name: Annotated[str, Field(max_length=200)] = "Proposed"
     bus: Annotated[str, Field(max_length=80)]
-    unit: int
+    unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
     value: OwnValue
     above: WrittenLimit | None = None
     below: WrittenLimit | None = None
@@ -55,39 +54,35 @@ class ProposedAlarm(StrictBody):
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
 
 
-SimulationShown = TypedDict(
-    "SimulationShown",
-    {
-        "from": str,
-        "to": str,
-        "covered_from": Annotated[
-            str | None, Field(description="From when on history answers; null: it holds nothing of the span.")
-        ],
-        "covered_to": SimulatedTime,
-        "annunciated": Annotated[int, Field(description="How often it would have come.")],
-        "chattering": Annotated[int, Field(description="How many of them were among three within a minute.")],
-        "first": SimulatedTime,
-        "last": SimulatedTime,
-        "standing_s": Annotated[float, Field(description="Active and not suppressed, in total.")],
-        "longest_s": float | None,
-        "stands_at_end": bool,
-        "unknown_s": Annotated[
-            float,
-            Field(description="About; of the covered time: no readings, or no scale."),
-        ],
-        "exact": Annotated[
-            bool, Field(description="false: of a part only minutes are stored; it came at least so often.")
-        ],
-        "complete": Annotated[bool, Field(description="false: the work was ended at covered_to.")],
-        "toml": Annotated[str, Field(description="The entry for lineside.toml.")],
-    },
-)
+SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": str, "to": str})
+
+
+class AlarmSimulationShown(SimulatedSpanShown):
+    """What the alarm would have done. Durations in seconds."""
+
+    covered_from: Annotated[
+        str | None, Field(description="From when on there is history; null: there is none of this time.")
+    ]
+    covered_to: SimulatedTime
+    annunciated: Annotated[int, Field(description="How often it would have come.")]
+    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
+    first: SimulatedTime
+    last: SimulatedTime
+    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
+    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
+    stands_at_end: bool
+    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
+    exact: Annotated[
+        bool, Field(description="false: of a part only minutes are stored; it came at least so often.")
+    ]
+    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
+    toml: Annotated[str, Field(description="The entry for lineside.toml.")]
 
 
 @router.post("/simulate")
 async def simulate_alarm(
-    person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: ProposedAlarm
-) -> SimulationShown:
+    person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationBody
+) -> AlarmSimulationShown:
     """What an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
     settings = proposed(_written(body), buses)
@@ -106,7 +101,7 @@ def check_span(start: UnixTime, end: UnixTime) -> None:
         raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
 
 
-def _written(body: ProposedAlarm) -> dict[str, Any]:
+def _written(body: AlarmSimulationBody) -> dict[str, Any]:
     fields = body.model_dump(exclude_unset=True, exclude={"since", "until"})
     return {"name": body.name, **{key: value for key, value in fields.items() if value is not None}}
 

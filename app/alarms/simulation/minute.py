@@ -1,4 +1,4 @@
-"""What a minute of which only the extremes are stored says about a condition. Pure."""
+"""What a minute of which only the extremes are stored proves of a condition. Pure."""
 
 from __future__ import annotations
 

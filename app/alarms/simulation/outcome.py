@@ -50,7 +50,7 @@ class Annunciations:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: what history answers.
+    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: of which there is history.
     Durations in seconds."""
 
     start: UnixTime

@@ -12,10 +12,11 @@ from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.performance import DAY_S
-from app.alarms.simulation.api import HistoryOf, SimulatorOf
+from app.alarms.simulation.api import SimulatorOf
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.errors import Problem
+from app.history.api.spans import HistoryOf
 from app.settings import Settings
 from app.web.access import Engineer
 from app.web.services import service

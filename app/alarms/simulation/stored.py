@@ -20,7 +20,7 @@ from bus.settings import BusSettings
 
 
 class StoredHour:
-    """One hour of a unit, on one connection. ``start`` and ``end`` in µs, whole minutes."""
+    """One hour of a unit, on one connection. ``start`` and ``end`` in µs, complete minutes."""
 
     def __init__(
         self, connection: tables.StoreConnection, tail: Tail, bus: BusSettings, start: int, end: int
