@@ -33,11 +33,11 @@ from app.settings import Site as SiteSettings
 from app.web.access import Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
-from bus.simulator.control import Remote
 from bus.simulator.demo import demo_line
 from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
+from tests.simulator_remote import Remote
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
