@@ -50,7 +50,7 @@ class Annunciations:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: of which there is history.
+    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: what is stored of it.
     Durations in seconds."""
 
     start: UnixTime
