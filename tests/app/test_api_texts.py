@@ -55,6 +55,7 @@ OF_A_NUMBER = {
 CODES = {
     *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
+    "AlarmSimulation.toml",
     *("ShiftNote.alarm", "ShiftSignatures.digest", "ShiftSignatures.page_digest", "time_zone"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
@@ -81,6 +82,7 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
+    *("covered_from", "covered_to", "AlarmSimulation.first", "AlarmSimulation.last"),
 }
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),
