@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from base64 import b64decode
+from typing import Annotated, Any, get_args
 
 import msgspec
 from fastapi import APIRouter, Depends, Header, Path, Query
@@ -14,6 +15,8 @@ from typing_extensions import TypedDict
 from app.auth.pages import address_of
 from app.errors import Problem
 from app.handover.document import APART, SheetDocuments
+from app.handover.pictures import MOST_OF_NOTE, PictureStore
+from app.handover.rules.pictures import PictureType
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
@@ -30,6 +33,7 @@ from app.handover.signatures import SignedPart
 from app.handover.signing import Signing, SignRequest
 from app.web.access import Operator, Viewer
 from app.web.api_route import ApiRoute
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import StrictBody, iso
@@ -45,6 +49,9 @@ MOST_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
 Documents = Annotated[SheetDocuments, service(SheetDocuments)]
+Pictures = Annotated[PictureStore, service(PictureStore)]
+_BYTES = {"schema": {"type": "string", "format": "binary"}}
+PICTURE: dict[int | str, dict[str, Any]] = {200: {"content": dict.fromkeys(get_args(PictureType), _BYTES)}}
 SIGNED_JSON: dict[int | str, dict[str, Any]] = {
     200: {"model": ShiftSheetShown},
     **problems(409),
@@ -77,6 +84,10 @@ class ShiftNoteBody(StrictBody):
     corrects: Annotated[
         int | None, Field(ge=1, le=2**62, description="The note to correct; it stays as it is.")
     ] = None
+    pictures: Annotated[
+        tuple[str, ...],
+        Field(strict=False, max_length=MOST_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
+    ] = ()
 
 
 class ShiftSignBody(StrictBody):
@@ -121,6 +132,16 @@ async def get_shifts(
     return {"shifts": [_summary(each) for each in found], "next": iso(found[-1].shift.start)}
 
 
+@router.get("/pictures/{digest}", response_class=Response, responses=PICTURE)
+async def get_shift_picture(
+    _: Viewer, pictures: Pictures, digest: Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
+) -> Response:
+    """A picture of a note by its SHA-256."""
+    found = await pictures.find(digest)
+    headers = {**APART, "Cache-Control": "private, max-age=31536000, immutable"}
+    return Response(found.content, media_type=found.media_type, headers=headers)
+
+
 @router.get("/{start}", response_model=SheetAndSignaturesShown, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
     """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
@@ -145,7 +166,7 @@ async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, sh
     found = await shifts.sheet(shift)
     name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
     headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}
-    return Response(documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
+    return Response(await documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
 
 
 @router.post("/{start}/sign")
@@ -166,7 +187,7 @@ async def sign_shift_sheet(
     return signed
 
 
-@router.post("/{start}/notes", status_code=201)
+@router.post("/{start}/notes", status_code=201, max_body_size=MOST_BODY_BYTES)
 async def write_shift_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteBody, key: RepeatKey = None
 ) -> ShiftNoteShown:
@@ -179,8 +200,16 @@ async def write_shift_note(
         alarm=body.alarm,
         corrects=body.corrects,
         key=key,
+        pictures=tuple(_decoded(each) for each in body.pictures),
     )
     return notes_json([await shifts.write(person, shift, new)])[0]
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return b64decode(text, validate=True)
+    except ValueError:
+        raise Problem(422, "invalid", Message("picture_not_base64")) from None
 
 
 def _summary(summary: ShiftSummary) -> ShiftSummaryShown:

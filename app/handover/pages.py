@@ -6,7 +6,7 @@ import secrets
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Query
+from fastapi import APIRouter, Depends, File, Form, Query, UploadFile
 from pydantic import AwareDatetime
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -15,6 +15,7 @@ from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.auth.pages import address_of
 from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
+from app.handover.pictures import MOST_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
 from app.handover.sheet import notes_json
@@ -22,6 +23,7 @@ from app.handover.sheet_view import readable_notes, readable_sheet
 from app.handover.signatures import SignedPart
 from app.handover.signing import SignRequest
 from app.web.access import Operator, Viewer
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.templating import render
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
@@ -31,6 +33,7 @@ router = APIRouter(include_in_schema=False)
 
 ON_A_PAGE = 30
 SEE_OTHER = 303
+FORM_LIMITS: Any = {"max_files": MOST_OF_NOTE, "max_fields": 20}
 FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
 
@@ -96,6 +99,7 @@ async def _new_note(
     alarm: FormWord = "",
     corrects: Annotated[int | None, Form(ge=1, le=2**62)] = None,
     key: Annotated[str | None, Form(min_length=1, max_length=200)] = None,
+    pictures: Annotated[list[UploadFile] | None, File()] = None,
 ) -> NewNote:
     bus, _, unit = place.partition("/")
     address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
@@ -107,10 +111,11 @@ async def _new_note(
         alarm=alarm or None,
         corrects=corrects,
         key=key,
+        pictures=tuple([await each.read() for each in pictures or () if each.filename]),
     )
 
 
-@router.post("/shifts/{start}/notes")
+@router.post("/shifts/{start}/notes", max_body_size=MOST_BODY_BYTES, form_limits=FORM_LIMITS)
 async def write_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
 ) -> Response:

@@ -55,7 +55,13 @@ OF_A_NUMBER = {
 CODES = {
     "FrequentAlarm.alarm",
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
-    *("ShiftNote.alarm", "ShiftSignatures.digest", "ShiftSignatures.page_digest", "time_zone"),
+    *(
+        "ShiftNote.alarm",
+        "ShiftNote.pictures",
+        "ShiftSignatures.digest",
+        "ShiftSignatures.page_digest",
+        "time_zone",
+    ),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",
