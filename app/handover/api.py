@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import msgspec
 from fastapi import APIRouter, Depends, Header, Path, Query
@@ -15,8 +15,7 @@ from typing_extensions import TypedDict
 from app.auth.pages import address_of
 from app.errors import Problem
 from app.handover.document import APART, SheetDocuments
-from app.handover.pictures import MOST_OF_NOTE, PictureStore
-from app.handover.rules.pictures import PictureType
+from app.handover.pictures import MOST_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
@@ -49,9 +48,6 @@ MOST_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
 Documents = Annotated[SheetDocuments, service(SheetDocuments)]
-Pictures = Annotated[PictureStore, service(PictureStore)]
-_BYTES = {"schema": {"type": "string", "format": "binary"}}
-PICTURE: dict[int | str, dict[str, Any]] = {200: {"content": dict.fromkeys(get_args(PictureType), _BYTES)}}
 SIGNED_JSON: dict[int | str, dict[str, Any]] = {
     200: {"model": ShiftSheetShown},
     **problems(409),
@@ -130,16 +126,6 @@ async def get_shifts(
     """The shift under way and those before it."""
     found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, limit)
     return {"shifts": [_summary(each) for each in found], "next": iso(found[-1].shift.start)}
-
-
-@router.get("/pictures/{digest}", response_class=Response, responses=PICTURE)
-async def get_shift_picture(
-    _: Viewer, pictures: Pictures, digest: Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
-) -> Response:
-    """A picture of a note by its SHA-256."""
-    found = await pictures.find(digest)
-    headers = {**APART, "Cache-Control": "private, max-age=31536000, immutable"}
-    return Response(found.content, media_type=found.media_type, headers=headers)
 
 
 @router.get("/{start}", response_model=SheetAndSignaturesShown, dependencies=[SEARCH])

@@ -1,4 +1,4 @@
-"""A shift is handed over on a phone: a note with a picture, its correction, two signatures, the file. About 10 s."""
+"""A shift is handed over on a phone: a note with a picture, its correction, two signatures, a file. 10 s."""
 
 from __future__ import annotations
 
