@@ -11,8 +11,8 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import api as alarms_api
+from app.alarms import occurrences_api, performance_api
 from app.alarms import pages as alarms_pages
-from app.alarms import performance_api
 from app.alarms.notification import api as notification_api
 from app.alarms.notification import pages as notification_pages
 from app.audit import api as audit_api
@@ -69,6 +69,7 @@ FEATURES = (
     live_api,
     stream_route,
     performance_api,
+    occurrences_api,
     alarms_api,
     alarms_pages,
     notification_api,

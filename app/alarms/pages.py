@@ -18,7 +18,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, Figure
 from app.alarms.rules.states import PRESENT_STATES
-from app.alarms.shown import present_value
+from app.alarms.shown import present_value, recorded_name
 from app.alarms.store import JournalEntry
 from app.errors import Problem
 from app.live.browsers.hub import Hub
@@ -171,7 +171,7 @@ async def performance_page(
         figures=[_figure(figure, formats) for figure in found.figures],
         frequent=[
             FrequentRow(
-                _name(each.alarm, each.code, each.name), alarms.place(each.bus, each.unit), each.times
+                recorded_name(each.alarm, each.code, each.name), alarms.place(each.bus, each.unit), each.times
             )
             for each in found.most_frequent
         ],
@@ -325,7 +325,7 @@ def _row(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
     return TransitionRow(
         at=entry.at,
-        name=_name(entry.alarm, entry.code, entry.name),
+        name=recorded_name(entry.alarm, entry.code, entry.name),
         place=alarms.place(entry.bus, entry.unit),
         priority=entry.priority,
         before=_state(entry.before),
@@ -333,11 +333,6 @@ def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
         who=entry.who,
         reason=entry.reason,
     )
-
-
-def _name(alarm: str, code: str, name: str) -> str | Message:
-    """Of a built-in alarm as a message, which each reader has in their language."""
-    return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else name
 
 
 def _figure(figure: Figure, formats: Formats) -> FigureRow:

@@ -88,6 +88,12 @@ class AlarmTransitionShown(TypedDict):
     reason: str | None
 
 
+def recorded_name(alarm: str, code: str, name: str) -> str | Message:
+    """The name of an alarm of the journal; of a built-in one as a message, which each reader has in their
+    language."""
+    return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else name
+
+
 def alarm_message(alarm: Alarm, value: Message | None) -> Message:
     """What it is and what to do."""
     definition = alarm.definition

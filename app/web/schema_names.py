@@ -9,6 +9,7 @@ from typing import Any
 
 SCHEMAS = {
     "AlarmDetailShown": "AlarmDetail",
+    "AlarmGroupShown": "AlarmGroup",
     "AlarmJournalShown": "AlarmJournal",
     "AlarmPerformanceShown": "AlarmPerformance",
     "AlarmPriorityShown": "AlarmPriority",
@@ -73,6 +74,9 @@ SCHEMAS = {
     "OutputBody": "OutputRequest",
     "OverdueShown": "OverdueSave",
     "ParameterBody": "ParameterRequest",
+    "OccurrenceShown": "AlarmOccurrence",
+    "OccurrenceTextShown": "AlarmOccurrenceText",
+    "OccurrencesShown": "AlarmOccurrences",
     "ParameterShown": "Parameter",
     "PlanRestore": "RestoreRequest",
     "RationalizationShown": "AlarmRationalization",

@@ -42,11 +42,28 @@ function takeFirst(names, [from, to]) {
 }
 
 /** What happened over the span: `{marks: [{t, what, …}], more}`. */
-export function fetchMarks(names, range, signal) {
+export function fetchMarks(names, range) {
+  return get("/marks", unitQuery(names, range));
+}
+
+/** The alarms that were active over the span: `{alarms: [{t, until, priority, name, place}], more}`, times in
+ * seconds, `until` null while one is active. */
+export async function fetchAlarms(names, range) {
+  const { occurrences, more } = await answered(await fetch(`/api/v1/alarms/occurrences?${unitQuery(names, range)}`));
+  const alarms = occurrences.map(({ from, to, priority, shown }) => ({
+    t: Date.parse(from) / 1000,
+    until: to && Date.parse(to) / 1000,
+    priority,
+    ...shown,
+  }));
+  return { alarms, more };
+}
+
+function unitQuery(names, range) {
   const query = new URLSearchParams(spanOf(range));
   for (const unit of new Set(names.map((name) => name.slice(0, name.lastIndexOf("/")))))
     query.append("unit", unit);
-  return get("/marks", query, signal);
+  return query;
 }
 
 export function exportAddress(names, range, file) {

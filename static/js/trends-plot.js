@@ -1,5 +1,6 @@
 // The picture: curves with their bands above, bits as lanes below, one time axis for both.
 import { zone } from "./clock.js";
+import { drawAlarms } from "./trends-alarms.js";
 import { joined } from "./trends-data.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
 
@@ -52,7 +53,7 @@ export function look(place) {
 export const isBit = (result) => !["commanded", "actual", "analog"].includes(result.value);
 
 export class Picture {
-  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, a, b} to be drawn over the curves. */
+  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, alarms, a, b} to be drawn over the curves. */
   constructor(plot, lanes, on, overlay) {
     this.elements = { plot, lanes };
     this.on = on;
@@ -233,7 +234,7 @@ export class Picture {
   }
 
   drawOverlay(plot) {
-    const { marks, a, b } = this.overlay();
+    const { marks, alarms, a, b } = this.overlay();
     const { ctx, bbox } = plot;
     const line = (at, stroke, dash, label) => {
       if (at === null || at < this.range[0] || at > this.range[1]) return;
@@ -255,6 +256,7 @@ export class Picture {
     line(a, colour("--mark"), [], "A");
     line(b, colour("--mark"), [], "B");
     ctx.restore();
+    if (plot === this.curves) drawAlarms(plot, alarms, this.range, colour);
   }
 }
 

@@ -137,23 +137,29 @@ export const fineness = (results) => {
   return bucket ? words.per.replace("{n}", length(bucket)) : words.every;
 };
 
-/** What happened: a press puts the cursor there. */
-export function drawMarks(list, marks, more, put) {
+/** What happened at times `t`, as a list with its count: a press puts the cursor there. `content` gives the nodes
+ * of an item. */
+export function drawList(list, count, { items, more }, content, put) {
   const focused = list.contains(document.activeElement) ? document.activeElement.textContent : null;
-  byId("trend-events-count").textContent = marks.length + (more ? ` – ${words.more}` : "");
+  count.textContent = items.length + (more ? ` – ${words.more}` : "");
   list.replaceChildren(
-    ...marks.map((mark) => {
-      const item = document.createElement("li");
+    ...items.map((item) => {
       const button = document.createElement("button");
       button.type = "button";
-      const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
-      const { what, old, new: changed } = mark.shown;
-      const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
-      button.textContent = `${formatTime(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`;
-      button.addEventListener("click", () => put(mark.t));
-      item.append(button);
-      return item;
+      button.append(...content(item));
+      button.addEventListener("click", () => put(item.t));
+      const line = document.createElement("li");
+      line.append(button);
+      return line;
     }),
   );
   if (focused) [...list.querySelectorAll("button")].find(({ textContent }) => textContent === focused)?.focus();
+}
+
+/** An event in a list. */
+export function eventContent(mark) {
+  const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
+  const { what, old, new: changed } = mark.shown;
+  const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
+  return [`${formatTime(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`];
 }

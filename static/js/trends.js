@@ -1,8 +1,9 @@
 // The trends page: the view selects, the history responds, the chart and the table show the result.
-import { exportAddress, fetchMarks, fetchSeries } from "./trends-data.js";
+import { alarmContent } from "./trends-alarms.js";
+import { exportAddress, fetchAlarms, fetchMarks, fetchSeries } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Picture } from "./trends-plot.js";
-import { drawCursors, drawMarks, drawRows, fineness, summaryText, valuesText } from "./trends-table.js";
+import { drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
 import { fromField, length, formatTime, toField } from "./trends-time.js";
 import { MOST_VALUES, View } from "./trends-view.js";
 
@@ -49,6 +50,7 @@ const cursor = { at: null, put };
 let results = [];
 let names = [];
 let marks = [];
+let alarms = [];
 let chosen = 0;
 const requestedAt = { data: 0, marks: 0 };
 let pending = null;
@@ -57,7 +59,7 @@ const picture = new Picture(
   byId("trend-plot"),
   byId("trend-lanes"),
   { cursor: moved, selected: (from, to) => view.show(from, to) },
-  () => ({ marks: view.marks ? marks : [], a: view.a, b: view.b }),
+  () => ({ marks: view.marks ? marks : [], alarms: view.marks ? alarms : [], a: view.a, b: view.b }),
 );
 
 /** Where a person has put the cursor by a key or a press on what happened, which is also announced. */
@@ -97,13 +99,20 @@ async function fetchAll() {
 async function fetchEvents() {
   requestedAt.marks = Date.now();
   try {
-    const found = await fetchMarks(view.series, view.range());
+    const range = view.range();
+    const [found, active] = await Promise.all([fetchMarks(view.series, range), fetchAlarms(view.series, range)]);
     marks = found.marks;
-    drawMarks(byId("trend-list"), marks, found.more, cursor.put);
+    alarms = active.alarms;
+    list("events", marks, found.more, eventContent);
+    list("alarms", alarms, active.more, (alarm) => alarmContent(alarm, words));
     picture.redraw();
   } catch {
-    marks = [];
+    marks = alarms = [];
   }
+}
+
+function list(name, items, more, content) {
+  drawList(byId(`trend-${name}-list`), byId(`trend-${name}-count`), { items, more }, content, cursor.put);
 }
 
 function drawAll() {

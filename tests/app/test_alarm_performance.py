@@ -10,57 +10,8 @@ import pytest
 from app.alarms.performance import Performance, measure
 from app.alarms.rules.observed import LONGEST_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import AlarmCounts, figures, flooded
-from app.alarms.store import AlarmStore
-from app.database import Database
 from bus.instants import UnixTime
-
-T = 1_790_000_400.0
-"""The start of a window of ten minutes."""
-
-
-class Journal:
-    """An alarm list without alarms, over a journal that a test writes."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self.store = AlarmStore(database)
-        self.spans = [ObservedSpan(UnixTime(T), UnixTime(T + 1800))]
-
-    def observed(self) -> list[ObservedSpan]:
-        return self.spans
-
-    def present(self) -> list[object]:
-        return []
-
-    def write(self, alarm: str, *rows: tuple[float, str, str, str], priority: str = "low") -> None:
-        """Transitions of one alarm: seconds after T, trigger, state before, state after."""
-        occurrence = 0
-        values = []
-        for at, trigger, before, after in rows:
-            occurrence += trigger == "rise"
-            values.append((T + at, alarm, occurrence, priority, trigger, before, after))
-        statement = (
-            "INSERT INTO alarm_journal (at, alarm, occurrence, code, name, priority, trigger, before, after,"
-            " who, reason) VALUES (?, ?, ?, 'x', 'X', ?, ?, ?, ?, '', '')"
-        )
-        self._database.write_now(lambda connection: connection.executemany(statement, values))
-
-    def rise(self, alarm: str, *at: float, priority: str = "low") -> None:
-        """It rises at each time, and is normal again half a second later."""
-        for each in at:
-            self.write(
-                alarm,
-                (each, "rise", "normal", "unack_active"),
-                (each + 0.25, "acknowledge", "unack_active", "ack_active"),
-                (each + 0.5, "clear", "ack_active", "normal"),
-                priority=priority,
-            )
-
-    async def measure(self, seconds: float) -> dict[str, float | None]:
-        return values(await self.performance(seconds))
-
-    async def performance(self, seconds: float) -> Performance:
-        return await measure(self, UnixTime(T), UnixTime(T + seconds))  # type: ignore[arg-type]
+from tests.app.alarm_journal import Journal, T, alarm_journal
 
 
 def values(performance: Performance) -> dict[str, float | None]:
@@ -69,22 +20,29 @@ def values(performance: Performance) -> dict[str, float | None]:
 
 @pytest.fixture
 def journal(tmp_path: Path) -> Iterator[Journal]:
-    database = Database(tmp_path / "store.db")
-    yield Journal(database)
-    database.close()
+    with alarm_journal(tmp_path) as journal:
+        yield journal
+
+
+async def performance_of(journal: Journal, seconds: float) -> Performance:
+    return await measure(journal, UnixTime(T), UnixTime(T + seconds))  # type: ignore[arg-type]
+
+
+async def measured(journal: Journal, seconds: float) -> dict[str, float | None]:
+    return values(await performance_of(journal, seconds))
 
 
 async def test_rates_peak_and_priorities(journal: Journal) -> None:
     journal.rise("a", 0, 700, 1300, priority="high")
     journal.rise("b", *range(10, 130, 10))
-    found = await journal.measure(1800)
+    found = await measured(journal, 1800)
     assert (found["annunciated"], found["per_10_minutes"], found["per_day"]) == (15, 5, 720)
     assert (found["peak_10_minutes"], found["windows_over_10"]) == (13, pytest.approx(1 / 3))
     assert (found["high_share"], found["low_share"], found["urgent_share"]) == (0.2, 0.8, 0)
 
 
 async def test_an_empty_journal_has_no_shares_and_meets_no_target_by_them(journal: Journal) -> None:
-    performance = await journal.performance(600)
+    performance = await performance_of(journal, 600)
     assert values(performance)["low_share"] is None
     assert {figure.code: figure.is_met for figure in performance.figures}["low_share"] is None
     assert {figure.code: figure.is_met for figure in performance.figures}["per_day"] is True
@@ -93,7 +51,7 @@ async def test_an_empty_journal_has_no_shares_and_meets_no_target_by_them(journa
 async def test_three_times_in_a_minute_chatters(journal: Journal) -> None:
     journal.rise("chatters", 0, 30, 60)
     journal.rise("often", 0, 40, 80)
-    assert (await journal.measure(600))["chattering"] == 1
+    assert (await measured(journal, 600))["chattering"] == 1
 
 
 async def test_what_clears_before_a_person_could_act_is_fleeting(journal: Journal) -> None:
@@ -104,7 +62,7 @@ async def test_what_clears_before_a_person_could_act_is_fleeting(journal: Journa
             (clears_at, "clear", "unack_active", "rtn_unack"),
         )
     journal.rise("acknowledged", 0)
-    assert (await journal.measure(600))["fleeting"] == 1
+    assert (await measured(journal, 600))["fleeting"] == 1
 
 
 async def test_the_median_until_it_is_acknowledged(journal: Journal) -> None:
@@ -114,7 +72,7 @@ async def test_the_median_until_it_is_acknowledged(journal: Journal) -> None:
             (0, "rise", "normal", "unack_active"),
             (after_s, "acknowledge", "unack_active", "ack_active"),
         )
-    assert (await journal.measure(600))["acknowledge_median_s"] == 35
+    assert (await measured(journal, 600))["acknowledge_median_s"] == 35
 
 
 async def test_a_hidden_alarm_is_not_counted_until_it_is_annunciated(journal: Journal) -> None:
@@ -122,7 +80,7 @@ async def test_a_hidden_alarm_is_not_counted_until_it_is_annunciated(journal: Jo
         "a", (0, "rise", "suppressed", "suppressed"), (5, "unsuppress", "suppressed", "unack_active")
     )
     journal.write("b", (0, "rise", "shelved", "shelved"))
-    assert (await journal.measure(600))["annunciated"] == 1
+    assert (await measured(journal, 600))["annunciated"] == 1
 
 
 async def test_a_rate_is_of_the_time_that_was_observed(journal: Journal) -> None:
@@ -132,7 +90,7 @@ async def test_a_rate_is_of_the_time_that_was_observed(journal: Journal) -> None
     await journal.store.write_observed("dry-end", ObservedSpan(UnixTime(T), UnixTime(T + 600)))
     journal.spans = [ObservedSpan(later, UnixTime(later + 1200))]
     journal.rise("a", 1200, 86_400 + 30)
-    performance = await journal.performance(7 * 86_400)
+    performance = await performance_of(journal, 7 * 86_400)
     assert (performance.start, performance.observed_s) == (T, 1800)
     assert values(performance)["per_10_minutes"] == pytest.approx(2 / 3)
     assert (performance.is_observed, performance.is_complete) == (True, False)
@@ -142,7 +100,7 @@ async def test_a_rate_is_of_the_time_that_was_observed(journal: Journal) -> None
 @pytest.mark.parametrize("observed_s", [0, 599])
 async def test_what_was_not_observed_meets_no_target(journal: Journal, observed_s: float) -> None:
     journal.spans = [ObservedSpan(UnixTime(T), UnixTime(T + observed_s))]
-    performance = await journal.performance(7 * 86_400)
+    performance = await performance_of(journal, 7 * 86_400)
     assert not performance.is_observed
     judged = {figure.code for figure in performance.figures if figure.is_met is not None}
     assert judged == {"stale"}, "which is of the present"

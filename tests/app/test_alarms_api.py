@@ -215,3 +215,16 @@ async def test_the_journal_goes_on_by_pages(house: House) -> None:
             break
     assert [each["id"] for each in found] == sorted((each["id"] for each in found), reverse=True)
     assert sum(each["code"] == "estop_active" for each in found) == 6
+
+
+async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(house: House) -> None:
+    viewer = await house.program(Role.VIEWER)
+    viewer.headers["Accept-Language"] = "de"
+    estop(house, active=True)
+    await house.services.alarms.write()
+    here = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/1"})).json()
+    (mark,) = (each for each in here["occurrences"] if each["unit"] == 1)
+    assert (mark["alarm"], mark["to"], here["more"]) == (f"{BUS}.1.estop_active.1", None, False)
+    assert mark["shown"] == {"name": "Not-Halt aktiv", "place": "Unwind"}
+    there = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/2"})).json()
+    assert all(each["unit"] in (2, None) for each in there["occurrences"])

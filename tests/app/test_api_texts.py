@@ -53,7 +53,7 @@ OF_A_NUMBER = {
 }
 """A fixed text of a number that stands beside it."""
 CODES = {
-    "FrequentAlarm.alarm",
+    *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
     *(
         "ShiftNote.alarm",
@@ -76,7 +76,10 @@ TYPED_BY_PEOPLE = {
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
 }
-IN_THE_READERS_LANGUAGE = {f"HistoryMarkText.{name}" for name in ("what", "old", "new")}
+IN_THE_READERS_LANGUAGE = {
+    *(f"HistoryMarkText.{name}" for name in ("what", "old", "new")),
+    "AlarmOccurrenceText.place",
+}
 """The messages of the mark, rendered."""
 REQUESTS = {"Quantity"}
 TIMES = {

@@ -64,6 +64,10 @@ STROKES = """canvas => {
   };
   return Object.fromEntries([11, 51, 91].map((part) => [part, strokes(part)]));
 }"""
+URGENT_PIXELS = """canvas => {
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return data.filter((value, i) => i % 4 === 0 && value > 180 && data[i + 1] < 50 && data[i + 2] < 50).length;
+}"""
 NOTHING = "\N{EN DASH}"
 PHONE = {"width": 360, "height": 740}
 
@@ -309,7 +313,28 @@ def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: Ope
         client.post("/buses/line/units/3/speed", json={"raw": raw + 10, "execute": True}).raise_for_status()
     page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
     page.locator("#trend-events summary").click()
-    expect(page.locator("#trend-list li").filter(has_text="line/3").first).to_be_visible()
+    expect(page.locator("#trend-events-list li").filter(has_text="line/3").first).to_be_visible()
+
+
+def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: OpensPages) -> None:
+    def marked() -> bool:
+        with site.api("viewer") as client:
+            found = client.get("/alarms/occurrences", params={"unit": "line/2"}).json()
+        return any(each["code"] == "estop_active" for each in found["occurrences"])
+
+    site.line.remote.do("input", unit=2, input="estop", on=True)
+    try:
+        eventually(marked, "the alarm in the journal")
+        page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/2/actual&span=600")
+        page.locator("#trend-alarms summary").click()
+        listed = page.locator("#trend-alarms-list li").filter(has_text="Emergency stop active")
+        expect(listed.first).to_contain_text("urgent")
+        canvas = page.locator("#trend-plot canvas")
+        eventually(lambda: canvas.evaluate(URGENT_PIXELS) > 0, "the mark")
+        page.locator("#trend-marks").uncheck()
+        eventually(lambda: canvas.evaluate(URGENT_PIXELS) == 0, "no mark")
+    finally:
+        site.line.remote.do("input", unit=2, input="estop", on=False)
 
 
 @pytest.mark.parametrize(("locale", "actual"), [(ENGLISH, "actual"), (GERMAN, "ist")])
