@@ -26,8 +26,10 @@ free-port:
 
 setup: $(VENV)/.lineside
 
-# All at once, each with its output in one piece. The browser tests come before the others in the use of the cores.
+# All at once, each with its output in one piece. The modules are compiled once, and not by each of the processes
+# that begin together. The browser tests come before the others in the use of the cores.
 test: development
+	$(BIN)/python -m compileall -q app bus
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
 
 browser-tests: development

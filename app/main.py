@@ -15,6 +15,8 @@ from app.alarms import occurrences_api, performance_api
 from app.alarms import pages as alarms_pages
 from app.alarms.notification import api as notification_api
 from app.alarms.notification import pages as notification_pages
+from app.alarms.simulation import api as simulation_api
+from app.alarms.simulation import pages as simulation_pages
 from app.audit import api as audit_api
 from app.audit import pages as audit_pages
 from app.auth import api as auth_api
@@ -71,6 +73,8 @@ FEATURES = (
     performance_api,
     occurrences_api,
     alarms_api,
+    simulation_api,
+    simulation_pages,
     alarms_pages,
     notification_api,
     notification_pages,

@@ -19,6 +19,7 @@ from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
 from app.alarms.shown import alarm_json
+from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
@@ -99,6 +100,7 @@ class Services:
     alarms: LineAlarms
     expiry: ExpiryWatch
     control_watch: ControlWatch
+    simulator: Simulator
     notification: Notification
     handover: Handover
     documents: SheetDocuments
@@ -212,6 +214,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         control_watch=ControlWatch(
             of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
         ),
+        simulator=Simulator(history),
         notification=notification,
         handover=handover,
         documents=documents,

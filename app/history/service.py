@@ -117,11 +117,13 @@ class History:
         except StoreError as error:
             log.warning("history could not be inspected", why=str(error))
 
-    async def read(self, work: Callable[[tables.StoreConnection, Tail], T]) -> T:
-        """``work`` on a read-only connection and the tail, in a thread. Raises StoreError."""
-        tail = self._writer.tail
+    async def read(self, work: Callable[[tables.StoreConnection, Tail], T], *, costly: bool = False) -> T:
+        """``work`` on a read-only connection and the tail, in a thread; what is ``costly`` apart from all
+        others. Raises StoreError."""
+        tail, database = self._writer.tail, self._writer.database
         try:
-            return await self._writer.database.read(lambda connection: work(connection, tail))
+            read = database.read_costly if costly else database.read
+            return await read(lambda connection: work(connection, tail))
         except DamagedStoreError:
             self._writer.report_torn()
             raise

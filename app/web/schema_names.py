@@ -14,6 +14,8 @@ SCHEMAS = {
     "AlarmPerformanceShown": "AlarmPerformance",
     "AlarmPriorityShown": "AlarmPriority",
     "AlarmShown": "Alarm",
+    "AlarmSimulationBody": "AlarmSimulationRequest",
+    "AlarmSimulationShown": "AlarmSimulation",
     "AlarmStateShown": "AlarmState",
     "AlarmTransitionShown": "AlarmTransition",
     "AlarmTriggerShown": "AlarmTrigger",

@@ -55,13 +55,9 @@ OF_A_NUMBER = {
 CODES = {
     *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
-    *(
-        "ShiftNote.alarm",
-        "ShiftNote.pictures",
-        "ShiftSignatures.digest",
-        "ShiftSignatures.page_digest",
-        "time_zone",
-    ),
+    "AlarmSimulation.toml",
+    *("ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
+    *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",
@@ -87,6 +83,7 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
+    *("covered_from", "covered_to", "AlarmSimulation.first", "AlarmSimulation.last"),
 }
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),

@@ -83,6 +83,20 @@ def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -
     assert too_wide(page) <= 0
 
 
+def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPages) -> None:
+    page = opened(shared_page("engineer", viewport=PANEL), "/alarms")
+    page.get_by_role("link", name="Alarms of the site").click()
+    page.get_by_label("Name", exact=True).fill("Too fast")
+    page.get_by_label("Above", exact=True).fill("1.0")
+    page.get_by_label("Deadband", exact=True).fill("2")
+    page.get_by_role("button", name="Simulate alarm").click()
+    expect(page.get_by_text("deadband is wider than the limits leave room for")).to_be_visible()
+    page.get_by_label("Deadband", exact=True).fill("0.5")
+    page.get_by_role("button", name="Simulate alarm").press("Enter")
+    expect(page.locator("#simulation strong")).to_have_text(re.compile(r"The alarm would have come \d+ time"))
+    expect(page.locator("#simulation pre")).to_contain_text('name = "Too fast"')
+
+
 def test_the_review_is_accessible_too(shared_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/2")
     page.locator("#setpoint").fill("100.0")

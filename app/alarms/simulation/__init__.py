@@ -1,0 +1,1 @@
+"""What an alarm would have done: its rules over stored history."""

@@ -1,0 +1,129 @@
+"""``POST /api/v1/alarms/simulate``: what an alarm would have done."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter
+from pydantic import AwareDatetime, ConfigDict, Field
+from typing_extensions import TypedDict
+
+from app.alarm_settings import OwnValue
+from app.alarms.performance_api import MOST_DAYS, USUAL_DAYS
+from app.alarms.rules.performance import DAY_S
+from app.alarms.rules.priority import AlarmPriority
+from app.alarms.simulation.outcome import Simulated
+from app.alarms.simulation.proposal import in_toml, proposed
+from app.alarms.simulation.simulator import Simulator
+from app.errors import Problem
+from app.history.api.spans import HistoryOf
+from app.web.access import Engineer
+from app.web.api_route import ApiRoute
+from app.web.services import service
+from app.web.shape import StrictBody, iso
+from bus.instants import UnixTime, unix_now
+from bus.messages import Message
+
+router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
+
+SimulatorOf = Annotated[Simulator, service(Simulator)]
+WrittenLimit = Annotated[str | int | float, Field(description='As the unit displays it: "80.0" or 80.')]
+WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")]
+SimulatedTime = Annotated[str | None, Field(description="ISO 8601 in UTC; null: there is none.")]
+
+
+class AlarmSimulationBody(StrictBody):
+    """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
+
+    model_config = ConfigDict(str_strip_whitespace=True, populate_by_name=True)
+
+    name: Annotated[str, Field(max_length=200)] = "Proposed"
+    bus: Annotated[str, Field(max_length=80)]
+    unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+    value: OwnValue
+    above: WrittenLimit | None = None
+    below: WrittenLimit | None = None
+    deadband: WrittenLimit = 0
+    change_per_s: WrittenLimit | None = None
+    state: Annotated[str | None, Field(description="on or off, for an input or an output.")] = None
+    on_delay_s: WrittenDelay = 0
+    off_delay_s: WrittenDelay = 0
+    priority: AlarmPriority = "medium"
+    latch: bool = False
+    since: Annotated[AwareDatetime | None, Field(alias="from", strict=False)] = None
+    until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
+
+
+SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": str, "to": str})
+
+
+class AlarmSimulationShown(SimulatedSpanShown):
+    """What the alarm would have done. Durations in seconds."""
+
+    covered_from: Annotated[
+        str | None, Field(description="From when on there is history; null: there is none of this time.")
+    ]
+    covered_to: SimulatedTime
+    annunciated: Annotated[int, Field(description="How often it would have come.")]
+    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
+    first: SimulatedTime
+    last: SimulatedTime
+    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
+    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
+    stands_at_end: bool
+    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
+    exact: Annotated[
+        bool, Field(description="false: of a part only minutes are stored; it came at least so often.")
+    ]
+    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
+    toml: Annotated[str, Field(description="The entry for lineside.toml.")]
+
+
+@router.post("/simulate")
+async def simulate_alarm(
+    person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationBody
+) -> AlarmSimulationShown:
+    """What an alarm of the site would have done over stored history. Nothing is changed."""
+    buses = list(history.buses.values())
+    settings = proposed(_written(body), buses)
+    end = unix_now() if body.until is None else UnixTime(body.until.timestamp())
+    start = end - USUAL_DAYS * DAY_S if body.since is None else UnixTime(body.since.timestamp())
+    check_span(start, end)
+    found = await simulator.run(history.buses[settings.bus], settings, start, end, person.account)
+    return {**_shown(found), "toml": in_toml(settings)}  # type: ignore[typeddict-item]
+
+
+def check_span(start: UnixTime, end: UnixTime) -> None:
+    """Raises Problem 422 for a span that ends before it begins, or is too long."""
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    if end - start > MOST_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
+
+
+def _written(body: AlarmSimulationBody) -> dict[str, Any]:
+    fields = body.model_dump(exclude_unset=True, exclude={"since", "until"})
+    return {"name": body.name, **{key: value for key, value in fields.items() if value is not None}}
+
+
+def _shown(found: Simulated) -> dict[str, Any]:
+    return {
+        "from": iso(found.start),
+        "to": iso(found.end),
+        "covered_from": _time(found.covered_from),
+        "covered_to": _time(found.covered_to),
+        "annunciated": found.annunciated,
+        "chattering": found.chattering,
+        "first": _time(found.first),
+        "last": _time(found.last),
+        "standing_s": round(found.standing_s, 3),
+        "longest_s": None if found.longest_s is None else round(found.longest_s, 3),
+        "stands_at_end": found.stands_at_end,
+        "unknown_s": round(found.unknown_s, 3),
+        "exact": found.is_exact,
+        "complete": found.is_complete,
+    }
+
+
+def _time(at: UnixTime | None) -> str | None:
+    return None if at is None else iso(at)

@@ -1,0 +1,116 @@
+"""Runs simulations: one at a time, each within its bounds, in pieces that leave time for everything else."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+
+from app.alarm_settings import AlarmSettings
+from app.alarms.simulation.outcome import Simulated
+from app.alarms.simulation.replay import Replay
+from app.alarms.simulation.stored import StoredHour, minutes_of
+from app.history.intake.tail import Tail
+from app.history.query.unit_history import StoredUnit
+from app.history.series.runs import HOUR, MINUTE, SECOND, micros
+from app.history.series.scaling import ParameterStep
+from app.history.service import History
+from app.history.store import tables
+from app.server.fair_queue import FairQueue
+from app.web.turns import turn_of
+from bus.instants import UnixTime
+from bus.settings import BusSettings
+
+MOST_WAITING = 3
+"""Of one account."""
+WORK_S = 5.0
+"""Of a thread, for one simulation."""
+
+
+class Simulator:
+    """Of all buses. ``work_s``: what one simulation may compute."""
+
+    def __init__(self, history: History, work_s: float = WORK_S) -> None:
+        self._history = history
+        self._work_s = work_s
+        self._turns: FairQueue[str] = FairQueue(1, 1, MOST_WAITING)
+
+    async def run(
+        self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
+    ) -> Simulated:
+        """What an alarm would have done from ``start`` to ``end``. Raises StoreError where history cannot be
+        read, and Problem 429 where too many simulations of the account wait."""
+        async with turn_of(self._turns, account):
+            return await self._run(bus, settings, start, end)
+
+    async def _run(
+        self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime
+    ) -> Simulated:
+        begins, steps = await self._history.read(
+            lambda connection, tail: _extent(connection, tail, bus.name, settings.unit), costly=True
+        )
+        if begins is None or begins >= micros(end):
+            return Simulated(start, end)
+        since = max(micros(start), begins)
+        covered_from = UnixTime(since / SECOND)
+        since -= since % MINUTE
+        replay, spent = Replay(bus, settings, steps, covered_from), 0.0
+        while since < micros(end) and spent < self._work_s:
+            until = min(since - since % HOUR + HOUR, micros(end) + MINUTE - micros(end) % MINUTE)
+            took = await self._history.read(
+                lambda connection, tail, a=since, b=until: _feed(  # type: ignore[misc]
+                    StoredHour(connection, tail, bus, a, b), replay, settings
+                ),
+                costly=True,
+            )
+            spent += took
+            # As long as it took: what others do comes first.
+            await asyncio.sleep(took)
+            since = until
+        reached = UnixTime(min(since, micros(end)) / SECOND)
+        return _outcome(replay, (start, end), (covered_from, max(covered_from, reached)))
+
+
+def _extent(
+    connection: tables.StoreConnection, tail: Tail, bus: str, unit: int
+) -> tuple[int | None, Sequence[ParameterStep]]:
+    """From when on a unit has history (µs; None: it has none), and its parameters that scale."""
+    key = tables.find_unit(connection, bus, unit)
+    if key is None:
+        return None, ()
+    source = StoredUnit(connection, key, tail.runs(key, 0, 2**62)[:1])
+    starts = [run.at for run in source.tail]
+    first = connection.execute("SELECT min(start) FROM minutes WHERE unit = ?", (key,)).fetchone()[0]
+    if first is not None:
+        starts += [min((row.start for row in minutes_of(source, first, first + HOUR)), default=first)]
+    return min(starts, default=None), tables.parameter_steps(connection, key)
+
+
+def _feed(hour: StoredHour, replay: Replay, settings: AlarmSettings) -> float:
+    """Returns what it took, in seconds of this thread."""
+    begun = time.thread_time()
+    hour.feed(replay, settings)
+    return time.thread_time() - begun
+
+
+def _outcome(
+    replay: Replay, span: tuple[UnixTime, UnixTime], covered: tuple[UnixTime, UnixTime]
+) -> Simulated:
+    found, reached = replay.found, covered[1]
+    replay.end(reached)
+    stands_at_end = found.stands_since is not None
+    found.end(reached)
+    return Simulated(
+        *span,
+        *covered,
+        annunciated=len(found.at),
+        chattering=found.chattering,
+        first=found.at[0] if found.at else None,
+        last=found.at[-1] if found.at else None,
+        standing_s=sum(found.lengths),
+        longest_s=max(found.lengths, default=None),
+        stands_at_end=stands_at_end,
+        unknown_s=replay.unknown_s,
+        is_exact=replay.is_exact,
+        is_complete=micros(reached) >= micros(span[1]),
+    )

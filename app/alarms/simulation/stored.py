@@ -1,0 +1,89 @@
+"""Feeds a simulation from the store, an hour at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from itertools import groupby
+
+from app.alarm_settings import AlarmSettings
+from app.alarms.simulation.replay import Replay
+from app.alarms.simulation.rest import AtRest, ZeroStep, rest_of
+from app.history.intake.tail import Tail
+from app.history.query import unit_history
+from app.history.query.unit_history import StoredUnit
+from app.history.series.rollup import Rollup, unpack_rollups
+from app.history.series.runs import MINUTE, Run
+from app.history.series.values import VALUES
+from app.history.store import tables
+from bus.settings import BusSettings
+
+
+class StoredHour:
+    """One hour of a unit, on one connection. ``start`` and ``end`` in µs, complete minutes."""
+
+    def __init__(
+        self, connection: tables.StoreConnection, tail: Tail, bus: BusSettings, start: int, end: int
+    ) -> None:
+        self._connection = connection
+        self._tail = tail
+        self._bus = bus
+        self._start, self._end = start, end
+        self._rest: AtRest | None = None
+        self._runs: dict[int, list[Run]] | None = None
+
+    def feed(self, replay: Replay, settings: AlarmSettings) -> None:
+        """Let ``replay`` see every minute that is stored."""
+        source = self._source(settings.unit)
+        if source is None:
+            return
+        rows = {row.start: row for row in minutes_of(source, self._start, self._end)}
+        raw_from = tables.raw_from(self._connection)
+        for minute in range(self._start, self._end, MINUTE):
+            row = rows.get(minute)
+            if row is not None and replay.passes(row, rows.get(minute + MINUTE)):
+                continue
+            if minute >= raw_from and (runs := self._runs_of(source).get(minute)):
+                for run in runs:
+                    replay.see_run(run, self._is_at_rest)
+            elif row is not None:
+                replay.see_minute(row, self._is_at_rest)
+
+    def _source(self, unit: int) -> StoredUnit | None:
+        key = tables.find_unit(self._connection, self._bus.name, unit)
+        if key is None:
+            return None
+        return StoredUnit(self._connection, key, self._tail.runs(key, self._start, self._end))
+
+    def _runs_of(self, source: StoredUnit) -> dict[int, list[Run]]:
+        if self._runs is None:
+            found = unit_history.runs_between(source, self._start, self._end)
+            self._runs = {
+                minute: list(runs) for minute, runs in groupby(found, lambda run: run.at - run.at % MINUTE)
+            }
+        return self._runs
+
+    def _is_at_rest(self, at: int) -> bool:
+        if self._rest is None:
+            self._rest = rest_of([self._zero_steps(unit.id) for unit in self._bus.unit])
+        return self._rest(at)
+
+    def _zero_steps(self, unit: int) -> list[ZeroStep]:
+        """By the minute, where in each minute either zero or another speed was commanded all the time."""
+        source = self._source(unit)
+        if source is None:
+            return []
+        rows = list(minutes_of(source, self._start, self._end))
+        is_mixed = any(row.commanded_min == 0 < row.commanded_max for row in rows)
+        if not source.tail and not (is_mixed and self._start >= tables.raw_from(self._connection)):
+            return [(row.start, row.commanded_max == 0) for row in rows]
+        found = unit_history.readings(source, VALUES["commanded"], self._start, self._end)
+        return [(at, value == 0) for at, value in zip(found.at, found.least, strict=True)]
+
+
+def minutes_of(source: StoredUnit, start: int, end: int) -> Iterable[Rollup]:
+    """The minutes that are stored of a span (µs)."""
+    for begin, data in source.blocks("minutes", start, end):
+        for row in source.unpacked("minutes", begin, partial(unpack_rollups, data, begin)):
+            if start <= row.start < end:
+                yield row
