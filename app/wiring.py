@@ -41,6 +41,7 @@ from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
 from app.handover.document import SheetDocuments
+from app.handover.pictures import PictureStore
 from app.handover.service import Handover
 from app.handover.signing import Signing
 from app.history.pages import warm
@@ -103,6 +104,7 @@ class Services:
     notification: Notification
     handover: Handover
     documents: SheetDocuments
+    pictures: PictureStore
     signing: Signing
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
@@ -168,7 +170,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     of_buses = {name: bus.alarms for name, bus in buses.items()}
     site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store)
     alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
-    handover, documents = Handover(settings, database, events), SheetDocuments(templates, assets, alarms)
+    pictures = PictureStore(settings.server.data)
+    handover = Handover(settings, database, events, pictures)
+    documents = SheetDocuments(templates, assets, alarms, pictures)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
@@ -214,6 +218,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         notification=notification,
         handover=handover,
         documents=documents,
+        pictures=pictures,
         signing=Signing(handover, database, events, sign_in, documents.page),
         buses=buses,
         recorder=recorder,
@@ -335,6 +340,7 @@ async def _end(services: Services) -> None:
                 await services.anchoring.export(AT_END_S)
     await asyncio.to_thread(services.history.close)
     services.passwords.close()
+    await asyncio.to_thread(services.pictures.close)
     await asyncio.to_thread(services.database.close)
 
 

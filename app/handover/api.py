@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from typing import Annotated, Any
 
 import msgspec
@@ -14,6 +15,7 @@ from typing_extensions import TypedDict
 from app.auth.pages import address_of
 from app.errors import Problem
 from app.handover.document import APART, SheetDocuments
+from app.handover.pictures import MOST_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
@@ -30,6 +32,7 @@ from app.handover.signatures import SignedPart
 from app.handover.signing import Signing, SignRequest
 from app.web.access import Operator, Viewer
 from app.web.api_route import ApiRoute
+from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import StrictBody, iso
@@ -77,6 +80,10 @@ class ShiftNoteBody(StrictBody):
     corrects: Annotated[
         int | None, Field(ge=1, le=2**62, description="The note to correct; it stays as it is.")
     ] = None
+    pictures: Annotated[
+        tuple[str, ...],
+        Field(strict=False, max_length=MOST_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
+    ] = ()
 
 
 class ShiftSignBody(StrictBody):
@@ -145,7 +152,7 @@ async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, sh
     found = await shifts.sheet(shift)
     name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
     headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}
-    return Response(documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
+    return Response(await documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
 
 
 @router.post("/{start}/sign")
@@ -166,7 +173,7 @@ async def sign_shift_sheet(
     return signed
 
 
-@router.post("/{start}/notes", status_code=201)
+@router.post("/{start}/notes", status_code=201, max_body_size=MOST_BODY_BYTES)
 async def write_shift_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteBody, key: RepeatKey = None
 ) -> ShiftNoteShown:
@@ -179,8 +186,16 @@ async def write_shift_note(
         alarm=body.alarm,
         corrects=body.corrects,
         key=key,
+        pictures=tuple(_decoded(each) for each in body.pictures),
     )
     return notes_json([await shifts.write(person, shift, new)])[0]
+
+
+def _decoded(text: str) -> bytes:
+    try:
+        return b64decode(text, validate=True)
+    except ValueError:
+        raise Problem(422, "invalid", Message("picture_not_base64")) from None
 
 
 def _summary(summary: ShiftSummary) -> ShiftSummaryShown:

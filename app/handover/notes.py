@@ -12,12 +12,14 @@ from bus.messages import Message
 
 MOST_NOTES = 500
 """Of a shift: a sheet is read by people."""
+MOST_PICTURES = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
     """``at``: what it is about, ``alarm``: the id of an occurrence, ``sender``: the account with the time of
-    its creation, ``key``: by which its sender repeats the request."""
+    its creation, ``key``: by which its sender repeats the request,
+    ``pictures``: their digests, separated by blanks."""
 
     at: UnixTime
     written_at: UnixTime
@@ -29,6 +31,7 @@ class Note:
     corrects: int | None
     sender: str
     key: str | None
+    pictures: str = ""
     id: int = 0
 
 
@@ -70,8 +73,16 @@ def find_repeated(connection: sqlite3.Connection, note: Note) -> Note | None:
 
 
 def add(connection: sqlite3.Connection, note: Note, shift: Shift) -> int:
-    """Store a note, and return its number. Raises RepeatedNoteError, and Problem 404 or 409 where it corrects
-    a note that is not there or was corrected, or the shift has no room."""
+    """Store a note, and return its number. Raises as `check`."""
+    check(connection, note, shift)
+    number = connection.execute(_INSERT, astuple(note)[:-1]).lastrowid
+    assert number is not None
+    return number
+
+
+def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
+    """Raises RepeatedNoteError, and Problem 404 or 409 where it corrects a note that was corrected, its alarm
+    never was, or the shift has no room."""
     repeated = find_repeated(connection, note)
     if repeated is not None:
         raise RepeatedNoteError(repeated)
@@ -81,9 +92,9 @@ def add(connection: sqlite3.Connection, note: Note, shift: Shift) -> int:
         _check_alarm(connection, note.alarm)
     if counts_of(connection, [shift])[0] >= MOST_NOTES:
         raise Problem(409, "too_many", Message.of("shift_notes_full", n=MOST_NOTES))
-    number = connection.execute(_INSERT, astuple(note)[:-1]).lastrowid
-    assert number is not None
-    return number
+    there = sum(len(each.pictures.split()) for each in notes_of(connection, shift)) if note.pictures else 0
+    if there + len(note.pictures.split()) > MOST_PICTURES:
+        raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MOST_PICTURES))
 
 
 def find(connection: sqlite3.Connection, number: int, shift: Shift) -> Note:

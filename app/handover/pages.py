@@ -6,7 +6,7 @@ import secrets
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Query
+from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
 from pydantic import AwareDatetime
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
@@ -15,6 +15,8 @@ from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.auth.pages import address_of
 from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
+from app.handover.document import APART
+from app.handover.pictures import MOST_OF_NOTE, PictureStore
 from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
 from app.handover.sheet import notes_json
@@ -22,6 +24,8 @@ from app.handover.sheet_view import readable_notes, readable_sheet
 from app.handover.signatures import SignedPart
 from app.handover.signing import SignRequest
 from app.web.access import Operator, Viewer
+from app.web.bounds import MOST_BODY_BYTES
+from app.web.services import service
 from app.web.templating import render
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
@@ -31,6 +35,8 @@ router = APIRouter(include_in_schema=False)
 
 ON_A_PAGE = 30
 SEE_OTHER = 303
+Pictures = Annotated[PictureStore, service(PictureStore)]
+FORM_LIMITS: Any = {"max_files": MOST_OF_NOTE, "max_fields": 20}
 FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
 
@@ -55,6 +61,16 @@ async def shifts_page(
 async def present_page(_: Viewer, shifts: Shifts) -> Response:
     """A link to the sheet of the shift under way, whenever it is opened."""
     return RedirectResponse(_path(shifts.present()), SEE_OTHER)
+
+
+@router.get("/shifts/pictures/{digest}")
+async def picture(
+    _: Viewer, pictures: Pictures, digest: Annotated[str, Path(pattern="^[0-9a-f]{64}$")]
+) -> Response:
+    """A picture of a note by its SHA-256. It never changes, and is no page whatever it holds."""
+    found = await pictures.find(digest)
+    headers = {**APART, "Cache-Control": "private, max-age=31536000, immutable"}
+    return Response(found.content, media_type=found.media_type, headers=headers)
 
 
 @router.get("/shifts/{start}", dependencies=[SEARCH])
@@ -96,6 +112,7 @@ async def _new_note(
     alarm: FormWord = "",
     corrects: Annotated[int | None, Form(ge=1, le=2**62)] = None,
     key: Annotated[str | None, Form(min_length=1, max_length=200)] = None,
+    pictures: Annotated[list[UploadFile] | None, File()] = None,
 ) -> NewNote:
     bus, _, unit = place.partition("/")
     address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
@@ -107,10 +124,11 @@ async def _new_note(
         alarm=alarm or None,
         corrects=corrects,
         key=key,
+        pictures=tuple([await each.read() for each in pictures or () if each.filename]),
     )
 
 
-@router.post("/shifts/{start}/notes")
+@router.post("/shifts/{start}/notes", max_body_size=MOST_BODY_BYTES, form_limits=FORM_LIMITS)
 async def write_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
 ) -> Response:

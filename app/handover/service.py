@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from app.database import Database
 from app.errors import Problem
 from app.handover import notes
 from app.handover.notes import Note, RepeatedNoteError
+from app.handover.pictures import PictureStore, judged
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from app.handover.sheet import SheetWriter
 from app.handover.signatures import (
@@ -52,6 +54,7 @@ class NewNote:
     alarm: str | None = None
     corrects: int | None = None
     key: str | None = None
+    pictures: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,12 @@ class Handover:
     """What people write about a shift, and what the store holds of it."""
 
     def __init__(
-        self, settings: Settings, database: Database, events: EventLog, clock: Clock = unix_now
+        self,
+        settings: Settings,
+        database: Database,
+        events: EventLog,
+        pictures: PictureStore,
+        clock: Clock = unix_now,
     ) -> None:
         self.zone = ZoneInfo(settings.site.zone)
         self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
@@ -85,6 +93,7 @@ class Handover:
         self._sheets = SheetWriter(settings)
         self._database = database
         self._events = events
+        self._pictures = pictures
         self._clock = clock
 
     async def shift_of(self, start: datetime) -> Shift:
@@ -131,6 +140,7 @@ class Handover:
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
         self._check_place(new)
+        pictures = await asyncio.to_thread(judged, new.pictures)
         note = Note(
             at=await self._time_of(shift, new),
             written_at=self._clock(),
@@ -142,8 +152,11 @@ class Handover:
             corrects=new.corrects,
             sender=person.sender,
             key=new.key,
+            pictures=" ".join(pictures),
         )
         try:
+            await self._database.read(lambda connection: notes.check(connection, note, shift))
+            await self._pictures.add(pictures)
             return await self._store(person, shift, note)
         except RepeatedNoteError as repeated:
             return repeated.note
@@ -161,6 +174,7 @@ class Handover:
             bus=note.bus,
             unit=note.unit,
             what=what,
+            new=note.pictures or None,
             message=note.text,
             also=lambda connection: stored.append(notes.add(connection, note, shift)),
         )

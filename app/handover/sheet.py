@@ -55,6 +55,7 @@ class ShiftNoteShown(TypedDict):
     alarm: Annotated[str | None, Field(description="The id of an occurrence.")]
     corrects: Annotated[int | None, Field(description="The note in whose place it is.")]
     corrected_by: Annotated[int | None, Field(description="The note that is in its place.")]
+    pictures: Annotated[list[str], Field(description="The SHA-256 of each, by which it is loaded.")]
 
 
 class ShiftEventsShown(TypedDict):
@@ -207,6 +208,7 @@ def notes_json(notes: Sequence[Note]) -> list[ShiftNoteShown]:
             "alarm": note.alarm,
             "corrects": note.corrects,
             "corrected_by": corrected_by.get(note.id),
+            "pictures": note.pictures.split(),
         }
         for note in notes
     ]

@@ -56,7 +56,8 @@ CODES = {
     *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
     "AlarmSimulation.toml",
-    *("ShiftNote.alarm", "ShiftSignatures.digest", "ShiftSignatures.page_digest", "time_zone"),
+    *("ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
+    *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",

@@ -263,3 +263,22 @@ async def test_a_long_shift_has_the_newest_of_its_commands_and_counts_all(house:
     assert [done["events"][0]["new"], done["events"][-1]["new"]] == ["50", "249"]
     page = (await viewer.get(f"/shifts/{await present(viewer)}")).text
     assert "The newest 200 of 250." in page
+
+
+async def test_a_long_note_and_one_too_many_are_refused(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    assert (await write(operator, "x" * 2001)).status_code == 422
+    assert (await write(operator, "x" * 3 * 1024**2)).status_code == 413
+    assert (await write(operator, "left to \u202eright")).status_code == 422
+    path = f"/shifts/{await present(operator)}/notes"
+    assert (await operator.post(path, data={"text": "x" * 2001})).status_code == 422
+    first = (await write(operator, "Felt")).json()
+    columns = "at, written_at, who, text, sender"
+    copies = f"INSERT INTO shift_note ({columns}) SELECT {columns} FROM shift_note, generate LIMIT 499"
+    numbers = "WITH RECURSIVE generate(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM generate WHERE n < 499)"
+    await house.services.database.write(lambda store: store.execute(f"{numbers} {copies}"))
+    full = await write(operator, "one more")
+    assert (full.status_code, full.json()["reason"]["code"]) == (409, "shift_notes_full")
+    assert len((await sheet(operator))["notes"]) == 500
+    assert (await operator.get(f"/shifts/{await present(operator)}")).status_code == 200
+    assert first["id"] == 1

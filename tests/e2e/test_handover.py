@@ -1,13 +1,26 @@
-"""A shift is handed over on a phone: a note, its correction, two signatures, the file. About 10 s."""
+"""A shift is handed over on a phone: a note with a picture, its correction, two signatures, a file. 10 s."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from struct import pack
+from zlib import compress, crc32
 
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import PASSWORD
+
+
+def png(width: int, height: int) -> bytes:
+    """A gray picture."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return pack(">I", len(data)) + kind + data + pack(">I", crc32(kind + data))
+
+    header = chunk(b"IHDR", pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    rows = compress((b"\0" + b"\x80" * width) * height)
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
 def test_a_shift_is_handed_over(browser_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
@@ -16,10 +29,16 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, axe: Callable[[Page], 
     page.get_by_label("Text", exact=True).focus()
     page.keyboard.type("Felt changed")
     page.get_by_label("Unit", exact=True).select_option(label="line · Infeed nip")
+    picture = {"name": "felt.png", "mimeType": "image/png", "buffer": png(3000, 2000)}
+    page.get_by_label("Pictures", exact=True).set_input_files([picture])
+    expect(page.get_by_role("button", name="Store note")).to_be_enabled()
     page.get_by_role("button", name="Store note").focus()
     page.keyboard.press("Enter")
     expect(page.locator("#note-1")).to_contain_text("Felt changed")
     expect(page.locator("#note-1")).to_contain_text("operator · Infeed nip")
+    shown = page.locator("#note-1 img")
+    shown.scroll_into_view_if_needed()
+    expect(shown).to_have_js_property("naturalWidth", 1600)
     page.get_by_role("link", name="Correct note 1").click()
     page.get_by_label("Text", exact=True).fill("Wire changed")
     page.get_by_role("button", name="Store correction").click()

@@ -42,6 +42,14 @@ TEXTS: dict[str, EnglishText] = {
         "Control that lapsed 10 minutes after the last command, or with the server, is not recorded as "
         "released."
     ),
+    "picture_of_other_kind": "The file is no JPEG, PNG or WebP picture. Nothing was stored.",
+    "picture_damaged": "The picture is damaged or incomplete. Nothing was stored.",
+    "picture_too_large": "The picture has {width} by {height} pixels. Nothing was stored. Reduce it.",
+    "picture_too_long": "A picture may have {n} MB. Nothing was stored. Reduce it.",
+    "picture_not_base64": "A picture is sent in base64. Nothing was stored.",
+    "pictures_too_many": "A note may have {n} pictures. Nothing was stored. Write another note.",
+    "shift_pictures_full": "The notes of a shift may have {n} pictures. Nothing was stored.",
+    "no_such_picture": "There is no such picture.",
     "event_shift_note": "note for the shift of {start}",
     "event_shift_note_corrected": "note {note} of the shift of {start} corrected",
     "shift_already_signed": "{who} signed as the {part} person on {time}. Nothing was signed.",

@@ -1,0 +1,80 @@
+"""The pictures of notes, in a store beside the main one: a large write does not delay a command."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from app.database import Database
+from app.errors import Problem
+from app.handover.rules.pictures import PlainPicture, plain_picture
+from bus.messages import Message
+
+FILE = "pictures.db"
+MIGRATIONS = Path(__file__).parent / "migrations"
+MOST_OF_NOTE = 3
+LARGEST = 1024**2
+"""Bytes of one."""
+
+
+def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
+    """The pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
+    if len(contents) > MOST_OF_NOTE:
+        raise Problem(422, "invalid", Message.of("pictures_too_many", n=MOST_OF_NOTE))
+    if any(len(content) > LARGEST for content in contents):
+        raise Problem(413, "too_large", Message.of("picture_too_long", n=LARGEST // 1024**2))
+    plain = [plain_picture(content) for content in contents]
+    return {hashlib.sha256(each.content).hexdigest(): each for each in plain}
+
+
+class PictureStore:
+    """Opened with the first picture: most sites have none."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE
+        self._opening = asyncio.Lock()
+        self._database: Database | None = None
+
+    async def add(self, pictures: dict[str, PlainPicture]) -> None:
+        """Store those that are not there yet."""
+        rows = [(digest, each.media_type, each.content) for digest, each in pictures.items()]
+        if rows:
+            database = await self._opened()
+            query = "INSERT INTO picture VALUES (?, ?, ?) ON CONFLICT (digest) DO NOTHING"
+            await database.write(lambda connection: connection.executemany(query, rows))
+
+    async def find(self, digest: str) -> PlainPicture:
+        """Raises Problem 404, also for one that is not what its digest names."""
+        found = (await self.all_of([digest])).get(digest)
+        if found is None:
+            raise Problem(404, "not_found", Message("no_such_picture"))
+        return found
+
+    async def all_of(self, digests: Iterable[str]) -> dict[str, PlainPicture]:
+        """Those of these digests that there are."""
+        wanted = list(digests)
+        if not wanted or not self._path.exists():
+            return {}
+        query = "SELECT media_type, content FROM picture WHERE digest = ?"
+        database = await self._opened()
+        rows = await database.read(
+            lambda store: [store.execute(query, (digest,)).fetchone() for digest in wanted]
+        )
+        found = {digest: PlainPicture(*row) for digest, row in zip(wanted, rows, strict=True) if row}
+        return {
+            digest: each
+            for digest, each in found.items()
+            if hashlib.sha256(each.content).hexdigest() == digest
+        }
+
+    def close(self) -> None:
+        if self._database is not None:
+            self._database.close()
+
+    async def _opened(self) -> Database:
+        async with self._opening:
+            if self._database is None:
+                self._database = await asyncio.to_thread(Database, self._path, MIGRATIONS)
+            return self._database

@@ -1,0 +1,30 @@
+// Pictures of a note are made small enough before they are sent. Drawn again, they have no metadata and stand upright.
+import "./main.js";
+
+const LONGEST_SIDE = 1600;
+const QUALITY = 0.8;
+const input = document.querySelector("[data-pictures]");
+
+async function reduced(file) {
+  const bitmap = await createImageBitmap(file);
+  const scale = Math.min(1, LONGEST_SIDE / Math.max(bitmap.width, bitmap.height));
+  const canvas = document.createElement("canvas");
+  canvas.width = Math.round(bitmap.width * scale);
+  canvas.height = Math.round(bitmap.height * scale);
+  canvas.getContext("2d").drawImage(bitmap, 0, 0, canvas.width, canvas.height);
+  const blob = await new Promise((done) => canvas.toBlob(done, "image/jpeg", QUALITY));
+  return new File([blob], "picture.jpg", { type: "image/jpeg" });
+}
+
+// What the browser cannot draw goes as it is: the server refuses it and says why.
+input?.addEventListener("change", async () => {
+  const button = input.form.querySelector("[type=submit]");
+  const drawn = new DataTransfer();
+  button.disabled = true;
+  try {
+    for (const file of input.files) drawn.items.add(await reduced(file).catch(() => file));
+    input.files = drawn.files;
+  } finally {
+    button.disabled = false;
+  }
+});

@@ -1,0 +1,200 @@
+"""Pictures of notes: judged by their content, stored without metadata, never a page. About 4 s."""
+
+from __future__ import annotations
+
+import stat
+import zlib
+from base64 import b64encode
+from collections.abc import AsyncIterator
+from pathlib import Path
+from struct import pack
+from typing import Any
+
+import httpx
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.handover.rules.pictures import plain_picture
+from app.web.access import Role
+from bus.errors import CallerError
+from tests.app.complete_app import House, complete_app
+
+API = "/api/v1/shifts"
+PLACE = b"GPS 52.5, 13.4"
+HTML = b"<html><script>alert(1)</script></html>"
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return pack(">I", len(data)) + kind + data + pack(">I", zlib.crc32(kind + data))
+
+
+def png(width: int = 2, height: int = 2, more: bytes = b"") -> bytes:
+    header = chunk(b"IHDR", pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
+    data = zlib.compress((b"\0" + bytes(2)) * 2)
+    return b"\x89PNG\r\n\x1a\n" + header + more + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+
+
+def segment(marker: int, data: bytes) -> bytes:
+    return bytes([0xFF, marker]) + pack(">H", len(data) + 2) + data
+
+
+def jpeg(width: int = 2, height: int = 2, more: bytes = b"") -> bytes:
+    """Its segments, in order: of a real one a browser test sends some."""
+    frame = segment(0xC0, b"\x08" + pack(">HH", height, width) + b"\x01\x01\x11\x00")
+    scan = segment(0xDA, b"\x01\x01\x00\x00\x3f\x00") + b"\x12\xff\x00\x34\xff\xd0\x56"
+    return b"\xff\xd8" + more + segment(0xDB, bytes(65)) + frame + scan + b"\xff\xd9"
+
+
+def webp(width: int = 2, height: int = 2, more: bytes = b"") -> bytes:
+    bits = (width - 1) | (height - 1) << 14
+    data = b"\x2f" + pack("<I", bits) + b"\0"
+    chunks = b"WEBP" + more + b"VP8L" + pack("<I", len(data)) + data
+    return b"RIFF" + pack("<I", len(chunks)) + chunks
+
+
+MAKERS = {"image/png": png, "image/jpeg": jpeg, "image/webp": webp}
+METADATA = {
+    "image/png": chunk(b"tEXt", b"place\0" + PLACE) + chunk(b"eXIf", PLACE),
+    "image/jpeg": segment(0xE1, b"Exif\0\0" + PLACE) + segment(0xFE, PLACE) + segment(0xED, PLACE),
+    "image/webp": b"EXIF" + pack("<I", len(PLACE)) + PLACE,
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_picture_is_kept_without_metadata_and_without_what_follows_it(kind: str) -> None:
+    plain = plain_picture(MAKERS[kind](more=METADATA[kind]) + HTML)
+    assert (plain.media_type, plain.content) == (kind, MAKERS[kind]())
+    assert plain_picture(plain.content) == plain
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+@pytest.mark.parametrize(("width", "height"), [(10_000, 10_001), (16_383, 16_383)])
+def test_a_picture_of_a_hundred_megapixels_is_refused_by_its_size(kind: str, width: int, height: int) -> None:
+    with pytest.raises(CallerError, match="pixels"):
+        plain_picture(MAKERS[kind](width, height))
+
+
+def test_the_size_of_the_canvas_counts_too() -> None:
+    canvas = b"VP8X" + pack("<I", 10) + b"\x3c\0\0\0" + b"\xff\xff\xff" + b"\xff\xff\xff"
+    with pytest.raises(CallerError, match="pixels"):
+        plain_picture(webp(more=canvas))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        HTML,
+        b"<svg xmlns='http://www.w3.org/2000/svg'><script/></svg>",
+        b"GIF89a" + bytes(40),
+        b"BM" + bytes(60),
+        b"\x89PNG\r\n\x1a\n" + HTML,
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IEND", b""),
+        b"\xff\xd8\xff\xd9",
+        b"\xff\xd8\xff" + HTML,
+        b"RIFF\x04\0\0\0WEBP",
+        jpeg()[:-4],
+        png()[:-8],
+        png(0, 2),
+        jpeg(2, 0),
+    ],
+)
+def test_other_content_is_refused(content: bytes) -> None:
+    with pytest.raises(CallerError):
+        plain_picture(content)
+
+
+@given(st.sampled_from(list(MAKERS)), st.data())
+def test_damage_is_refused_or_leaves_a_picture_of_the_same_kind(kind: str, data: st.DataObject) -> None:
+    content = bytearray(MAKERS[kind](more=METADATA[kind]))
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        plain = plain_picture(bytes(content[: data.draw(st.integers(0, len(content)))]))
+    except CallerError:
+        return
+    assert plain_picture(plain.content) == plain
+
+
+@pytest.fixture
+async def house(tmp_path: Path) -> AsyncIterator[House]:
+    async with complete_app(tmp_path) as house:
+        yield house
+
+
+async def present(client: httpx.AsyncClient) -> str:
+    start: str = (await client.get(API)).json()["shifts"][0]["start"]
+    return start
+
+
+async def write(client: httpx.AsyncClient, *pictures: bytes, **more: Any) -> httpx.Response:
+    body = {"text": "Felt", "pictures": [b64encode(each).decode() for each in pictures], **more}
+    return await client.post(f"{API}/{await present(client)}/notes", json=body)
+
+
+async def test_a_picture_is_served_as_a_picture_and_nothing_else(house: House, tmp_path: Path) -> None:
+    operator, viewer = await house.program(Role.OPERATOR), await house.program(Role.VIEWER)
+    made = await write(operator, jpeg(more=METADATA["image/jpeg"]) + HTML, png())
+    assert made.status_code == 201, made.text
+    first, second = made.json()["pictures"]
+    served = await viewer.get(f"/shifts/pictures/{first}")
+    assert (served.content, served.headers["content-type"]) == (jpeg(), "image/jpeg")
+    assert served.headers["x-content-type-options"] == "nosniff"
+    assert "sandbox" in served.headers["content-security-policy"]
+    assert "default-src 'none'" in served.headers["content-security-policy"]
+    assert (await house.client().get(f"/shifts/pictures/{first}")).headers["location"].startswith("/login")
+    assert stat.S_IMODE((tmp_path / "data" / "pictures.db").stat().st_mode) == 0o600
+    (event,) = await house.events("shift")
+    assert event["new"] == f"{first} {second}"
+    page = (await viewer.get(f"/shifts/{await present(viewer)}")).text
+    assert f'src="/shifts/pictures/{first}"' in page
+    file = (await viewer.get(f"{API}/{await present(viewer)}/sheet.html")).text
+    assert f'<img src="data:image/jpeg;base64,{b64encode(jpeg()).decode()}"' in file
+    assert "sha256:" not in file
+
+
+@pytest.mark.parametrize("digest", ["0" * 64, "..%2F..%2Flineside.db", "0" * 63, "A" * 64, "%00" * 10])
+async def test_a_picture_has_no_path(house: House, digest: str) -> None:
+    operator = await house.program(Role.OPERATOR)
+    await write(operator, png())
+    assert (await operator.get(f"/shifts/pictures/{digest}")).status_code in (404, 422)
+
+
+async def test_the_form_takes_files_by_their_content_and_not_by_their_name(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    path = f"/shifts/{await present(operator)}/notes"
+    for name, content, status in (
+        ("../../etc/passwd", png(), 303),
+        ("picture.png", HTML, 422),
+        ("large.png", png() + bytes(1024**2), 413),
+        ("largest.png", bytes(3 * 1024**2), 413),
+    ):
+        files = {"pictures": (name, content, "image/png")}
+        sent = await operator.post(path, data={"text": "Felt"}, files=files)
+        assert sent.status_code == status, sent.text
+    many = [("pictures", ("a.png", png(), "image/png"))] * 4
+    assert (await operator.post(path, data={"text": "Felt"}, files=many)).status_code in (400, 413, 422)
+    found = (await operator.get(f"{API}/{await present(operator)}")).json()["notes"]
+    assert [len(note["pictures"]) for note in found] == [1]
+
+
+async def test_a_refused_note_stores_no_picture(house: House, tmp_path: Path) -> None:
+    operator = await house.program(Role.OPERATOR)
+    for wrong in ({"corrects": 99}, {"alarm": "none.1"}, {"bus": "none"}, {"text": " "}):
+        assert (await write(operator, png(), **wrong)).status_code in (404, 422)
+    refused = await operator.post(
+        f"{API}/{await present(operator)}/notes", json={"text": "x", "pictures": ["not base64!"]}
+    )
+    assert refused.json()["reason"]["code"] == "picture_not_base64"
+    assert not (tmp_path / "data" / "pictures.db").exists()
+
+
+async def test_the_pictures_of_a_shift_are_bounded(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+    for number in range(6):
+        pictures = [png(more=b"", width=2 + number, height=1 + each) for each in range(3)]
+        assert (await write(operator, *pictures)).status_code == 201
+    full = await write(operator, png(30), png(31), png(32))
+    assert (full.status_code, full.json()["reason"]["code"]) == (409, "shift_pictures_full")
+    assert (await write(operator, png(30), png(31))).status_code == 201
