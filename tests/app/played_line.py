@@ -87,6 +87,7 @@ async def played_line(services: Services) -> PlayedLine:
     """Both units of ``settings_in`` are online, in REMOTE, and stand still."""
     line = PlayedLine(services.buses[BUS].channel, services.live)
     now = time.time()
+    services.live.buses[BUS].worker_lost = None
     services.live.buses[BUS].apply([BusLink(at=now, link="open")])
     for unit in line.memory:
         services.live.buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
