@@ -38,6 +38,7 @@ TESTS = {
     "app/alarms/rules/priority.py": "tests/app/test_alarm_rules.py",
     "app/alarms/rules/states.py": "tests/app/test_alarm_changes.py",
     "app/alarms/rules/suppression.py": "tests/app/test_alarm_rules.py",
+    "app/handover/rules/pictures.py": "tests/app/test_shift_pictures.py",
     "app/handover/rules/shift_times.py": "tests/app/test_shift_times.py",
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
     "app/commands/check.py": "tests/app/test_command_check.py",
