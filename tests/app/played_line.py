@@ -7,6 +7,8 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
+import msgspec
+
 from app.feed.channel import Channel
 from app.live.state.bus_live import LiveState
 from app.wiring import Services
@@ -58,6 +60,18 @@ class PlayedLine:
         elif isinstance(message, Cancel):
             self.cancelled.append(message.id)
 
+    def keep_responding(self) -> None:
+        """Each unit goes on as it was read last: a test that a busy machine holds up loses none."""
+
+        async def respond() -> None:
+            while True:
+                await asyncio.sleep(0.5)
+                for unit in self.live.buses[BUS].units.values():
+                    if unit.reading is not None:
+                        self.live.buses[BUS].apply([msgspec.structs.replace(unit.reading, at=time.time())])
+
+        self._responses.add(asyncio.create_task(respond()))
+
     def end(self, outcome: Outcome) -> None:
         """Give the command that was held last its result."""
         self.channel.on_update(Result(self.held[-1].id, time.time(), outcome), self)
@@ -93,4 +107,5 @@ async def played_line(services: Services) -> PlayedLine:
         services.live.buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
         services.live.buses[BUS].apply([Reading(unit, now, 0, 0, 0, REMOTE, HEALTHY)])
     await line.channel.opened(line, "w1")
+    line.keep_responding()
     return line
