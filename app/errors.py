@@ -9,6 +9,7 @@ from bus.messages import Message
 
 ProblemCode = Literal[
     "acknowledged",
+    "already_signed",
     "already_started",
     "blocked",
     "bus_closed",
@@ -33,9 +34,11 @@ ProblemCode = Literal[
     "not_loadable",
     "not_looked",
     "not_sent",
+    "not_signed",
     "nothing_staged",
     "refused",
     "rights_withdrawn",
+    "same_person",
     "store",
     "superseded",
     "too_costly",

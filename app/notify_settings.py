@@ -37,8 +37,7 @@ def _clock_time(written: str) -> str:
 
 
 def check_web_url(written: str) -> str:
-    """Return ``written``. Raises ValueError, without the URL, for one that is none of the web or holds a
-    password."""
+    """Raises ValueError, without the URL, for one that is not of the web or holds a password."""
     try:
         parts = urlsplit(written)
         is_url = parts.scheme in ("https", "http") and bool(parts.hostname) and parts.port != 0

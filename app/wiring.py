@@ -39,7 +39,9 @@ from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
 from app.feed.workers import Workers
+from app.handover.document import SheetDocuments
 from app.handover.service import Handover
+from app.handover.signing import Signing
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
@@ -98,6 +100,8 @@ class Services:
     control_watch: ControlWatch
     notification: Notification
     handover: Handover
+    documents: SheetDocuments
+    signing: Signing
     buses: Mapping[str, BusService]
     recorder: ChangeRecorder
     workers: Workers
@@ -162,6 +166,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     of_buses = {name: bus.alarms for name, bus in buses.items()}
     site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store)
     alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
+    handover, documents = Handover(settings, database, events), SheetDocuments(templates, assets, alarms)
     workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
     commands = {name: bus.commands for name, bus in buses.items()}
     readers = {name: bus.reader for name, bus in buses.items()}
@@ -204,7 +209,9 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
             of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
         ),
         notification=notification,
-        handover=Handover(settings, database, events),
+        handover=handover,
+        documents=documents,
+        signing=Signing(handover, database, events, sign_in, documents.page),
         buses=buses,
         recorder=recorder,
         workers=workers,

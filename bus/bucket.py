@@ -1,5 +1,4 @@
-"""How often or how much of something is allowed. Pure: ``now`` is in seconds; a clock that steps back costs
-nothing."""
+"""How much of something is allowed, by time. Pure: ``now`` in seconds; a step back costs nothing."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ LINE = (Scene("line", "/"),)
 VIEWS = (
     Scene("line-tiles", "/?view=tiles"),
     Scene("line-rows", "/?view=rows"),
-    Scene("line-board", "/?view=board"),
+    Scene("line-matrix", "/?view=matrix"),
     Scene("line", "/?view=auto"),
 )
 UNIT = "/units/line/3"
@@ -290,7 +290,7 @@ def hold_worker(site: Site) -> None:
         os.kill(int(child), signal.SIGSTOP)
 
 
-def all_silent(site: Site) -> None:
+def all_unresponsive(site: Site) -> None:
     """Every unit is switched off."""
     site.line.remote.do("fault", kind="dead", rate=1)
 
@@ -346,7 +346,7 @@ SITUATIONS = (
     Situation("one-off", VIEWS, one_unit_off_speed),
     Situation("unplugged", (*LINE, Scene("unit", UNIT), Scene("bus", "/bus/line")), unplug),
     Situation("long", (*VIEWS, Scene("unit", UNIT), Scene("setpoints", "/setpoints")), long_names, "long"),
-    Situation("stale", (*LINE, Scene("unit", UNIT)), all_silent, "long"),
+    Situation("stale", (*LINE, Scene("unit", UNIT)), all_unresponsive, "long"),
     Situation("never", (*VIEWS, Scene("unit", UNIT), Scene("setpoints", "/setpoints")), never_read, "never"),
     Situation("worker-gone", (*LINE, Scene("unit", UNIT)), hold_worker, "worker"),
     Situation("server-gone", LINE, nothing, "server", 3, kill_server, "body[data-link=lost]"),

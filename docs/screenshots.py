@@ -38,15 +38,15 @@ README = {
     ("well", "unit", "panel", "light-en"): "unit",
     ("well", "parameters", "panel", "light-en"): "parameters",
     ("well", "unit-review", "panel", "light-de"): "review",
-    ("255-abnormal", "line-board", "panel", "dark-en"): "board",
+    ("255-abnormal", "line-matrix", "panel", "dark-en"): "matrix",
 }
 """Situation, scene, size, look → the name of a picture that is kept."""
-CLIPS: dict[str, FloatRect] = {"board": {"x": 0, "y": 0, "width": 1280, "height": 610}}
+CLIPS: dict[str, FloatRect] = {"matrix": {"x": 0, "y": 0, "width": 1280, "height": 610}}
 """What of a kept picture is enough; each is to stay below 150 kB."""
 
 
 class Camera:
-    """Takes what was asked for."""
+    """Takes what was requested."""
 
     def __init__(self, chromium: Browser, wanted: argparse.Namespace) -> None:
         self._chromium = chromium
@@ -55,7 +55,7 @@ class Camera:
 
     def take(self, served: Site, situation: Situation) -> None:
         """All pictures of a situation."""
-        scenes = [scene for scene in situation.scenes if _is_asked(scene.name, self._wanted.scene)]
+        scenes = [scene for scene in situation.scenes if _is_requested(scene.name, self._wanted.scene)]
         for role in sorted({scene.role for scene in scenes}):
             for size in self._wanted.size or SIZES:
                 for look in self._wanted.look or LOOKS:
@@ -77,29 +77,29 @@ class Camera:
 
 
 def main() -> int:
-    """Take what was asked for; 1 when a page did not come to where its picture is taken."""
+    """Take what was requested; 1 when a page did not come to where its picture is taken."""
     wanted = _arguments()
-    asked = [one for one in SITUATIONS if _is_asked(one.name, wanted.situation)]
+    requested = [one for one in SITUATIONS if _is_requested(one.name, wanted.situation)]
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         camera = Camera(chromium, wanted)
         for name, situations in groupby(SITUATIONS, key=lambda situation: situation.line):
-            if any(one.line == name for one in asked):
-                _one_line(camera, list(situations), asked)
+            if any(one.line == name for one in requested):
+                _one_line(camera, list(situations), requested)
         chromium.close()
     print("\n".join(camera.failed))
     return 1 if camera.failed else 0
 
 
-def _one_line(camera: Camera, situations: list[Situation], asked: list[Situation]) -> None:
-    last = max(place for place, one in enumerate(situations) if one in asked)
+def _one_line(camera: Camera, situations: list[Situation], requested: list[Situation]) -> None:
+    last = max(place for place, one in enumerate(situations) if one in requested)
     with (
         tempfile.TemporaryDirectory() as folder,
         site(Path(folder), situations[0].units, toml=TOML, line_options=("--no-script",)) as served,
     ):
         for situation in situations[: last + 1]:
             situation.prepare(served)
-            if situation in asked:
+            if situation in requested:
                 print(situation.name, flush=True)
                 camera.take(served, situation)
 
@@ -146,7 +146,7 @@ def _page(chromium: Browser, served: Site, role: str, size: tuple[int, int], loo
     context.close()
 
 
-def _is_asked(name: str, names: Iterable[str] | None) -> bool:
+def _is_requested(name: str, names: Iterable[str] | None) -> bool:
     return not names or name in names
 
 

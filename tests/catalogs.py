@@ -17,6 +17,7 @@ from jinja2 import Environment, nodes
 from app.audit.kinds import EventKind
 from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
+from app.handover.signatures import SignedPart
 from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, MOTION_TEXTS, STOPPED_WITH_RUN
 from app.live.screen.fields import PORT_WORDS, STATE_WORDS
@@ -112,6 +113,7 @@ def in_tables() -> set[str]:
         *(word for parameter in parameters for word in parameter.choices.values()),
         *(unit for parameter in parameters if (unit := parameter_unit(parameter))),
         *get_args(SetOrigin),
+        *get_args(SignedPart),
         *get_args(RestoreState),
         *(str(role) for role in Role),
         *(kind.replace("_", " ") for kind in get_args(EventKind)),

@@ -36,36 +36,34 @@ ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 Comment = Annotated[OneLine, Field(max_length=200)]
 
 
-class CommentBody(StrictBody):
-    """A remark for the journal and the audit log."""
+class ActBody(StrictBody):
+    """What a person writes loses the blanks around it."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
+
+
+class CommentBody(ActBody):
+    """A remark for the journal and the audit log."""
 
     comment: Comment = ""
 
 
-class ShelveBody(StrictBody):
+class ShelveBody(ActBody):
     """Why, and for how long."""
-
-    model_config = ConfigDict(str_strip_whitespace=True)
 
     reason: ActReason
     minutes: Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a shift, 720.")]
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
 
 
-class UnshelveBody(StrictBody):
+class UnshelveBody(ActBody):
     """Why, for the journal and the audit log."""
-
-    model_config = ConfigDict(str_strip_whitespace=True)
 
     reason: Comment = ""
 
 
-class OutOfServiceBody(StrictBody):
+class OutOfServiceBody(ActBody):
     """Why."""
-
-    model_config = ConfigDict(str_strip_whitespace=True)
 
     reason: ActReason
 

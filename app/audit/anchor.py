@@ -68,8 +68,7 @@ def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
-    """The content of the lines. Two that name different hashes of one entry cannot both be right: the second
-    counts as forged."""
+    """The content of the lines. Of two different hashes of one entry the second counts as forged."""
     heads: dict[int, str] = {}
     newest = unreadable = 0
     for number, text in enumerate(lines, start=1):
@@ -113,8 +112,7 @@ def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Add a line to the file, on disk when this returns; the file is made where there is none. Raises
-    AnchorError."""
+    """Add a line to the file, made where there is none; on disk when this returns. Raises AnchorError."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
     try:
         descriptor = os.open(path, flags, 0o600)

@@ -60,8 +60,7 @@ class Anchoring:
             await asyncio.sleep(EVERY_S)
 
     async def export(self, within_s: float = WITHIN_S) -> None:
-        """Write the head if it is another than the last time. What fails is an event and :attr:`status`, and
-        is tried again."""
+        """Write the head where it has changed. A failure is an event and :attr:`status`, and is retried."""
         async with self._one_at_a_time:
             try:
                 await self._export(within_s)

@@ -1,5 +1,4 @@
-"""Bounds the number of events that strangers can cause: repetitions are counted and recorded once a
-minute."""
+"""Bounds the events that strangers can cause: repetitions are counted and recorded once a minute."""
 
 from __future__ import annotations
 

@@ -85,12 +85,7 @@ class SignIn:
         Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
         after too many, 403 for a panel that has more rights than a panel may have.
         """
-        if not name or not secret:
-            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
-            raise Problem(401, "unauthorized", _WRONG[panel])
-        user = await self._checked(name, secret, address, device, panel)
-        if user is None:
-            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
+        user = await self._right(name, secret, address, device, panel=panel)
         if user.panel and not Role.OPERATOR.includes(user.role):
             raise Problem(
                 403,
@@ -98,6 +93,12 @@ class SignIn:
                 Message.of("panel_with_higher_role", called=user.name, role=term(user.role)),
             )
         return await self._begin(user, secret, address, device)
+
+    async def identify(self, name: str, secret: str, address: str) -> User:
+        """The user whose password it is, who signs at the page of another, with the same limits as a sign-in.
+
+        Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many."""
+        return await self._right(name, secret, address, "", panel=False)
 
     async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
         """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
@@ -129,6 +130,15 @@ class SignIn:
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
         return self.lifetimes.panel if user.panel else self.lifetimes.person
+
+    async def _right(self, name: str, secret: str, address: str, device: str, *, panel: bool) -> User:
+        if not name or not secret:
+            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
+            raise Problem(401, "unauthorized", _WRONG[panel])
+        user = await self._checked(name, secret, address, device, panel)
+        if user is None:
+            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
+        return user
 
     async def _checked(self, name: str, secret: str, address: str, device: str, panel: bool) -> User | None:
         """The user whose secret it is, within the limits. Raises Problem 429."""

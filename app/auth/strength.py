@@ -114,8 +114,7 @@ def _plain(text: str) -> str:
 
 
 def _bare(text: str) -> str:
-    """In small letters, without accents, full widths and what cannot be seen, which make nothing harder to
-    guess."""
+    """In small letters, without accents, full widths and invisible characters: they protect nothing."""
     signs = unicodedata.normalize("NFKD", text.casefold())
     return "".join(sign for sign in signs if unicodedata.category(sign) not in _ADORNMENTS)[:LONGEST_PASSWORD]
 

@@ -12,8 +12,7 @@ from bus.messages import Message, number, term
 
 
 def setpoint_message(raw: int | None, live: UnitLive) -> str | Message:
-    """A setpoint as the unit shows it, the bare integer, marked, while its decimals are not known; empty
-    where there is none."""
+    """A setpoint as the unit shows it, marked while its decimals are not known; empty for None."""
     if raw is None:
         return ""
     text = setpoint_text(live, raw)
@@ -33,8 +32,7 @@ def in_measure(value: str | Message, measure: str | Message) -> Message:
 
 
 def measure_of_setpoint(unit: UnitLive) -> str:
-    """Of a setpoint of this unit: "" of a ratio, and of the bare number on the wire while the decimals are
-    not known."""
+    """Measure of a setpoint; "" of a ratio, and while the decimals are not known."""
     is_shown = not follower(unit) and setpoint_text(unit, 0) is not None
     return unit.settings.labels.unit if is_shown else ""
 

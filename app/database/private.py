@@ -1,5 +1,4 @@
-"""Files and folders for the server's user alone. Links are never followed: where others could once write, one
-may lead anywhere."""
+"""Files and folders for the server's user alone. Links, which others may have made, are never followed."""
 
 from __future__ import annotations
 

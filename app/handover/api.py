@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
+import msgspec
 from fastapi import APIRouter, Depends, Header, Path, Query
 from pydantic import AwareDatetime, Field
+from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
+from app.auth.pages import address_of
+from app.errors import Problem
+from app.handover.document import APART, SheetDocuments
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
-from app.handover.sheet import ShiftNoteShown, ShiftSheetShown, notes_json
+from app.handover.sheet import (
+    SheetAndSignaturesShown,
+    ShiftNoteShown,
+    ShiftSheetShown,
+    SignatureShown,
+    SignedShown,
+    notes_json,
+    signature_json,
+    signed_json,
+)
+from app.handover.signatures import SignedPart
+from app.handover.signing import Signing, SignRequest
 from app.web.access import Operator, Viewer
 from app.web.api_route import ApiRoute
+from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import StrictBody, iso
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRoute)
@@ -25,6 +43,13 @@ router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRout
 LONGEST_NOTE = 2000
 MOST_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
+Sign = Annotated[Signing, service(Signing)]
+Documents = Annotated[SheetDocuments, service(SheetDocuments)]
+SIGNED_JSON: dict[int | str, dict[str, Any]] = {
+    200: {"model": ShiftSheetShown},
+    **problems(409),
+}
+HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
 NoteText = Annotated[Lines, Field(min_length=1, max_length=LONGEST_NOTE)]
 RepeatKey = Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)]
 
@@ -33,7 +58,7 @@ async def _shift_of(
     shifts: Shifts,
     start: Annotated[AwareDatetime, Path(description="When it starts. ISO 8601 with zone.")],
 ) -> Shift:
-    return shifts.shift_of(start)
+    return await shifts.shift_of(start)
 
 
 ShiftOfPath = Annotated[Shift, Depends(_shift_of)]
@@ -54,12 +79,27 @@ class ShiftNoteBody(StrictBody):
     ] = None
 
 
+class ShiftSignBody(StrictBody):
+    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
+
+    part: Annotated[
+        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
+    ] = None
+    digest: Annotated[
+        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
+    ] = None
+    name: Annotated[str, Field(max_length=64)] = ""
+    password: Annotated[str, Field(max_length=1000)] = ""
+
+
 class ShiftSummaryShown(TypedDict):
     """A shift in the list."""
 
     start: str
     end: str
     notes: Annotated[int, Field(description="How many it has.")]
+    leaving: SignatureShown | None
+    coming: SignatureShown | None
 
 
 class ShiftsShown(TypedDict):
@@ -81,10 +121,49 @@ async def get_shifts(
     return {"shifts": [_summary(each) for each in found], "next": iso(found[-1].shift.start)}
 
 
-@router.get("/{start}", response_model=ShiftSheetShown, dependencies=[SEARCH])
+@router.get("/{start}", response_model=SheetAndSignaturesShown, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
-    """The sheet of a shift, made of what is stored; of the one under way, up to now."""
-    return Response(await shifts.sheet(shift), media_type="application/json")
+    """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
+    found = await shifts.sheet(shift)
+    sheet = msgspec.json.decode(found.sheet)
+    more = {"signed": signed_json(found.signed), "later_notes": notes_json(found.later)}
+    return Response(msgspec.json.encode(sheet | more), media_type="application/json")
+
+
+@router.get("/{start}/sheet.json", response_class=Response, responses=SIGNED_JSON, dependencies=[SEARCH])
+async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
+    """The signed sheet byte by byte, of which ``digest`` is the SHA-256."""
+    signed = (await shifts.sheet(shift)).signed
+    if signed is None:
+        raise Problem(409, "not_signed", Message("shift_not_signed_over"))
+    return Response(signed.frozen.sheet, media_type="application/json")
+
+
+@router.get("/{start}/sheet.html", response_class=Response, responses=HTML, dependencies=[SEARCH])
+async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, shift: ShiftOfPath) -> Response:
+    """The sheet with its signatures as one HTML file, in the language of the site; signed or not."""
+    found = await shifts.sheet(shift)
+    name = f"shift-{iso(found.shift.start)[:16].replace(':', '')}Z.html"
+    headers = {**APART, "Content-Disposition": f'attachment; filename="{name}"'}
+    return Response(documents.document(found), media_type="text/html; charset=utf-8", headers=headers)
+
+
+@router.post("/{start}/sign")
+async def sign_shift_sheet(
+    request: Request,
+    person: Operator,
+    shifts: Shifts,
+    signing: Sign,
+    shift: ShiftOfPath,
+    body: ShiftSignBody | None = None,
+) -> SignedShown:
+    """Sign the sheet: first the leaving person, which freezes it, then the coming one, another user."""
+    given = body or ShiftSignBody()
+    wanted = SignRequest(given.part, given.digest, given.name, given.password)
+    await signing.sign(person, address_of(request), shift, wanted)
+    signed = signed_json((await shifts.sheet(shift)).signed)
+    assert signed is not None
+    return signed
 
 
 @router.post("/{start}/notes", status_code=201)
@@ -105,4 +184,10 @@ async def write_shift_note(
 
 
 def _summary(summary: ShiftSummary) -> ShiftSummaryShown:
-    return {"start": iso(summary.shift.start), "end": iso(summary.shift.end), "notes": summary.notes}
+    return {
+        "start": iso(summary.shift.start),
+        "end": iso(summary.shift.end),
+        "notes": summary.notes,
+        "leaving": signature_json(summary.signatures.get("leaving")),
+        "coming": signature_json(summary.signatures.get("coming")),
+    }

@@ -13,10 +13,14 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
-from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts
+from app.auth.pages import address_of
+from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
 from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
-from app.handover.sheet_view import readable_sheet
+from app.handover.sheet import notes_json
+from app.handover.sheet_view import readable_notes, readable_sheet
+from app.handover.signatures import SignedPart
+from app.handover.signing import SignRequest
 from app.web.access import Operator, Viewer
 from app.web.templating import render
 from app.web.turns import SEARCH
@@ -56,19 +60,24 @@ async def present_page(_: Viewer, shifts: Shifts) -> Response:
 @router.get("/shifts/{start}", dependencies=[SEARCH])
 async def sheet_page(
     request: Request,
-    _: Viewer,
+    person: Viewer,
     shifts: Shifts,
     alarms: Alarms,
     shift: ShiftOfPath,
     correct: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
     """The sheet, and the form for a note. ``correct``: the note that the form corrects."""
-    sheet = readable_sheet(await shifts.sheet(shift))
-    corrected = next((note for note in sheet["notes"] if note["id"] == correct), None)
+    found = await shifts.sheet(shift)
+    sheet = readable_sheet(found.sheet)
+    notes = [*sheet["notes"], *readable_notes(notes_json(found.later))]
+    corrected = next((note for note in notes if note["id"] == correct), None)
     return render(
         request,
         "handover/sheet.html",
         sheet=sheet,
+        later=readable_notes(notes_json(found.later)),
+        signed=found.signed,
+        signs_as=person.name if person.via == "session" and not person.panel else "",
         shift=shift,
         page=_path(shift),
         corrected=corrected,
@@ -108,6 +117,23 @@ async def write_note(
     """Write a note."""
     note = await shifts.write(person, shift, new)
     return RedirectResponse(f"{_path(shift)}#note-{note.id}", SEE_OTHER)
+
+
+@router.post("/shifts/{start}/sign")
+async def sign(
+    request: Request,
+    person: Operator,
+    signing: Sign,
+    shift: ShiftOfPath,
+    part: Annotated[SignedPart, Form()],
+    digest: Annotated[str | None, Form(max_length=64)] = None,
+    name: Annotated[str, Form(max_length=64)] = "",
+    password: Annotated[str, Form(max_length=1000)] = "",
+) -> Response:
+    """Sign as the user of the session, or by name and password."""
+    wanted = SignRequest(part, digest, name, password)
+    await signing.sign(person, address_of(request), shift, wanted)
+    return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
 
 
 def _places(alarms: LineAlarms) -> list[tuple[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
@@ -19,6 +19,14 @@ from app.handover import notes
 from app.handover.notes import Note, RepeatedNoteError
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from app.handover.sheet import SheetWriter
+from app.handover.signatures import (
+    Signature,
+    SignedPart,
+    SignedSheet,
+    signatures_of,
+    signed_between,
+    signed_sheet,
+)
 from app.notify_settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
@@ -52,6 +60,17 @@ class ShiftSummary:
 
     shift: Shift
     notes: int
+    signatures: Mapping[SignedPart, Signature]
+
+
+@dataclass(frozen=True, slots=True)
+class SheetOfShift:
+    """``sheet``: its JSON, as it was signed where it is. ``later``: the notes that were written since."""
+
+    shift: Shift
+    sheet: bytes
+    signed: SignedSheet | None
+    later: list[Note]
 
 
 class Handover:
@@ -68,14 +87,17 @@ class Handover:
         self._events = events
         self._clock = clock
 
-    def shift_of(self, start: datetime) -> Shift:
+    async def shift_of(self, start: datetime) -> Shift:
         """The shift that starts then. Raises Problem 404."""
         at, now = UnixTime(start.timestamp()), self._clock()
         if not UnixTime(0.0) < at <= now:
             raise Problem(404, "unknown_shift", Message("shift_not_begun"))
+        signed = await self._database.read(lambda store: signed_between(store, at, at))
+        if signed:
+            return signed[0]
         shift = shift_at(at, self._starts, self.zone)
         if shift.start != at:
-            message = Message.of("shift_unknown", time=self._local(at), start=iso(shift.start))
+            message = Message.of("shift_unknown", time=self.local(at), start=iso(shift.start))
             raise Problem(404, "unknown_shift", message)
         return shift
 
@@ -88,20 +110,23 @@ class Handover:
         now = self._clock()
         latest = now if before is None else min(now, before - 1.0)
         shifts = list(islice(shifts_until(latest, self._starts, self.zone), limit))
-        counts = await self._database.read(lambda connection: notes.counts_of(connection, shifts))
-        return [ShiftSummary(shift, count) for shift, count in zip(shifts, counts, strict=True)]
+        return await self._database.read(lambda connection: _summaries(connection, shifts))
 
-    async def sheet(self, shift: Shift) -> bytes:
-        """The sheet of a shift as JSON."""
+    async def sheet(self, shift: Shift) -> SheetOfShift:
+        """The sheet of a shift, as it was signed or as it would be now."""
         now = self._clock()
         return await self._database.read_costly(
-            lambda connection: msgspec.json.encode(
-                _at_one_instant(connection, lambda: self._sheets.write(connection, shift, now))
-            )
+            lambda connection: _at_one_instant(connection, lambda: self._sheet(connection, shift, now))
         )
 
-    async def notes(self, shift: Shift) -> list[Note]:
-        return await self._database.read(lambda connection: notes.notes_of(connection, shift))
+    def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
+        signed = signed_sheet(connection, shift.start)
+        if signed is None:
+            sheet = self._sheets.write(connection, shift, now)
+            return SheetOfShift(shift, msgspec.json.encode(sheet), None, [])
+        known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
+        later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
+        return SheetOfShift(shift, signed.frozen.sheet, signed, later)
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
@@ -125,7 +150,7 @@ class Handover:
 
     async def _store(self, person: Person, shift: Shift, note: Note) -> Note:
         stored: list[int] = []
-        start = self._local(shift.start)
+        start = self.local(shift.start)
         what = Message.of("event_shift_note", start=start)
         if note.corrects is not None:
             what = Message.of("event_shift_note_corrected", start=start, note=note.corrects)
@@ -154,7 +179,7 @@ class Handover:
                 raise Problem(422, "invalid", Message("shift_note_needs_time"))
             return now
         if at is None or not shift.holds(at) or at > now + CLOCK_SKEW_S:
-            start, end = self._local(shift.start), self._local(shift.end)
+            start, end = self.local(shift.start), self.local(shift.end)
             raise Problem(422, "invalid", Message.of("shift_note_outside", start=start, end=end))
         return min(at, now)
 
@@ -166,8 +191,19 @@ class Handover:
         if new.bus is not None and new.unit is not None and new.unit not in self._units[new.bus]:
             raise unknown_unit(new.bus, new.unit)
 
-    def _local(self, at: UnixTime) -> str:
+    def local(self, at: UnixTime) -> str:
         return site_time(at, self.zone)
+
+
+def _summaries(connection: sqlite3.Connection, shifts: list[Shift]) -> list[ShiftSummary]:
+    """The computed shifts, and the signed ones among them that had other times by their configuration."""
+    signed = signed_between(connection, shifts[-1].start, shifts[0].start)
+    starts = {shift.start: shift for shift in (*shifts, *signed)}
+    listed = sorted(starts.values(), key=lambda shift: -float(shift.start))
+    return [
+        ShiftSummary(shift, count, signatures_of(connection, shift.start))
+        for shift, count in zip(listed, notes.counts_of(connection, listed), strict=True)
+    ]
 
 
 def _given(text: str) -> str:

@@ -24,6 +24,7 @@ from app.handover.record import (
     last_events,
 )
 from app.handover.rules.shift_times import Shift, site_time
+from app.handover.signatures import Signature, SignedSheet
 from app.settings import Settings
 from app.web.shape import MessageShown, iso, message_shown
 from bus.instants import UnixTime
@@ -93,6 +94,32 @@ class ShiftSheetShown(TypedDict):
     omissions: Annotated[list[MessageShown], Field(description="What the store does not hold of the shift.")]
 
 
+class SignatureShown(TypedDict):
+    """Who signed, and when by the clock of the server."""
+
+    who: str
+    at: str
+
+
+class SignedShown(TypedDict):
+    """What was signed."""
+
+    digest: Annotated[str, Field(description="SHA-256 of the sheet as JSON, hexadecimal.")]
+    page_digest: Annotated[str, Field(description="SHA-256 of its page, hexadecimal.")]
+    altered: Annotated[bool, Field(description="The stored sheet is not the one that the audit log names.")]
+    leaving: SignatureShown | None
+    coming: SignatureShown | None
+
+
+class SheetAndSignaturesShown(ShiftSheetShown):
+    """The sheet, as it was signed where it is."""
+
+    signed: SignedShown | None
+    later_notes: Annotated[
+        list[ShiftNoteShown], Field(description="Those written since it was signed; not part of it.")
+    ]
+
+
 class SheetWriter:
     """Makes the sheets of a site."""
 
@@ -146,6 +173,23 @@ class SheetWriter:
         if golden < self._units:
             yield Message.of("shift_omits_drift", golden=golden, units=self._units)
         yield Message("shift_omits_lapse" if self._site.control else "shift_omits_control")
+
+
+def signed_json(signed: SignedSheet | None) -> SignedShown | None:
+    """The signatures as the API has them."""
+    if signed is None:
+        return None
+    return {
+        "digest": signed.frozen.digest,
+        "page_digest": signed.frozen.page_digest,
+        "altered": signed.is_altered,
+        "leaving": signature_json(signed.signatures.get("leaving")),
+        "coming": signature_json(signed.signatures.get("coming")),
+    }
+
+
+def signature_json(signature: Signature | None) -> SignatureShown | None:
+    return None if signature is None else {"who": signature.who, "at": iso(signature.at)}
 
 
 def notes_json(notes: Sequence[Note]) -> list[ShiftNoteShown]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
@@ -25,11 +25,17 @@ def readable_sheet(stored: bytes) -> dict[str, Any]:
         transition["time"] = _moment(transition["time"])
         transition["title"] = _title(transition)
         transition["state"] = Message(f"alarm_state_{transition['after']}")
-    for note in sheet["notes"]:
-        note |= {name: _moment(note[name]) for name in ("time", "written_at")}
+    sheet["notes"] = readable_notes(sheet["notes"])
     sheet |= {name: _moment(sheet[name]) for name in ("start", "end", "until", "made_at")}
     sheet["omissions"] = msgspec.convert(sheet["omissions"], list[Message])
     return sheet
+
+
+def readable_notes(notes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Notes of the API, with moments for instants."""
+    return [
+        {**note, "time": _moment(note["time"]), "written_at": _moment(note["written_at"])} for note in notes
+    ]
 
 
 def _events(sheet: dict[str, Any]) -> Iterator[dict[str, Any]]:

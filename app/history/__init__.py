@@ -1,1 +1,1 @@
-"""What it was then: every reading kept, thinned by age, and drawn over any span."""
+"""What it was then: every reading kept, downsampled by age, and drawn over any span."""

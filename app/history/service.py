@@ -142,8 +142,7 @@ StatusSpan = tuple[UnixTime, UnixTime, int]
 async def status_words(
     history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
 ) -> list[StatusSpan]:
-    """From when until when (Unix time, seconds) which bits, ST2 * 256 + ST1, in order of time. Raises
-    StoreError."""
+    """From and until (Unix time, seconds) with bits, ST2 * 256 + ST1, in order. Raises StoreError."""
     wanted = micros(start), micros(end)
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:

@@ -109,8 +109,7 @@ LONGEST_HEADER = 400
 
 
 class Languages:
-    """Every language there is a catalog for. ``kept_in``: where catalogs stay compiled from one start to the
-    next."""
+    """Every language that has a catalog. ``kept_in``: where catalogs stay compiled between starts."""
 
     def __init__(self, folder: Path = FOLDER, kept_in: Path | None = None) -> None:
         self._all = {tag: _language(path, kept_in) for tag, path in catalogs(folder).items()}

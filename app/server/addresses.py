@@ -30,9 +30,7 @@ def canonical(text: str) -> str:
 
 @lru_cache(maxsize=MOST_REMEMBERED)
 def source_of(text: str) -> str:
-    """The key under which a client is counted: an IPv4 address, or the /64 of an IPv6 address; anything else
-    unchanged.
-    """
+    """The key by which a client is counted: an IPv4 address, the /64 of an IPv6 one, else ``address``."""
     address = parse_address(text)
     if isinstance(address, IPv6Address):
         return str(ip_network((int(address) >> SUBNET_BITS << SUBNET_BITS, SUBNET_BITS)))

@@ -26,9 +26,7 @@ _SOCKET_SCHEMES = {"http": "ws", "https": "wss"}
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The client that a trusted proxy reports; ``scheme`` and ``host`` are empty where it does not report
-    them.
-    """
+    """The client by a trusted proxy; ``scheme`` and ``host`` are empty where it does not report them."""
 
     address: str
     scheme: str = ""

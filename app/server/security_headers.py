@@ -23,9 +23,7 @@ _STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 
 
 class SecurityHeaders:
-    """Adds the headers above to every response; without a Cache-Control of its route a response is not
-    cached.
-    """
+    """Adds the headers above; a response without a Cache-Control of its route is not cached."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

@@ -58,15 +58,6 @@ def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits
     )
 
 
-def encode_status(bits: StatusBits, estop_healthy: int = 1) -> tuple[int, int]:
-    """(ST2, ST1) of ``bits``; the inverse of ``status_bits`` but for the unused bit 7 of ST1."""
-    switched = (bits.run, bits.estop_active != bool(estop_healthy), bits.preset, bits.reverse)
-    return (
-        _byte((*bits.outputs, bits.remote, bits.at_speed)),
-        _byte((*switched, bits.up, bits.down, bits.follower)),
-    )
-
-
 def output_is_on(outputs: int, number: int) -> bool:
     """Whether auxiliary output ``number`` (1-6) is on in ST2."""
     return _bit(outputs, number - 1)
@@ -74,7 +65,3 @@ def output_is_on(outputs: int, number: int) -> bool:
 
 def _bit(byte: int, position: int) -> bool:
     return bool(byte >> position & 1)
-
-
-def _byte(bits: tuple[bool, ...]) -> int:
-    return sum(bit << position for position, bit in enumerate(bits))

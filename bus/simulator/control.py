@@ -56,9 +56,7 @@ class Remote:
         self._stream = self._socket.makefile("rw", encoding="utf-8")
 
     def do(self, action: str, **details: object) -> Any:
-        """Request ``action`` and return its result. Raises RuntimeError with the line's error text when it
-        failed.
-        """
+        """Return the result of ``action``. Raises RuntimeError with the line's error text."""
         self._stream.write(json.dumps({"do": action, **details}) + "\n")
         self._stream.flush()
         response = json.loads(self._stream.readline())

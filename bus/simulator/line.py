@@ -109,9 +109,7 @@ class SimulatedLine:
             self._arriving.append(half._replace(at=at, checksum_10h="twice"))
 
     def _step_physics(self, now: float, behind: float) -> None:
-        """Step up to ``behind`` before ``now``; best directly after a request, because its response leaves
-        time.
-        """
+        """Step up to ``behind`` before ``now``; best after a request, as its response leaves time."""
         while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
             if self.faults.strikes(FaultKind.FLOOD):

@@ -1,6 +1,4 @@
-"""What a simulated line received, did and sent, with times: an independent record by which tests judge a
-host.
-"""
+"""What a simulated line received, did and sent: an independent record by which tests judge a host."""
 
 from __future__ import annotations
 

@@ -43,9 +43,7 @@ Rejection = UnitErrorCode | None
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """The effect of one request. ``acted``: a write was carried out. ``reply`` None: the unit does not
-    respond.
-    """
+    """The effect of a request. ``acted``: a write was carried out; ``reply`` None: no response."""
 
     request: Request | None
     reply: Reply | None

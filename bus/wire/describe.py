@@ -51,9 +51,7 @@ _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """One frame, complete except perhaps for its checksum. ``meaning`` never shows a secret, ``fields``
-    do.
-    """
+    """One frame, perhaps without its checksum. ``fields`` show a secret, ``meaning`` does not."""
 
     uid: int
     kind: str

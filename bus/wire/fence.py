@@ -78,9 +78,7 @@ def shape_of(body: bytes) -> Shape | None:
 
 
 def ordinary_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
-    """Return the shapes that the manual gives for ``request``, without "illegal command"; none for a
-    broadcast.
-    """
+    """Return the shapes that the manual gives, without "illegal command"; none for a broadcast."""
     if request.unit == 0:
         return frozenset()
     return _ordinary(request.COMMAND, acknowledged_lengths(request, dialect))
@@ -104,19 +102,6 @@ def _possible(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
     return _ordinary(command, lengths) | {Shape(NAK, code) for code in _ILLEGAL_COMMAND}
 
 
-def fence_needed(timed_out: Request, following: Request, dialect: Dialect | None = None) -> bool:
-    """Return whether a late response to ``timed_out`` could be taken for that to ``following`` (rule 4)."""
-    dialect = dialect or Dialect()
-    if timed_out.unit != following.unit or _reads_the_same(timed_out, following):
-        return False
-    return bool(possible_shapes(timed_out, dialect) & ordinary_shapes(following, dialect))
-
-
-def fence_for(unit: int, timed_out: Request, dialect: Dialect | None = None) -> Request:
-    """Return the read whose response cannot be confused with a late response to ``timed_out``."""
-    return PendingResponses(unit, dialect or Dialect(), (timed_out,)).fence()
-
-
 class ShapedResponse(NamedTuple):
     """A request and the shape of its response."""
 
@@ -125,9 +110,7 @@ class ShapedResponse(NamedTuple):
 
 
 class PendingResponses(msgspec.Struct, frozen=True):
-    """The late and duplicate responses that one unit may still send. A value: each step returns the
-    next one.
-    """
+    """The responses that one unit may still send late or twice. A value: steps return the next one."""
 
     unit: int
     dialect: Dialect
@@ -207,9 +190,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return bool(shapes & ordinary_shapes(request, self.dialect))
 
     def _first_of_fences(self, request: Request) -> Request:
-        """Return the first of the fewest fences after which ``request`` may follow, if each gets a
-        response.
-        """
+        """Return the first of the fewest fences, each with a response, after which ``request`` may follow."""
         best_first = sorted(self._fences(), key=self._left_pending_by)
         reached = {self._after(fence): fence for fence in best_first}
         for _ in range(MOST_FENCES_PLANNED):
@@ -280,9 +261,7 @@ class PendingByUnit:
         return self.about(request.unit).fence_before(request) if request.unit else None
 
     def may_hold_secret(self, unit: int) -> bool:
-        """Return whether a late or duplicate response of ``unit`` may carry a value that must not be kept or
-        shown (#21).
-        """
+        """Return whether a response of ``unit`` may still bring a value that must not be shown (#21)."""
         pending = self._units.get(unit)
         return pending is not None and pending.may_hold_secret
 

@@ -51,8 +51,6 @@ def _prepare(request: Request, dialect: Dialect) -> Prepared:
 
 @lru_cache(MOST_KEPT)
 def _prepare_read(request: Request, checksum_10h: str, reply_bytes: int, numbers: str) -> Prepared:
-    """Prepare a read; the parts of the dialect that decide its bytes are plain values, which compare
-    quickly.
-    """
+    """Prepare a read; what the dialect decides of its bytes is plain values, which compare quickly."""
     how = {"checksum_10h": checksum_10h, "parameter_reply_bytes": reply_bytes, "parameter_numbers": numbers}
     return _prepare(request, Dialect.model_validate(how))

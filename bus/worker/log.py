@@ -12,9 +12,7 @@ import structlog
 
 
 class Unbreakable(io.TextIOBase):
-    """Drops log lines that cannot be written (disk full, pipe closed), so that the log never stops the line
-    or its history.
-    """
+    """Drops log lines that cannot be written (disk full, pipe closed): the log never stops the line."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -1,5 +1,4 @@
-"""The WebSocket to the app: connects, and reconnects whenever it ends. ``bus.contract`` has the order of
-messages."""
+"""The WebSocket to the app, reconnected whenever it ends. ``bus.contract`` has the order of messages."""
 
 from __future__ import annotations
 
@@ -43,9 +42,7 @@ from bus.worker.outbox import Outbox
 SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
-"""For this time after the start, or after a lost link, the pause stays short: the app is probably
-starting.
-"""
+"""For this time after the start or a lost link the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
 """Limits what is taken from the app; more waits in the socket, and polling continues."""

@@ -8,10 +8,10 @@ const RETAIN_NULLS = 1;
 const FIRST_WITHIN_S = 10;
 
 async function get(path, query, signal) {
-  return answered(await fetch(`${HISTORY}${path}?${query}`, { signal }));
+  return json(await fetch(`${HISTORY}${path}?${query}`, { signal }));
 }
 
-async function answered(response) {
+async function json(response) {
   if (response.ok) return response.json();
   const problem = await response.json().catch(() => ({}));
   throw new Error(problem.detail ?? response.status);
@@ -23,7 +23,7 @@ const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0
 export function fetchSeries(names, range, points, signal) {
   if (!names.length) return Promise.resolve([]);
   const early = takeFirst(names, range);
-  if (early) return fetch(early, { signal }).then(answered);
+  if (early) return fetch(early, { signal }).then(json);
   const query = new URLSearchParams({ ...spanOf(range), points, format: "epoch" });
   for (const name of names) query.append("series", name);
   return get("/series", query, signal);

@@ -6,27 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from app.settings import ConfigurationError, load
+from tests.app.configured import faults_of
 
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n[[bus.unit]]\nid = 4\nname = "Dryer"\n'
 OWN = '[[alarm]]\nname = "Dryer too slow"\nbus = "dry-end"\nunit = 4\n'
 
 
-def read(folder: Path, text: str) -> str:
-    """Its faults; empty where there is none."""
-    path = folder / "lineside.toml"
-    path.write_text(BUS + text)
-    try:
-        load(path)
-    except ConfigurationError as error:
-        return str(error).replace(str(path), "FILE")
-    return ""
-
-
 def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:
     text = 'value = "actual"\nbelow = "80.0"\non_delay_s = 5.0\noff_delay_s = 2\ndeadband = "0.5"\n'
-    assert read(tmp_path, OWN + text + 'priority = "high"\nlatch = false\n') == ""
-    assert read(tmp_path, OWN + 'value = "output.2"\nstate = "on"\non_delay_s = 600\n') == ""
+    assert faults_of(tmp_path, BUS + OWN + text + 'priority = "high"\nlatch = false\n') == ""
+    assert faults_of(tmp_path, BUS + OWN + 'value = "output.2"\nstate = "on"\non_delay_s = 600\n') == ""
 
 
 @pytest.mark.parametrize(
@@ -50,7 +39,7 @@ def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:
     ],
 )
 def test_a_fault_is_named_with_its_line(tmp_path: Path, text: str, line: int, words: str) -> None:
-    fault = read(tmp_path, OWN + text)
+    fault = faults_of(tmp_path, BUS + OWN + text)
     assert words in fault
     assert fault.startswith(f"FILE:{line}: ")
 
@@ -64,6 +53,6 @@ def test_a_fault_is_named_with_its_line(tmp_path: Path, text: str, line: int, wo
     ],
 )
 def test_an_alarm_has_its_unit_and_its_name(tmp_path: Path, own: str, line: int, words: str) -> None:
-    fault = read(tmp_path, own + 'value = "actual"\nbelow = "80"\n')
+    fault = faults_of(tmp_path, BUS + own + 'value = "actual"\nbelow = "80"\n')
     assert words in fault
     assert fault.startswith(f"FILE:{line}: ")

@@ -55,7 +55,7 @@ OF_A_NUMBER = {
 CODES = {
     *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
-    *("ShiftNote.alarm", "time_zone"),
+    *("ShiftNote.alarm", "ShiftSignatures.digest", "ShiftSignatures.page_digest", "time_zone"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
         "NotificationDelivery.alarms",

@@ -15,7 +15,8 @@ from typer.testing import CliRunner, Result
 
 from app.alarms.notification import mail, webhook
 from app.cli import check
-from app.settings import ConfigurationError, load
+from app.settings import load
+from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver
 
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n'
@@ -25,23 +26,12 @@ cli = typer.Typer()
 check.register(cli)
 
 
-def read(folder: Path, text: str) -> str:
-    """Its faults; empty where there is none."""
-    path = folder / "lineside.toml"
-    path.write_text(BUS + text)
-    try:
-        load(path)
-    except ConfigurationError as error:
-        return str(error).replace(str(path), "FILE")
-    return ""
-
-
 def test_the_example_of_the_contract_is_read(tmp_path: Path) -> None:
     smtp = (
         'host = "mail"\nport = 587\nsender = "lineside@plant"\nto = ["duty@plant"]\npriorities = ["high"]\n'
     )
     hook = 'url = "https://plant.example/x"\nsecret_file = "hook.key"\npriorities = ["urgent"]\n'
-    assert read(tmp_path, f"[notify.smtp]\n{smtp}[[notify.webhook]]\n{hook}") == ""
+    assert faults_of(tmp_path, BUS + f"[notify.smtp]\n{smtp}[[notify.webhook]]\n{hook}") == ""
     (webhook,) = load(tmp_path / "lineside.toml").notify.webhook
     assert webhook.secret_file == tmp_path / "hook.key"
 
@@ -71,7 +61,7 @@ def test_the_example_of_the_contract_is_read(tmp_path: Path) -> None:
     ],
 )
 def test_a_fault_is_named_with_its_line(tmp_path: Path, text: str, line: int, words: str) -> None:
-    fault = read(tmp_path, text)
+    fault = faults_of(tmp_path, BUS + text)
     assert words in fault
     assert fault.startswith(f"FILE:{line}: ")
 

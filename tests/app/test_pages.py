@@ -112,6 +112,13 @@ async def test_a_press_without_its_review_is_refused(house: House) -> None:
     assert (await client.post("/units/dry-end/1/speed", data={"raw": "100"})).status_code == 422
 
 
+async def test_refused_limits_are_explained_at_their_place_on_the_page(house: House) -> None:
+    client = await house.program(Role.ENGINEER)
+    refused = await client.post("/units/dry-end/1/limits", data={"lowest": "5", "highest": "4"})
+    assert (refused.status_code, refused.headers["hx-retarget"]) == (422, "#limits-result")
+    assert 'id="limits-result"' in (await client.get("/units/dry-end/1")).text
+
+
 @pytest.mark.parametrize("header", ["Lineside-Clicked-At", "Lineside-Asked-At"])
 async def test_an_old_click_sends_nothing_and_reports_it(house: House, header: str) -> None:
     client = await house.program(Role.OPERATOR)

@@ -283,6 +283,26 @@ async def pages_that_open_and_close(target: Target) -> None:
 
 
 @attack
+async def streams_that_no_one_reads(target: Target) -> None:
+    head = target.head("GET /api/v1/stream", "viewer") + b"\r\n"
+    await many(target, 100, lambda _: hold(target, head))
+
+
+@attack
+async def streams_that_open_and_close(target: Target) -> None:
+    head = target.head("GET /api/v1/stream", "viewer", "Connection: close\r\n") + b"\r\n"
+
+    async def one(_: int) -> None:
+        reader, writer = await target.open(head)
+        try:
+            await asyncio.wait_for(reader.read(1), 30)
+        finally:
+            writer.close()
+
+    await many(target, 40, one)
+
+
+@attack
 async def pings_without_end(target: Target) -> None:
     await many(target, 20, lambda _: live(target, frame(0x89, b"x" * 100) * 2000, 0.05, reads=False))
 

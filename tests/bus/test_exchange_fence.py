@@ -33,8 +33,6 @@ from bus.wire.fence import (
     MOST_OUTSTANDING,
     PendingByUnit,
     PendingResponses,
-    fence_for,
-    fence_needed,
     possible_shapes,
 )
 from bus.wire.framing import ACK, NAK
@@ -57,6 +55,12 @@ ALL: list[Request] = [
     WriteAnalogOutputRequest(1, 3),
 ]
 WRITES = [request for request in ALL if is_write(request)]
+
+
+def fence_needed(timed_out: Request, following: Request) -> bool:
+    line = PendingByUnit(PLAIN)
+    line.after(PendingResponses(timed_out.unit, PLAIN).sent(timed_out))
+    return line.fence_before(following) is not None
 
 
 class TestTheTable:
@@ -97,7 +101,7 @@ class TestTheTable:
 
     @pytest.mark.parametrize("lost", ALL, ids=str)
     def test_the_fence_is_distinct_from_the_lost_response(self, lost: Request) -> None:
-        fence = fence_for(1, lost)
+        fence = PendingResponses(1, PLAIN).sent(lost).fence()
         assert not is_write(fence)
         assert not fence_needed(lost, fence)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.catalogue.status import encode_status, output_is_on, status_bits
+from bus.catalogue.status import output_is_on, status_bits
 
 octets = st.integers(0, 255)
 
@@ -43,7 +43,15 @@ def test_the_sense_of_the_emergency_stop_is_the_dialects(bit: int, healthy: int,
 @given(octets, octets, st.sampled_from([0, 1]))
 def test_bits_round_trip(outputs: int, inputs: int, healthy: int) -> None:
     bits = status_bits(outputs, inputs, healthy)
-    assert encode_status(bits, healthy) == (outputs, inputs & 0x7F)
+    estop = bits.estop_active != bool(healthy)
+    assert _byte(*bits.outputs, bits.remote, bits.at_speed) == outputs
+    assert (
+        _byte(bits.run, estop, bits.preset, bits.reverse, bits.up, bits.down, bits.follower) == inputs & 0x7F
+    )
+
+
+def _byte(*bits: bool) -> int:
+    return sum(bit << position for position, bit in enumerate(bits))
 
 
 @given(octets)

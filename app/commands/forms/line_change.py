@@ -44,9 +44,7 @@ def followers_of(live: BusLive) -> set[int]:
 def proven(
     page: PageContext, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
 ) -> Response:
-    """The result of a reviewed change: the outcome of each unit, and the way back where all of them are
-    verified.
-    """
+    """The outcome of each unit, and the way back where all of them are verified."""
     live = page.bus(bus)
     proofs = _proofs(page, live, setpoints, result)
     return page.render(

@@ -83,8 +83,7 @@ class PageContext:
         return self.render(template, command_id=new_id(), reviewed_at=unix_now(), **context)
 
     def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
-        """Why what was typed gets no review, in the reader's language, at the CSS selector ``place``;
-        ``nearest`` would get one."""
+        """Why there is no review, shown at the CSS selector ``place``; ``nearest`` would get one."""
         response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response

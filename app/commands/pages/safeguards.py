@@ -41,7 +41,7 @@ async def set_limits(
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return page.not_so(page.translator.t(error.message), "#limits-said")
+        return page.not_so(page.translator.t(error.message), "#limits-result")
     await page.guards(bus).set_limits(person, unit, limits)
     return page.render("unit/_limits_set.html")
 

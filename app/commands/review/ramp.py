@@ -24,8 +24,7 @@ class Ramp:
 
 
 def ramp_of(unit: UnitLive, old: int | None, new: int) -> Ramp | None:
-    """The ramp from one setpoint to another, raw; None where there is none: nothing changes, or the unit
-    follows its master."""
+    """The ramp between two raw setpoints; None where nothing changes or the unit follows its master."""
     if old == new or follower(unit):
         return None
     number = ramp_parameter(old, new)

@@ -84,8 +84,7 @@ def end(connection: sqlite3.Connection, request: CommandRequest, result: Result)
 
 
 def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | None:
-    """The command of a sender's key. The result of a command that was open when the server ended is
-    unverified."""
+    """The command of a sender's key; *unverified* where the server ended before its result."""
     row = connection.execute(
         "SELECT requested_at, command, result FROM idempotency WHERE sender IN (?, ?) AND key = ?",
         (sender, _FROM_BEFORE, key),

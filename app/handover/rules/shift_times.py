@@ -42,8 +42,7 @@ def shifts_until(at: UnixTime, starts: Sequence[int], zone: ZoneInfo) -> Iterato
 
 
 def instant_of(minute: int, shift: Shift, zone: ZoneInfo) -> UnixTime | None:
-    """The first moment of a shift at which the clock of the site shows this minute of the day; None where it
-    never does."""
+    """The first moment of a shift at which the clock shows this minute of the day; None: it never does."""
     first = datetime.combine(_day(shift.start, zone), datetime.min.time())
     for days in range(3):
         for fold in (0, 1):

@@ -88,9 +88,7 @@ def _parts(at: Sequence[int], origin: int, width: int) -> list[tuple[int, int]]:
 
 
 def grid(start: int, end: int, most: int, least_width: int = _MS) -> tuple[int, int]:
-    """Width and origin of at most ``most`` buckets over a span, µs. A multiple of a unit of time where
-    one fits.
-    """
+    """Width and origin of at most ``most`` buckets over a span, µs; multiples of a time unit if possible."""
     for width in WIDTHS:
         if width % least_width == 0 and -(-end // width) - start // width <= most:
             return width, 0

@@ -292,8 +292,8 @@ def link_marks(connection: StoreConnection, units: Sequence[int], start: int, en
 def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:
     """Every unit that was lost or found from a time on (µs), and when; a port's marks are its units' too."""
     rows = connection.execute(
-        "SELECT unit.id, link.at FROM link JOIN unit AS said ON said.id = link.unit JOIN unit "
-        "ON unit.bus = said.bus AND said.number IN (0, unit.number) WHERE link.at >= ?",
+        "SELECT unit.id, link.at FROM link JOIN unit AS marked ON marked.id = link.unit JOIN unit "
+        "ON unit.bus = marked.bus AND marked.number IN (0, unit.number) WHERE link.at >= ?",
         (start,),
     )
     return [(row[0], row[1]) for row in rows]

@@ -70,8 +70,7 @@ class Diff:
         return self._text
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
-        """This diff and the ``earlier`` ones before it as one; made once for all browsers that
-        missed the same."""
+        """This diff and the ``earlier`` ones as one; made once for all browsers that missed the same."""
         if not earlier:
             return self
         before = earlier[0].before

@@ -22,9 +22,7 @@ _BEFORE_ALL = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class UnitView:
-    """The presentation of a unit at one time. ``cause``: what its first line names; None where there is
-    nothing.
-    """
+    """The presentation of a unit. ``cause``: what its first line names; None where there is nothing."""
 
     unit: UnitLive
     link: UnitLinkState

@@ -247,8 +247,7 @@ def _bits(*bits: bool) -> str:
 
 
 def frame_fields(frame: Frame, translator: Translator) -> dict[str, Any]:
-    """``at``: seconds since the epoch; ``hex``: the bytes as they passed; ``meaning``: in the language of
-    ``translator``."""
+    """``at``: seconds since the epoch; ``hex``: the bytes; ``meaning``: in the language of ``translator``."""
     return {
         "at": round(frame.at, 4),
         "direction": frame.direction,

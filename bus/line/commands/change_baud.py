@@ -95,9 +95,7 @@ class _Change:
         return None
 
     def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
-        """Return whether a unit has the new rate although its ACK was lost: it may send that at the new rate
-        already.
-        """
+        """Return whether a unit has the new rate although its ACK was lost, maybe sent at the new rate."""
         if sent.attempts == 0:
             return False
         yield Retune(self._new)

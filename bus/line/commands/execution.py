@@ -98,9 +98,7 @@ def _not_shown(member: Member, readback: Readback) -> Message:
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """It acknowledged its stage and does not show it: it may have missed the broadcast, which has no
-    response.
-    """
+    """It does not show its acknowledged stage: it may have missed the broadcast."""
     sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return

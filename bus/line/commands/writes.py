@@ -1,6 +1,4 @@
-"""A write to one unit, from the frame to its one outcome. Pure procedures
-(``bus.line.commands.procedure``).
-"""
+"""A write to one unit, from the frame to its one outcome. Pure (``bus.line.commands.procedure``)."""
 
 from __future__ import annotations
 

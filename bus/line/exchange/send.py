@@ -1,5 +1,4 @@
-"""One request through all its attempts: fences, retries, deadline, and its result. Pure: time in seconds is
-passed in."""
+"""One request through all its attempts: fences, retries, deadline, result. Pure: time is passed in."""
 
 from __future__ import annotations
 

@@ -262,7 +262,5 @@ def encode_number(number: int, dialect: Dialect) -> int:
 
 
 def number_for_checksum_10h(unit: int) -> int:
-    """Return the PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, which cannot be read, for unit
-    107.
-    """
+    """Return the PRM byte that gives an 85h to ``unit`` the checksum 10h; 0, unreadable, for unit 107."""
     return (checksum(bytes((unit, ReadParameterRequest.COMMAND))) - DLE) & 0xFF

@@ -82,9 +82,7 @@ class Prober:
         return responded & recent - self._quick
 
     async def _measure(self, unit: int) -> None:
-        """Send a request with a long window. Raises SlowUnitError for a unit that needs more than it is
-        allowed.
-        """
+        """Send a request with a long window. Raises SlowUnitError for a unit that needs more time."""
         if self._turnaround_s >= PATIENCE_S:
             return
         await self._line.listen(PATIENCE_S)

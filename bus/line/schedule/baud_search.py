@@ -14,9 +14,7 @@ LOOK_ELSEWHERE_S = 3.0
 
 
 class BaudSearch:
-    """Call ``look`` regularly, and ``turn`` between two requests: a line without responses gets both rates in
-    turn.
-    """
+    """Call ``look`` regularly, and ``turn`` between two requests."""
 
     def __init__(self, now: Monotonic) -> None:
         self._expected: int | None = None
@@ -47,9 +45,7 @@ class BaudSearch:
         return self._turns
 
     def turn(self, baud: int, *, responds: bool) -> int | None:
-        """Return the rate to continue at, where it is time to leave ``baud`` and no unit has responded there
-        since.
-        """
+        """Return the rate to continue at where it is time to leave ``baud``, else None."""
         turns, self._turns = self._turns, False
         if not turns or responds:
             return None

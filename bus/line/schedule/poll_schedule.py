@@ -81,10 +81,6 @@ class PollOrder:
         heapq.heapreplace(self._queue, (turn, place, unit))
         return unit
 
-    def share_of(self, unit: int) -> float:
-        """The part of all polls that ``unit`` gets, 0 to 1."""
-        return 1.0 / (len(self) * self._strides[unit]) if unit in self._passes else 0.0
-
     def _weigh(self) -> None:
         waiting = [unit for _, _, unit in sorted(self._entry(unit) for unit in self._passes)]
         watched = [unit for unit in waiting if unit in self._watched]

@@ -42,9 +42,7 @@ JITTER = 0.2
 WIRE_SHARE = 0.05
 """The part of the wire for probes of all units without responses."""
 WIRE_SHARE_ALONE = 0.5
-"""The same while no unit responds: a line that is switched on again is found at once, however long its
-turnaround.
-"""
+"""The same while no unit responds: a line that is switched on again is found at once."""
 
 
 @dataclass(slots=True)
@@ -112,11 +110,6 @@ class ProbeBackoff:
             return None
         first_due = min(self._due_of(offline) for offline in self._units.values())
         return max(self._rations[self.alone].ready_at, first_due)
-
-    def back_off_s(self, unit: int) -> float:
-        """Return the present back-off step of ``unit`` in seconds, 0 when it responds."""
-        offline = self._units.get(unit)
-        return STEPS_S[offline.step] if offline is not None else 0.0
 
     def _wait(self, step: int) -> float:
         return STEPS_S[step] * (1.0 - JITTER * self._random.random())

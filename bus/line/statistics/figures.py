@@ -144,9 +144,7 @@ def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> li
 
 
 def responds_for_all(units: Sequence[UnitSymptoms]) -> int:
-    """Return the unit that seems to respond to every address, because all others are received twice; 0:
-    none.
-    """
+    """Return the unit that responds to every address, as all others are received twice; 0: none."""
     responding = [each for each in units if not each.unresponsive]
     alone = [each for each in responding if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(responding) >= MANY and alone[0].responses else 0

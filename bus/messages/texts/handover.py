@@ -44,4 +44,17 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "event_shift_note": "note for the shift of {start}",
     "event_shift_note_corrected": "note {note} of the shift of {start} corrected",
+    "shift_already_signed": "{who} signed as the {part} person on {time}. Nothing was signed.",
+    "shift_not_signed_over": "Nothing was signed. The leaving person signs first, and has not signed yet.",
+    "shift_same_person": "{who} has signed the other part. Nothing was signed. Another person signs this.",
+    "shift_sheet_differs": "The sheet is not the one that was read. Nothing was signed. Read it, then sign.",
+    "shift_sheet_altered": "The stored sheet is not the one that the audit log names. Nothing was signed.",
+    "shift_sign_too_early": (
+        "The shift ends on {end}. Nothing was signed. Its sheet can be signed from {earliest} on."
+    ),
+    "shift_sign_needs_person": (
+        "A person signs. Nothing was signed. Log in as that person, or enter name and password."
+    ),
+    "event_shift_signed_over": "shift of {start} handed over: sheet {digest}, page {page_digest}",
+    "event_shift_taken_over": "shift of {start} taken over: sheet {digest}, page {page_digest}",
 }

@@ -1,5 +1,4 @@
-"""Texts about a bus worker, its port and its links, and about a command whose result the app does not
-have."""
+"""Texts about a bus worker, its port and its links, and about a command without a result."""
 
 from __future__ import annotations
 

@@ -1,0 +1,122 @@
+"""The leaving person signs first, which freezes the sheet; then the coming one signs the same."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from app.audit.log import EventLog
+from app.auth.signin import SignIn, WrongSecretError
+from app.database import Database
+from app.errors import Problem
+from app.handover import signatures
+from app.handover.rules.shift_times import Shift
+from app.handover.service import Handover
+from app.handover.signatures import EVENTS, FrozenSheet, SignedPart
+from app.web.access import Person, Role
+from bus.instants import Clock, unix_now
+from bus.messages import Message, term
+
+PageWriter = Callable[[bytes], bytes]
+"""Makes the page of a sheet, in the language of the site, from its JSON."""
+EARLIEST_S = 1800.0
+"""Before the end of a shift: people meet before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignRequest:
+    """``part`` None: the one that is missing. ``digest``: of the sheet that was read, checked where given.
+    ``name`` with ``password``: who signs, where it is not the user of the session."""
+
+    part: SignedPart | None = None
+    digest: str | None = None
+    name: str = ""
+    password: str = ""
+
+
+class Signing:
+    """The signatures of a site's shifts."""
+
+    def __init__(
+        self,
+        handover: Handover,
+        database: Database,
+        events: EventLog,
+        sign_in: SignIn,
+        page_of: PageWriter,
+        clock: Clock = unix_now,
+    ) -> None:
+        self._handover = handover
+        self._database = database
+        self._events = events
+        self._sign_in = sign_in
+        self._page_of = page_of
+        self._clock = clock
+
+    async def sign(self, person: Person, address: str, shift: Shift, request: SignRequest) -> None:
+        """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
+        401 for a wrong password, 403 for one who may not sign."""
+        who = await self._signer(person, address, request)
+        signed = await self._database.read(lambda store: signatures.signed_sheet(store, shift.start))
+        part = request.part or ("leaving" if signed is None else "coming")
+        signatures.check_turn({} if signed is None else signed.signatures, part, who, self._handover.zone)
+        frozen = await self._freeze(shift) if signed is None else signed.frozen
+        if request.digest is not None and request.digest != frozen.digest and signed is not None:
+            raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=frozen.digest)
+        if signed is not None and signed.is_altered:
+            raise Problem(409, "not_in_state", Message("shift_sheet_altered"))
+        await self._store(person, who, part, frozen, is_new=signed is None)
+
+    async def _freeze(self, shift: Shift) -> FrozenSheet:
+        earliest = shift.end - EARLIEST_S
+        if self._clock() < earliest:
+            times = {"end": self._handover.local(shift.end), "earliest": self._handover.local(earliest)}
+            raise Problem(409, "not_in_state", Message.of("shift_sign_too_early", **times))
+        sheet = (await self._handover.sheet(shift)).sheet
+        return FrozenSheet(shift, sheet, self._page_of(sheet))
+
+    async def _store(
+        self, person: Person, who: str, part: SignedPart, frozen: FrozenSheet, *, is_new: bool
+    ) -> None:
+        start, now = frozen.shift.start, self._clock()
+
+        def store(connection: sqlite3.Connection) -> None:
+            there = signatures.signatures_of(connection, start)
+            signatures.check_turn(there, part, who, self._handover.zone)
+            if is_new:
+                signatures.freeze(connection, frozen)
+            signatures.add(connection, start, part, who, now)
+
+        await self._events.record(
+            kind="shift",
+            who=who,
+            origin=person.via,
+            what=Message.of(
+                EVENTS[part],
+                start=self._handover.local(start),
+                digest=frozen.digest,
+                page_digest=frozen.page_digest,
+            ),
+            at=now,
+            also=store,
+        )
+
+    async def _signer(self, person: Person, address: str, request: SignRequest) -> str:
+        if request.name or request.password:
+            return await self._named(request.name.strip(), request.password, address)
+        if person.via != "session" or person.panel:
+            raise Problem(403, "forbidden", Message("shift_sign_needs_person"))
+        return person.name
+
+    async def _named(self, name: str, password: str, address: str) -> str:
+        try:
+            user = await self._sign_in.identify(name, password, address)
+        except WrongSecretError:
+            await self._sign_in.note_refusal(name, address)
+            raise
+        if not user.role.includes(Role.OPERATOR):
+            role, present = term(Role.OPERATOR), term(user.role)
+            message = Message.of("role_needed", role=role, name=user.name, present=present)
+            raise Problem(403, "forbidden", message)
+        return user.name
