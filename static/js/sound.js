@@ -91,10 +91,10 @@ function draw() {
   drawn = state;
   const [strip, button, shown] = [find("strip"), find("press"), find("state")];
   strip.hidden = state !== "blocked" && state !== "sounding";
-  find("text").textContent = state === "blocked" ? word("soundBlocked") : "";
-  button.textContent = word(state === "blocked" ? "soundAllow" : "soundSilence");
-  const names = { off: "soundOff", blocked: "soundBlocked" };
-  if (shown) shown.textContent = word(names[state] ?? "soundOn");
+  find("text").textContent = state === "blocked" ? word("alarmSoundBlocked") : "";
+  button.textContent = word(state === "blocked" ? "alarmSoundAllow" : "alarmSoundSilence");
+  const names = { off: "alarmSoundOff", blocked: "alarmSoundBlocked" };
+  if (shown) shown.textContent = word(names[state] ?? "alarmSoundOn");
 }
 
 /** On this panel at once, and for everybody where the user may. */
