@@ -37,9 +37,10 @@ other-tests: development
 	node --test tests/js/*.test.js
 	nice -n 5 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
 
-# What takes long, alone on the machine: it measures.
+# What takes long, alone on the machine: it measures. Then each property with a thousand random examples.
 soak: development
 	$(BIN)/pytest -m soak -s
+	$(BIN)/pytest -m hypothesis --hypothesis-profile=soak -n 2 --dist loadfile
 
 # The browser tests N times: how often each failed.
 flaky: development

@@ -46,10 +46,10 @@ class Pipeline:
         self._recorder = recorder
         self._changes = Changes(live.settings)
 
-    def snapshot(self, snapshot: Snapshot, software: str) -> None:
+    def snapshot(self, snapshot: Snapshot) -> None:
         """A worker's complete state: it is live. History had its readings, or gets them as backlog; the
         parameters that scale them and the states of the links may be news to it."""
-        updates = self._live.take_snapshot(snapshot, software)
+        updates = self._live.take_snapshot(snapshot)
         self._append([update for update in updates if not isinstance(update, Reading)])
 
     def batch(self, updates: Sequence[Update], *, live: bool) -> None:

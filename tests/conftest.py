@@ -27,7 +27,9 @@ from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.database.private import make_file, make_folder
 from app.web.assets import Assets
 
-settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=60)
+settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
+# In `make soak`: other examples in each run, and many.
+settings.register_profile("soak", deadline=None, max_examples=1000)
 settings.load_profile("lineside")
 
 COMPLETE_SITES = {"e2e", "path"}

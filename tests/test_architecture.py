@@ -72,9 +72,12 @@ def test_third_party_files_stay_out() -> None:
 
 @pytest.mark.parametrize("suffix", ["html"])
 def test_pages_hold_no_inline_script_or_style(suffix: str) -> None:
-    """The content policy forbids both (ui.md), so a page that had one would be broken in the browser."""
+    """The content policy forbids both (ui.md), so a page that had one would be broken in the browser. A file
+    that a person keeps is no page: it has its style in it.
+    """
     inline = re.compile(
         r"<script(?![^>]*\bsrc=)[^>]*>|<style\b|\sstyle=|\son[a-z]+=|\bhx-on\b|javascript:", re.I
     )
     pages = tracked(f"templates/*.{suffix}")
-    assert relative(path for path in pages if inline.search(text_of(path))) == []
+    found = relative(path for path in pages if inline.search(text_of(path)))
+    assert found == ["templates/handover/document.html"]

@@ -53,30 +53,10 @@ class EventLog:
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
 
-    async def intend(
-        self,
-        *,
-        kind: EventKind = "command",
-        who: str | Message,
-        origin: str | Message,
-        bus: str,
-        unit: int | None,
-        what: str | Message,
-        old: str | Message | None = None,
-        new: str | Message | None = None,
-        old_raw: int | None = None,
-        new_raw: int | None = None,
-    ) -> int:
-        """Store a command before it is sent. Returns the event's number for `conclude`."""
-        members = {"bus": bus, "unit": unit, "old": old, "new": new, "old_raw": old_raw, "new_raw": new_raw}
-        entry = self._entry(kind, who=who, origin=origin, what=what, **members)
-        return (await self._append_all([entry]))[0]
-
     async def intend_together(
         self, intents: Sequence[Mapping[str, Any]], also: Also | None = None
     ) -> list[int]:
-        """Several intents (each with the words of `intend`) in one transaction, and ``also`` what belongs to
-        them; their numbers in order."""
+        """Store commands before they are sent, in one transaction with ``also``; their numbers in order."""
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
     async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
@@ -140,18 +120,6 @@ class EventLog:
             **({} if at is None or not is_moment(at) else {"time": at}),
         )
         return (await self._append_all([entry], also))[0]
-
-    async def count(
-        self,
-        kind: EventKind,
-        what: str | Message,
-        *,
-        who: str | Message = "",
-        origin: str | Message = "",
-        message: str | Message = "",
-    ) -> None:
-        """Something that a stranger can cause as often as they like: see `RepeatedEvents`."""
-        await self.repeated.count(kind, what, who=who, origin=origin, message=message)
 
     async def close_open_intents(self) -> int:
         """At start: what was open when the server ended is unverified. Returns how many there were."""

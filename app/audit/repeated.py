@@ -94,7 +94,10 @@ class RepeatedEvents:
         self._clock = clock
         self._tally: Tally[_RepeatedEvent] = Tally()
 
-    async def count(self, kind: EventKind, what: _Text, *, who: _Text, origin: _Text, message: _Text) -> None:
+    async def count(
+        self, kind: EventKind, what: _Text, *, who: _Text = "", origin: _Text = "", message: _Text = ""
+    ) -> None:
+        """Something that a stranger can cause as often as they like."""
         counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
         if counted is not None:
             await self._record_counted(counted)

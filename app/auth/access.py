@@ -192,7 +192,7 @@ class RecordRefusals:
         client = scope.get("client")
         # Of IPv6 the subnet: a sender has as many of its addresses as it likes.
         origin = source_of(client[0]) if client else ""
-        await self._events.count("access_refused", what, who=who, origin=origin, message=message)
+        await self._events.repeated.count("access_refused", what, who=who, origin=origin, message=message)
 
 
 def _requested(scope: Scope) -> str:

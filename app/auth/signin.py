@@ -229,7 +229,7 @@ class SignIn:
     async def _count_refusal(self, kind: EventKind, what: Message, who: str | Message, address: str) -> None:
         # Without an event a refusal is as good: the disk may be full.
         with suppress(StoreError):
-            await self._events.count(kind, what, who=who, origin=source_of(address))
+            await self._events.repeated.count(kind, what, who=who, origin=source_of(address))
 
 
 def _browser(device: str) -> str:

@@ -109,7 +109,7 @@ class Ingest:
         self._snapshot_seq = snapshot.seq
         self._snapshot_wanted = False
         plausible = judge_snapshot(shifted(snapshot, self._clock.offset_s), self._units, self._now())
-        self._pipeline.snapshot(plausible, self._hello.software)
+        self._pipeline.snapshot(plausible)
         if first:
             await self._channel.opened(self._connection, self._hello.worker)
 

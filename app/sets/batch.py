@@ -16,8 +16,8 @@ from app.sets.model import UnitRows
 from app.sets.reading import known_rows, status_of
 from app.web.access import Person
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.parameter import check_writable_value
-from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.parameter import Parameter, check_writable_value
+from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower, parameter_raw
 from bus.contract import ReadParameters, WriteParameter

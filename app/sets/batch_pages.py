@@ -14,7 +14,8 @@ from app.sets.effects import OPERATING_VALUES, effect_message
 from app.web.access import Engineer
 from app.web.shape import parse_integer
 from app.web.templating import render
-from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.parameter import Parameter
+from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)

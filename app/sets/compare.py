@@ -9,7 +9,8 @@ from app.commands.values import in_measure
 from app.sets.effects import OPERATING_VALUES
 from app.sets.model import ParameterRow, UnitRows
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.parameter import Parameter
+from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import is_follower, parameter_message, parameter_unit
 from bus.messages import Message, term
 

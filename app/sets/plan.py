@@ -10,7 +10,8 @@ from app.sets.effects import OPERATING_VALUES, effect_message
 from app.sets.model import UnitRows
 from app.sets.order import Write, in_order
 from bus.catalogue.numbers import CONTROL_MODE, FOLLOWER_MODE
-from bus.catalogue.parameters import PARAMETERS, check_writable_value, danger_of_writing
+from bus.catalogue.parameter import check_writable_value, danger_of_writing
+from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, term
 

@@ -59,8 +59,6 @@ class Parameter:
     secret: bool = False
     not_while_running: bool = False
     """The unit allows no change during RUN."""
-    setup: bool = True
-    """Part of what #16 = 0 may lock while the unit runs (C: which ones it locks is not stated)."""
 
 
 class IllegalValue(CallerError):

@@ -11,26 +11,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bus.catalogue import numbers
-from bus.catalogue.parameter import (
-    IllegalValue,
-    Parameter,
-    Scale,
-    check_writable_value,
-    danger_of_writing,
-    nearest_legal,
-)
-
-__all__ = [
-    "NEEDED_TO_JUDGE",
-    "NEEDED_TO_SHOW",
-    "PARAMETERS",
-    "IllegalValue",
-    "Parameter",
-    "Scale",
-    "check_writable_value",
-    "danger_of_writing",
-    "nearest_legal",
-]
+from bus.catalogue.parameter import Parameter, Scale
 
 SPEED, MODES, RATIO, RAMPS = "Speed and display", "Mode", "Ratio", "Ramps"
 STEPS, INPUTS = "Presets and jumps", "Inputs"
@@ -82,7 +63,7 @@ _ROWS = (
               "How often the unit refreshes its own display; the unit of time is not known."),
     Parameter(16, "Allow Setup During Run", "UCHR", 0, 1, "C", OPERATOR,
               "Allows setup parameters to be changed while the unit runs.",
-              choices={0: "No", 1: "Yes"}, setup=False),
+              choices={0: "No", 1: "Yes"}),
     Parameter(17, "Unit ID Number", "UCHR", 1, 255, "A", LINK,
               "The unit's address on the link; set at the unit's panel only.",
               never_writable=True),
@@ -96,7 +77,7 @@ _ROWS = (
               choices={0: "Local", 1: "Remote", 2: "Keylock"}, harmless=frozenset({1})),
     Parameter(20, "Speed Setpoint", "ULNG", 0, 99999, "C", SPEED,
               "Speed setpoint.",
-              scale=Scale.SPEED, setup=False),
+              scale=Scale.SPEED),
     Parameter(21, "Operator Password", "ULNG", 0, 99999, "C", OPERATOR,
               "Password of the unit's panel.",
               secret=True),
@@ -136,7 +117,7 @@ _ROWS = (
               "Not explained in the manual."),
     Parameter(37, "Command Ratio Setpoint", "ULNG", 0, 99999, "B", RATIO,
               "Ratio setpoint of a follower.",
-              scale=Scale.RATIO, setup=False),
+              scale=Scale.RATIO),
     Parameter(38, "Minimum Ratio", "ULNG", 0, 99999, "B", RATIO,
               "Lowest ratio that a follower accepts.",
               scale=Scale.RATIO),

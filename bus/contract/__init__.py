@@ -8,134 +8,61 @@ Times are seconds since the epoch on the sender's clock (float, microsecond reso
 and analog values are the raw integers of the wire.
 """
 
-from __future__ import annotations
-
-from bus.contract.actions import (
-    Action,
-    ChangeBaud,
-    ExecuteAll,
-    ExecuteSpeed,
-    ReadParameters,
-    ReadTrace,
-    ScanBus,
-    SetLine,
-    SetSpeed,
-    UnitAction,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
-)
-from bus.contract.bounds import (
-    BUFFER_AGE_S,
-    CONTRACT_VERSION,
-    LONGEST_FRAME,
-    LONGEST_MEANING,
-    MOST_MEANINGS,
-    MOST_UPDATES,
-    BusLinkState,
-    Direction,
-    Outcome,
-    Stage,
-    TaggedStruct,
-    UnitLinkState,
-)
-from bus.contract.readings import (
-    BusFigures,
-    BusLink,
-    Frame,
-    Frames,
-    ParameterValue,
-    Reading,
-    Staged,
-    UnitCounts,
-    UnitFigures,
-    UnitLink,
-    UnitState,
-)
-from bus.contract.results import (
-    FoundUnit,
-    Progress,
-    Result,
-    UnitOutcome,
-)
-from bus.contract.session import (
-    AppMessage,
-    Batch,
-    Cancel,
-    ClockSync,
-    Command,
-    Delivered,
-    Hello,
-    MalformedMessageError,
-    ReserveTurn,
-    Snapshot,
-    Update,
-    WantSnapshot,
-    Watch,
-    Welcome,
-    WorkerMessage,
-    decode_from_app,
-    decode_from_worker,
-    encode,
-)
-
-__all__ = [
-    "BUFFER_AGE_S",
-    "CONTRACT_VERSION",
-    "LONGEST_FRAME",
-    "LONGEST_MEANING",
-    "MOST_MEANINGS",
-    "MOST_UPDATES",
-    "Action",
-    "AppMessage",
-    "Batch",
-    "BusFigures",
-    "BusLink",
-    "BusLinkState",
-    "Cancel",
-    "ChangeBaud",
-    "ClockSync",
-    "Command",
-    "Delivered",
-    "Direction",
-    "ExecuteAll",
-    "ExecuteSpeed",
-    "FoundUnit",
-    "Frame",
-    "Frames",
-    "Hello",
-    "MalformedMessageError",
-    "Outcome",
-    "ParameterValue",
-    "Progress",
-    "ReadParameters",
-    "ReadTrace",
-    "Reading",
-    "ReserveTurn",
-    "Result",
-    "ScanBus",
-    "SetLine",
-    "SetSpeed",
-    "Snapshot",
-    "Stage",
-    "Staged",
-    "TaggedStruct",
-    "UnitAction",
-    "UnitCounts",
-    "UnitFigures",
-    "UnitLink",
-    "UnitLinkState",
-    "UnitOutcome",
-    "UnitState",
-    "Update",
-    "WantSnapshot",
-    "Watch",
-    "Welcome",
-    "WorkerMessage",
-    "WriteAnalogOutput",
-    "WriteOutput",
-    "WriteParameter",
-    "decode_from_app",
-    "decode_from_worker",
-    "encode",
-]
+from bus.contract.actions import Action as Action
+from bus.contract.actions import ChangeBaud as ChangeBaud
+from bus.contract.actions import ExecuteAll as ExecuteAll
+from bus.contract.actions import ExecuteSpeed as ExecuteSpeed
+from bus.contract.actions import ReadParameters as ReadParameters
+from bus.contract.actions import ReadTrace as ReadTrace
+from bus.contract.actions import ScanBus as ScanBus
+from bus.contract.actions import SetLine as SetLine
+from bus.contract.actions import SetSpeed as SetSpeed
+from bus.contract.actions import UnitAction as UnitAction
+from bus.contract.actions import WriteAnalogOutput as WriteAnalogOutput
+from bus.contract.actions import WriteOutput as WriteOutput
+from bus.contract.actions import WriteParameter as WriteParameter
+from bus.contract.bounds import BUFFER_AGE_S as BUFFER_AGE_S
+from bus.contract.bounds import CONTRACT_VERSION as CONTRACT_VERSION
+from bus.contract.bounds import LONGEST_FRAME as LONGEST_FRAME
+from bus.contract.bounds import LONGEST_MEANING as LONGEST_MEANING
+from bus.contract.bounds import MOST_MEANINGS as MOST_MEANINGS
+from bus.contract.bounds import MOST_UPDATES as MOST_UPDATES
+from bus.contract.bounds import BusLinkState as BusLinkState
+from bus.contract.bounds import Direction as Direction
+from bus.contract.bounds import Outcome as Outcome
+from bus.contract.bounds import Stage as Stage
+from bus.contract.bounds import TaggedStruct as TaggedStruct
+from bus.contract.bounds import UnitLinkState as UnitLinkState
+from bus.contract.readings import BusFigures as BusFigures
+from bus.contract.readings import BusLink as BusLink
+from bus.contract.readings import Frame as Frame
+from bus.contract.readings import Frames as Frames
+from bus.contract.readings import ParameterValue as ParameterValue
+from bus.contract.readings import Reading as Reading
+from bus.contract.readings import Staged as Staged
+from bus.contract.readings import UnitCounts as UnitCounts
+from bus.contract.readings import UnitFigures as UnitFigures
+from bus.contract.readings import UnitLink as UnitLink
+from bus.contract.readings import UnitState as UnitState
+from bus.contract.results import FoundUnit as FoundUnit
+from bus.contract.results import Progress as Progress
+from bus.contract.results import Result as Result
+from bus.contract.results import UnitOutcome as UnitOutcome
+from bus.contract.session import AppMessage as AppMessage
+from bus.contract.session import Batch as Batch
+from bus.contract.session import Cancel as Cancel
+from bus.contract.session import ClockSync as ClockSync
+from bus.contract.session import Command as Command
+from bus.contract.session import Delivered as Delivered
+from bus.contract.session import Hello as Hello
+from bus.contract.session import MalformedMessageError as MalformedMessageError
+from bus.contract.session import ReserveTurn as ReserveTurn
+from bus.contract.session import Snapshot as Snapshot
+from bus.contract.session import Update as Update
+from bus.contract.session import WantSnapshot as WantSnapshot
+from bus.contract.session import Watch as Watch
+from bus.contract.session import Welcome as Welcome
+from bus.contract.session import WorkerMessage as WorkerMessage
+from bus.contract.session import decode_from_app as decode_from_app
+from bus.contract.session import decode_from_worker as decode_from_worker
+from bus.contract.session import encode as encode

@@ -1,35 +1,16 @@
 """A message as data, and the English text of every code."""
 
-from __future__ import annotations
-
-from bus.messages.catalog import ENGLISH, Catalog
-from bus.messages.message import (
-    NUMBER,
-    TERM,
-    Message,
-    ParamValue,
-    in_english,
-    joined,
-    listed,
-    number,
-    shown,
-    term,
-)
-from bus.messages.texts import TEXTS, Plural
-
-__all__ = [
-    "ENGLISH",
-    "NUMBER",
-    "TERM",
-    "TEXTS",
-    "Catalog",
-    "Message",
-    "ParamValue",
-    "Plural",
-    "in_english",
-    "joined",
-    "listed",
-    "number",
-    "shown",
-    "term",
-]
+from bus.messages.catalog import ENGLISH as ENGLISH
+from bus.messages.catalog import Catalog as Catalog
+from bus.messages.message import NUMBER as NUMBER
+from bus.messages.message import TERM as TERM
+from bus.messages.message import Message as Message
+from bus.messages.message import ParamValue as ParamValue
+from bus.messages.message import in_english as in_english
+from bus.messages.message import joined as joined
+from bus.messages.message import listed as listed
+from bus.messages.message import number as number
+from bus.messages.message import shown as shown
+from bus.messages.message import term as term
+from bus.messages.texts import TEXTS as TEXTS
+from bus.messages.texts import Plural as Plural

@@ -1,13 +1,12 @@
 """Remote control of a simulated line: JSON lines over a TCP port of the loopback.
 
 One line is a request, one line its response: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``,
-or ``{"ok": false, "error": "…"}``. The table ``_ACTIONS`` lists the actions; ``Remote`` is the client.
+or ``{"ok": false, "error": "…"}``. The table ``_ACTIONS`` lists the actions.
 """
 
 from __future__ import annotations
 
 import json
-import socket
 import socketserver
 import threading
 from collections.abc import Callable
@@ -46,27 +45,6 @@ class SimulatorControl:
     def close(self) -> None:
         self._listener.shutdown()
         self._listener.server_close()
-
-
-class Remote:
-    """The other end of ``SimulatorControl``, for tests and benchmarks in another process."""
-
-    def __init__(self, port: int) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port))
-        self._stream = self._socket.makefile("rw", encoding="utf-8")
-
-    def do(self, action: str, **details: object) -> Any:
-        """Return the result of ``action``. Raises RuntimeError with the line's error text."""
-        self._stream.write(json.dumps({"do": action, **details}) + "\n")
-        self._stream.flush()
-        response = json.loads(self._stream.readline())
-        if not response["ok"]:
-            raise RuntimeError(response["error"])
-        return response.get("result")
-
-    def close(self) -> None:
-        self._stream.close()
-        self._socket.close()
 
 
 def _respond(server: LineServer, text: bytes) -> ControlRequest:

@@ -96,11 +96,18 @@ function close() {
   endings = [];
 }
 
+/** The outcome of the command, "ended" where the review ended before one, empty where a person left it. */
+function outcome() {
+  const done = content.querySelector("[data-review-done]");
+  if (done) return done.dataset.reviewDone;
+  return content.querySelector("[data-ended]:not([data-unanswered])") ? "ended" : "";
+}
+
 function dismiss() {
   close();
-  const outcome = content.querySelector("[data-review-done]")?.dataset.reviewDone ?? "";
+  const detail = outcome();
   if (dialog.open) dialog.close();
-  document.dispatchEvent(new CustomEvent("lineside:done", { detail: outcome }));
+  document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();
   giveBack();
 }
@@ -132,14 +139,17 @@ function showNoResponse() {
 }
 
 /** End the review when the connection is lost; a pending command is reported as unknown after the reconnect.
- * What is typed in a field without a review stays. */
+ * What is typed in a field stays. */
 function lost() {
   early = null;
   if (!dialog.open) return;
-  const form = content.querySelector("[data-pending]");
-  if (!form) return dismiss();
-  unanswered(form);
-  dialog.close();
+  const pending = content.querySelector("[data-pending]");
+  if (pending) {
+    unanswered(pending);
+    return dialog.close();
+  }
+  content.querySelector("[data-review]")?.setAttribute("data-ended", "");
+  dismiss();
 }
 
 function repeatEarly() {

@@ -16,11 +16,19 @@ export function numberOf(text) {
 
 // --- the field and its pad ----------------------------------------------------------------------------
 
+const isAllSelected = (input) => input.selectionStart === 0 && input.selectionEnd === input.value.length;
+
 function followUnit(input) {
   const key = input.dataset.follows;
+  // Typed before this script was there.
+  if (input.value !== input.defaultValue) input.dataset.touched = "";
   const refresh = () => {
     const text = value(key);
-    if (input.dataset.touched === undefined && text !== undefined && text !== "–") input.value = text;
+    if (input.dataset.touched !== undefined || text === undefined || text === "–" || text === input.value) return;
+    const select = input === document.activeElement && isAllSelected(input);
+    input.value = text;
+    // The next digit still replaces the unit's value.
+    if (select) input.select();
   };
   listen(key.slice(0, key.indexOf(".")), refresh);
   input.addEventListener("input", () => {
@@ -35,14 +43,15 @@ function followUnit(input) {
     delete input.dataset.touched;
     refresh();
   };
-  document.addEventListener("lineside:done", forget);
-  addEventListener("pageshow", forget);
+  // A review that ended without the person leaves what was typed.
+  document.addEventListener("lineside:done", ({ detail }) => detail !== "ended" && forget());
+  // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
+  addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }
 
 function press(input, key) {
-  const allSelected = input.selectionStart === 0 && input.selectionEnd === input.value.length;
   const untouched = input.dataset.follows !== undefined && input.dataset.touched === undefined;
-  const fresh = untouched || allSelected;
+  const fresh = untouched || isAllSelected(input);
   if (key === "erase") input.value = fresh ? "" : input.value.slice(0, -1);
   else if (key === "-") input.value = input.value.startsWith("-") ? input.value.slice(1) : `-${input.value}`;
   else if (key.length === 1 && (input.maxLength < 0 || (fresh ? "" : input.value).length < input.maxLength))

@@ -44,7 +44,7 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
             return changes.suppress(facts, how, word == "suppress", UnixTime(at))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=5 * settings.default.max_examples)
 @given(
     st.sampled_from((0.0, 2.5)),
     st.sampled_from((0.0, 1.5)),

@@ -17,6 +17,7 @@ from app.web.access import Role
 from bus.messages import Message
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
+from tests.app.intents import intend
 
 CONTRACT = {"id", "time", "kind", "who", "bus", "unit", "what", "old", "new", "old_raw", "new_raw", "outcome"}
 
@@ -34,7 +35,7 @@ async def viewer(house: House) -> httpx.AsyncClient:
 
 async def command(house: House, unit: int = 1, what: str = "set speed") -> int:
     fields: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": unit, "what": what}
-    return await house.services.events.intend(**fields, old="48.0", new="50.0", old_raw=480, new_raw=500)
+    return await intend(house.services.events, **fields, old="48.0", new="50.0", old_raw=480, new_raw=500)
 
 
 async def test_a_command_with_its_outcome(house: House, viewer: httpx.AsyncClient) -> None:
@@ -190,7 +191,7 @@ async def test_a_german_reads_and_searches_numbers_in_german_writing(house: Hous
         "unit": 2,
         "what": "set speed",
     }
-    number = await house.services.events.intend(**fields, old=decimal("48.0"), new=decimal("1250.5"))
+    number = await intend(house.services.events, **fields, old=decimal("48.0"), new=decimal("1250.5"))
     message = Message.of("parameter_reads", value=decimal("48.0"))
     await house.services.events.conclude(number, "unverified", message)
     for query in ("kind=command", "search=1250,5"):

@@ -16,6 +16,7 @@ from app.audit.store import Filter
 from app.database import Database
 from bus.contract import Frame
 from bus.messages import Message, term
+from tests.app.intents import intend
 
 
 class Clock:
@@ -42,7 +43,7 @@ def log(database: Database) -> EventLog:
 
 async def intent(log: EventLog, unit: int = 1, **fields: Any) -> int:
     entry: dict[str, Any] = {"who": "ann", "origin": "api", "bus": "dry-end", "what": "set speed", **fields}
-    return await log.intend(**entry, unit=unit, old="48.0", new="50.0", old_raw=480, new_raw=500)
+    return await intend(log, **entry, unit=unit, old="48.0", new="50.0", old_raw=480, new_raw=500)
 
 
 async def newest(log: EventLog, **wanted: Any) -> list[Event]:

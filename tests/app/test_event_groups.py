@@ -19,6 +19,7 @@ from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
+from tests.app.intents import intend
 from tests.app.stage import PlayedWorker, Stage, responding
 
 
@@ -57,9 +58,9 @@ async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[Even
 
 
 async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None:
-    single = await house.services.events.intend(**intent(2))
+    single = await intend(house.services.events, **intent(2))
     group = await change(house, 3, failed=2)
-    after = await house.services.events.intend(**intent(1))
+    after = await intend(house.services.events, **intent(1))
     found, more = await rows(house)
     assert [(row.event["id"], [part["unit"] for part in row.parts]) for row in found] == [
         (after, []),
@@ -153,7 +154,7 @@ async def test_the_page_has_one_row_and_each_units_values_and_result_in_it(house
 
 async def test_long_values_of_one_event_stand_apart(house: House) -> None:
     long = ", ".join(f"{n}: 100.0" for n in range(1, 20))
-    await house.services.events.intend(**intent(None, "set 19 units at once", old=long, new=long))
+    await intend(house.services.events, **intent(None, "set 19 units at once", old=long, new=long))
     client = await house.signed_in(Role.VIEWER)
     page = (await client.get("/events", params={"kind": "command"})).text
     assert "Old and new values" in page

@@ -16,6 +16,7 @@ from app.web.access import Person, Role
 from bus.contract import Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
+from tests.app.intents import intend
 from tests.app.played_line import BUS, REMOTE, played_line
 
 API = "/api/v1/shifts"
@@ -63,8 +64,15 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
         kind="recipe", what=Message.of("event_recipe_loaded", name="Kraft", version=3), who="ann", bus=BUS
     )
     for outcome in ("verified", "verified", "unverified"):
-        number = await house.services.events.intend(
-            who="ann", origin="page", bus=BUS, unit=1, what=Message("event_set_speed"), old="1", new="2"
+        number = await intend(
+            house.services.events,
+            who="ann",
+            origin="page",
+            bus=BUS,
+            unit=1,
+            what=Message("event_set_speed"),
+            old="1",
+            new="2",
         )
         await house.services.events.conclude(number, outcome)  # type: ignore[arg-type]
     found = await sheet(viewer)

@@ -12,6 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, UnitFigures
 from tests.app.complete_app import House, complete_app
+from tests.app.intents import intend
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ async def test_figures_of_the_workers(house: House) -> None:
 async def test_commands_by_their_outcome(house: House) -> None:
     events = house.services.events
     for outcome in ("verified", "refused", "refused"):
-        number = await events.intend(who="a", origin="api", bus="dry-end", unit=1, what="x")
+        number = await intend(events, who="a", origin="api", bus="dry-end", unit=1, what="x")
         await events.conclude(number, outcome)  # type: ignore[arg-type]
     await events.record(kind="restore", what="x", outcome="verified")
     found = await samples(house)

@@ -128,7 +128,7 @@ spans = st.lists(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(spans, st.integers(0, 40), st.integers(0, 40))
 def test_a_rule_is_due_as_a_second_model_finds_it(
     several: list[tuple[int, int, str | None]], at: int, after: int

@@ -141,12 +141,12 @@ async def test_after_a_restart_the_api_has_the_true_onset(tmp_path: Path) -> Non
     changed_at = round(now - 40, 3)
     async with complete_app(tmp_path) as house:
         token = await house.token(Role.VIEWER)
-        house.services.buses["dry-end"].pipeline.snapshot(snapshot(WELL, now - 60), "1")
+        house.services.buses["dry-end"].pipeline.snapshot(snapshot(WELL, now - 60))
         well = [reading(now - 60 + n / 5, WELL) for n in range(100)]
         off = [reading(changed_at + n / 5, RUN_OFF) for n in range(100)]
         take(house, *well, *off)
     async with complete_app(tmp_path) as house:
-        house.services.buses["dry-end"].pipeline.snapshot(snapshot(RUN_OFF, time.time()), "1")
+        house.services.buses["dry-end"].pipeline.snapshot(snapshot(RUN_OFF, time.time()))
         first = await cause_of(house, token)
         onsets = house.services.live.buses["dry-end"].units[1].onsets
         await until(lambda: onsets.of["run_off"].exact, "the time of the change")

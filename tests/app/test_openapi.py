@@ -74,9 +74,7 @@ def test_every_call(api: Api, api_schema: BaseSchema) -> None:
         names.append(operation.label)
 
         @settings(
-            max_examples=6,
-            deadline=None,
-            derandomize=True,
+            max_examples=settings.default.max_examples // 10,
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),
         )

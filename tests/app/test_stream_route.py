@@ -23,7 +23,7 @@ from tests.app.test_recent_events import read
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        house.services.live.buses["dry-end"].take_snapshot(snapshot(), "test")
+        house.services.live.buses["dry-end"].take_snapshot(snapshot())
         yield house
 
 

@@ -91,7 +91,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 async def french(house: House) -> httpx.AsyncClient:
     bus = house.services.live.buses["dry-end"]
-    bus.take_snapshot(snapshot(), "1.0")
+    bus.take_snapshot(snapshot())
     lowest = [ParameterValue(unit=1, number=n, at=1.7e9, raw=p.minimum) for n, p in PARAMETERS.items()]
     bus.apply([each for each in lowest if each.number % 2])
     client = await house.signed_in(Role.ADMIN)

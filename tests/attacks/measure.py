@@ -46,6 +46,11 @@ class Waits:
     failed: list[str] = field(default_factory=list)
 
     @property
+    def served(self) -> int:
+        """How many requests got the response that is due."""
+        return len(self.taken) - len(self.failed)
+
+    @property
     def p99(self) -> float:
         """The wait that one in a hundred exceeds."""
         return sorted(self.taken)[max(0, math.ceil(len(self.taken) * 0.99) - 1)] if self.taken else math.inf
@@ -92,7 +97,9 @@ HEADING = (
 )
 
 
-def measure(target: Site, attack: str, seconds: float) -> Measured:
+def measure(
+    target: Site, attack: str, seconds: float, *, warm_s: float = WARM_S, settle_s: float = SETTLE_S
+) -> Measured:
     """Attack the site for ``seconds``, and send the requests of other clients meanwhile."""
     assert target.server is not None
     health, command = Waits(), Waits()
@@ -100,7 +107,7 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
         calls = ((health_request(target), health), (commands(client), command))
         # The server's first requests load modules, which is no growth.
         for call, _ in calls:
-            probe(call, Waits(), after_s(WARM_S))
+            probe(call, Waits(), after_s(warm_s))
         before, lost = memory_mib(target.server.pid), links_lost(target)
         most = [before]
         with attacking(target, attack, seconds) as is_over:
@@ -115,7 +122,7 @@ def measure(target: Site, attack: str, seconds: float) -> Measured:
     begun = time.monotonic()
     health_request(target)()
     after = time.monotonic() - begun
-    time.sleep(SETTLE_S)
+    time.sleep(settle_s)
     return Measured(attack, health, command, max(most) - before, links_lost(target) - lost, after)
 
 

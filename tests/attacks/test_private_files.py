@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ from bus import __main__ as worker
 from bus.worker import parent
 from tests import fork_server
 
-LINESIDE = Path(sys.executable).with_name("lineside")
 CONFIG = """\
 [server]
 port = 0
@@ -62,11 +60,8 @@ def test_every_file_of_every_process_is_private_and_what_was_not_is_repaired(tmp
     for path in (data, *data.rglob("*")):
         path.chmod(0o777 if path.is_dir() else 0o666)
     (tmp_path / "anchor").touch(0o644)
-    serving = subprocess.Popen(
-        [LINESIDE, "serve", "--config", tmp_path / "lineside.toml"],
-        stdout=subprocess.PIPE,
-        text=True,
-        umask=0,
+    serving = fork_server.start(
+        "serve", "--config", tmp_path / "lineside.toml", stdout=subprocess.PIPE, umask=0
     )
     try:
         assert serving.stdout is not None

@@ -13,7 +13,7 @@ from tests.attacks.attackers import ATTACKS
 from tests.attacks.measure import EVENTS, HEADING, Measured, fill_the_log, measure
 from tests.e2e.site import Site, site
 
-SHORT_S = 2.0
+SHORT_S = 1.0
 LONG_S = 20.0
 SHORT = (
     "bodies without an end",
@@ -39,10 +39,10 @@ def table() -> Iterator[list[Measured]]:
 
 @pytest.mark.parametrize("attack", SHORT)
 def test_others_are_served_meanwhile(target: Site, attack: str) -> None:
-    measured = measure(target, attack, SHORT_S)
-    assert measured.health.taken
-    assert measured.command.taken
-    assert measured.faults == []
+    """How long they wait, and what the attack costs the server, is measured below."""
+    measured = measure(target, attack, SHORT_S, warm_s=0.0, settle_s=0.0)
+    assert measured.health.served, measured.health.failed
+    assert measured.command.served, measured.command.failed
 
 
 @pytest.fixture(scope="module")

@@ -70,13 +70,15 @@ def requests_of(route: APIRoute) -> Iterator[tuple[str, str, dict[str, Any]]]:
     names = [param.alias for param in route.dependant.query_params]
     query = dict.fromkeys([*names, HOSTILE], HOSTILE)
     fields = {param.alias: HOSTILE for param in route.dependant.body_params} | {HOSTILE: HOSTILE}
-    for path in (filled(route.path, HOSTILE), filled(route.path, "")):
-        for method in sorted(route.methods):
-            yield method, path, {"params": query}
-            if method not in ("GET", "HEAD"):
-                yield method, path, {"data": fields}
-                yield method, path, {"json": {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}}
-                yield method, path, {"json": {"value": HOSTILE}, "headers": {"idempotency-key": HOSTILE}}
+    present = filled(route.path, "")
+    for method in sorted(route.methods):
+        if "{" in route.path:
+            yield method, filled(route.path, HOSTILE), {"params": query}
+        yield method, present, {"params": query}
+        if method not in ("GET", "HEAD"):
+            yield method, present, {"data": fields}
+            yield method, present, {"json": {HOSTILE: HOSTILE, "value": HOSTILE, "raw": HOSTILE}}
+            yield method, present, {"json": {"value": HOSTILE}, "headers": {"idempotency-key": HOSTILE}}
 
 
 def filled(path: str, text: str) -> str:

@@ -8,9 +8,7 @@ from typing import Any
 
 import pytest
 
-from bus.catalogue.parameters import (
-    NEEDED_TO_SHOW,
-    PARAMETERS,
+from bus.catalogue.parameter import (
     IllegalValue,
     Parameter,
     Scale,
@@ -18,6 +16,7 @@ from bus.catalogue.parameters import (
     danger_of_writing,
     nearest_legal,
 )
+from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.errors import CallerError
 from bus.settings import BAUDS
 

@@ -227,7 +227,7 @@ class LateUnit:
 requests = st.sampled_from([*ALL, ReadParameterRequest(1, 4), SetAndExecuteSpeedRequest(1, 6)])
 
 
-@settings(max_examples=200)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(st.lists(requests, min_size=1, max_size=12), st.data())
 def test_no_late_or_duplicate_response_is_ever_taken_for_another(
     wanted: list[Request], data: st.DataObject

@@ -60,13 +60,13 @@ def test_many_do_not_come_back_together(random: float) -> None:
     assert backoff.ended(0.0) == pytest.approx(0.5 * (1 - JITTER + 2 * JITTER * random))
 
 
-def test_a_million_ends_are_worth_two_dozen_lines() -> None:
+def test_a_hundred_thousand_ends_are_worth_a_dozen_and_a_half_lines() -> None:
     backoff = ReconnectDelay(middle)
     lines = 0
-    for _ in range(1_000_000):
+    for _ in range(100_000):
         backoff.ended(0.0)
         lines += backoff.is_worth_logging
-    assert lines < 25
+    assert lines < 20
 
 
 # --- the port ------------------------------------------------------------------------------------

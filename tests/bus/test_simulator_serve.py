@@ -14,7 +14,7 @@ import pytest
 import serial
 
 from bus.settings import Dialect
-from bus.simulator.control import Remote, SimulatorControl
+from bus.simulator.control import SimulatorControl
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
@@ -32,6 +32,7 @@ from bus.wire.commands import (
     StatusReply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
+from tests.simulator_remote import Remote
 
 PLAIN = Dialect()
 PATIENCE_S = 10.0

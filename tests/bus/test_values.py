@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.catalogue.parameters import PARAMETERS, Parameter
+from bus.catalogue.parameter import Parameter
+from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.values import (
     analog_input_value,
     analog_output_volts,

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, ViewportSize, expect, sync_playwright
 
 from tests.e2e import site as sites
-from tests.e2e.limits import PAGE_MS
-from tests.e2e.site import AT_REST, PASSWORD, Site
+from tests.e2e.limits import PAGE_MS, PAGE_S
+from tests.e2e.site import AT_REST, PASSWORD, Site, eventually
 
 CHROMIUM = "/usr/bin/chromium-headless-shell"
 FLAGS = [
@@ -197,6 +197,16 @@ def signed_in(browser: Browser, site: Site, role: str) -> Any:
         site.sessions[role] = context.storage_state()
         context.close()
     return site.sessions[role]
+
+
+def focus(field: Locator) -> None:
+    """Put the focus on a field; a unit that is stale for a moment has none to type into."""
+
+    def has_focus() -> bool:
+        field.focus()
+        return bool(field.evaluate("field => field === document.activeElement"))
+
+    eventually(has_focus, "a field to type into", within=PAGE_S)
 
 
 @pytest.fixture(scope="session")

@@ -33,11 +33,11 @@ from app.settings import Site as SiteSettings
 from app.web.access import Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
-from bus.simulator.control import Remote
 from bus.simulator.demo import demo_line
 from tests import fork_server
 from tests.e2e.limits import CALL_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
+from tests.simulator_remote import Remote
 
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
@@ -80,13 +80,19 @@ def start_line(folder: Path, units: int, *options: str, name: str = "line") -> L
     called = ("simulate", "--units", str(units), "--link", link, "--control", "0", *options)
     process = fork_server.start(*called, stdout=subprocess.PIPE)
     assert process.stdout is not None
-    # A real unit responds in time, whatever the load of the host.
-    with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
+    run_in_time(process)
     port = process.stdout.readline().strip()
     control = process.stdout.readline().rpartition(":")[2]
     assert control, "lineside simulate did not start; its error output stands above"
     return Line(port, Remote(int(control)), process)
+
+
+def run_in_time(process: ForkedProcess | subprocess.Popen[Any]) -> None:
+    """A real unit responds in time, and a server has its own machine, whatever the load of this one: a page
+    removes its controls after two seconds without response.
+    """
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
 
 
 def end(process: ForkedProcess | subprocess.Popen[Any], number: int = signal.SIGTERM) -> int:
@@ -173,6 +179,7 @@ class Site:
             )
         else:
             self.server = fork_server.start(*called, stdout=self.log, stderr=self.log, env=environment)
+        run_in_time(self.server)
         eventually(self._responds, f"a response from {self.url}", within=START_S)
 
     def wait_for_units(self) -> None:

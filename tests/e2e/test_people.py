@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, focus
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -423,7 +423,7 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
 def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
-    field.focus()
+    focus(field)
     page.keyboard.type("4")
     site.line.remote.do("fault", kind="dead", rate=1, unit=2)
     try:
@@ -439,7 +439,7 @@ def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "engineer"})
     page = opened(shared_page("engineer", viewport=PANEL), "/units/line/2/parameters")
     row = page.locator("#parameter-6")
-    row.locator("[name=value]").focus()
+    focus(row.locator("[name=value]"))
     page.keyboard.type("12.5")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()

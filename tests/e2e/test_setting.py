@@ -6,9 +6,9 @@ import re
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, focus
 from tests.e2e.site import Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -76,16 +76,45 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     assert writes(site) == before
 
 
-def test_keyboard_alone_sets_a_speed(site: Site, shared_page: OpensPages) -> None:
+def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/4")
-    page.locator("#setpoint").focus()
+    field, cancel = page.locator("#setpoint"), page.get_by_role("button", name="Cancel")
+    focus(field)
+    with site.api("operator") as client:
+        client.post("/buses/line/units/4/speed", json={"value": "90.0"}).raise_for_status()
+    expect(field).to_have_value("90.0")
     page.keyboard.type("88.0")
+    expect(field).to_have_value("88.0")
     page.keyboard.press("Enter")
-    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    expect(cancel).to_be_focused()
+    page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
+    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(field).to_have_value("88.0")
+    expect(field).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(cancel).to_be_focused()
     page.keyboard.press("Tab")
     page.keyboard.press("Enter")
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 88.0")
     assert state(site, 4)["setpoint"] == 880
+    page.get_by_role("button", name="Close").click()
+    with site.api("operator") as client:
+        client.post("/buses/line/units/4/speed", json={"value": "89.0"}).raise_for_status()
+    expect(field).to_have_value("89.0")
+
+
+def test_a_setpoint_typed_before_the_scripts_are_there_stays(browser_page: OpensPages) -> None:
+    page = browser_page(viewport=PANEL)
+
+    def type_first(route: Route) -> None:
+        page.locator("#setpoint").fill("87.0")
+        route.continue_()
+
+    page.route("**/setter.js*", type_first)
+    opened(page, "/units/line/4")
+    expect(page.locator("#setpoint")).to_have_value("87.0")
+    page.get_by_role("button", name="Set now").click()
+    expect(page.locator("[data-review-act]")).to_have_text(re.compile(r"to 87\.0$"))
 
 
 def test_undo_is_an_ordinary_command_with_a_review(site: Site, shared_page: OpensPages) -> None:
@@ -114,6 +143,8 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPa
     expect(page.locator("[data-review-act]")).to_have_count(0)
     expect(page.locator("[data-review-end]")).to_contain_text("50.0")
     assert state(site, 6)["setpoint"] == 500
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("#setpoint")).to_have_value("66.0")
 
 
 @pytest.mark.provokes("ERR_FAILED", "fetch")

@@ -46,7 +46,6 @@ class Recorder:
         self._folding: deque[tuple[int, int]] = deque()
         self._folded_minute = 0
         self._commits = 0
-        self.too_late = 0
         """Readings that came after everything of their time had been given up."""
 
     def replay(self) -> None:
@@ -116,9 +115,7 @@ class Recorder:
             given_up = tables.raw_from(connection)
             for unit, minute in keys:
                 runs = self._tail.minute(unit, minute)
-                if minute + MINUTE <= given_up:
-                    self.too_late += len(runs)
-                elif runs:
+                if runs and minute + MINUTE > given_up:
                     fold(connection, unit, [buses[unit]] if unit in buses else [], minute, runs)
             if last:
                 tables.clear_journal(connection)

@@ -73,7 +73,6 @@ class BusLive:
     """When the present ``link`` began."""
     worker_lost: Onset | None
     """Since when no worker is connected; None while one is."""
-    worker_software: str = ""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
     _subscribers: list[BusSubscriber] = field(default_factory=list, compare=False)
@@ -104,13 +103,12 @@ class BusLive:
             except Exception:
                 log.exception("subscriber of the live state failed", bus=self.settings.name)
 
-    def take_snapshot(self, snapshot: Snapshot, software: str) -> list[Update]:
+    def take_snapshot(self, snapshot: Snapshot) -> list[Update]:
         """A worker connected, with its complete state; returns that as updates."""
         if not self.worker_connected:
             self.worker_lost = None
             # It reports the state of its port, and not since when.
             self.link, self.link_onset = snapshot.bus, Onset(snapshot.bus.at, exact=False)
-        self.worker_software = software
         updates = updates_of(snapshot)
         self.apply(updates)
         return updates
@@ -209,9 +207,6 @@ def _updates_of_unit(state: UnitState, at: UnixTime) -> list[Update]:
     updates += state.parameters
     updates.append(Staged(unit=state.unit, at=at, raw=state.staged))
     return updates
-
-
-__all__ = ["NO_WORKER", "BusLive", "BusSubscriber", "LiveState", "UnitLive", "follower"]
 
 
 class LiveState:

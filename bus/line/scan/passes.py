@@ -36,13 +36,8 @@ class Passes:
         """Complete passes."""
 
     @property
-    def requests(self) -> int:
-        """Return how many requests the scan has, where no address responds."""
-        return PASSES * self._addresses
-
-    @property
     def settled(self) -> int:
-        """Return how many of ``requests`` are done or no longer needed."""
+        """Return how many requests are done or no longer needed."""
         done_passes, remaining_passes = min(self._done + 1, PASSES), min(self._done, PASSES)
         return (
             PASSES * self._found

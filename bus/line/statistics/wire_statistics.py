@@ -21,7 +21,6 @@ class WireCounts:
     busy_s: float = 0.0
     noise_bytes: int = 0
     echoes: int = 0
-    broadcasts: int = 0
     responses: int = 0
 
 
@@ -60,7 +59,6 @@ class WireStatistics:
         request, reply = exchange.exchange.request, exchange.exchange.reply
         self.wire.busy_s += (len(exchange.exchange.sent) + len(exchange.frame)) * byte_s
         if request.unit == 0:
-            self.wire.broadcasts += 1
             return
         statistics = self._roster[request.unit].statistics
         statistics.counts.polls += isinstance(request, ReadStatusRequest)
