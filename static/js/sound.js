@@ -135,9 +135,10 @@ export function start() {
   addEventListener("storage", ({ key, newValue }) => {
     if (key === STORED) settings = settingsOf(newValue);
   });
-  // Any press gives leave, as long as sound is on.
-  for (const kind of ["pointerup", "keyup"])
-    addEventListener(kind, () => settings.on && !hasLeave() && open(), { passive: true });
+  // Any press gives leave, as long as sound is on. That of the button does so in its own handler: it would silence.
+  const openElsewhere = ({ target }) =>
+    settings.on && !hasLeave() && !find("strip").contains(target) && open();
+  for (const kind of ["pointerup", "keyup"]) addEventListener(kind, openElsewhere);
   listen("alarms_present", (fields) => {
     alarms = { priority: fields.sound ?? "", at: Number(fields.sound_at) || 0 };
     sound();
