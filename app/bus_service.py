@@ -110,5 +110,5 @@ class BusService:
         )
 
     async def close(self) -> None:
-        await self.first_writes.close()
-        await self.drift.close()
+        await self.first_writes.background.close()
+        await self.drift.background.close()

@@ -320,10 +320,10 @@ async def _begin(services: Services) -> None:
 
 
 async def _end(services: Services) -> None:
-    await services.takings.close()
+    await services.takings.background.close()
     for bus in services.buses.values():
         await bus.close()
-    await services.restores.close()
+    await services.restores.background.close()
     await services.events.repeated.record_rest()
     await services.events.record(kind="server", what=Message("event_server_ended"))
     if services.anchoring is not None:

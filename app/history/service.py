@@ -10,7 +10,7 @@ import structlog
 
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
-from app.history.intake.upkeep import Keep
+from app.history.intake.upkeep import Retention
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.intervals import Interval
@@ -45,10 +45,10 @@ class History:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
-        keep = Keep(settings.history.raw_days, settings.history.years)
+        retention = Retention(settings.history.raw_days, settings.history.years)
         self._clock_step_subscribers: list[ClockStepSubscriber] = []
         self._damage_subscribers: list[DamageSubscriber] = []
-        self._writer = Writer(self.path, keep, self._publish_clock_step, self._publish_damage)
+        self._writer = Writer(self.path, retention, self._publish_clock_step, self._publish_damage)
 
     def on_clock_step(self, subscriber: ClockStepSubscriber) -> None:
         """Call ``subscriber`` when the clock of this machine was stepped."""

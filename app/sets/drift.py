@@ -55,7 +55,7 @@ class BusDrift:
         self._events = events
         self._golden: dict[int, UnitRows] = {}
         self._found: dict[int, dict[int, DriftedParameter]] = {}
-        self._background = Background()
+        self.background = Background()
         self._subscribers: list[UnitSubscriber] = []
         live.subscribe(self._see)
 
@@ -69,10 +69,6 @@ class BusDrift:
         self._found = {}
         for unit in self.marked():
             self._look(unit, PARAMETERS)
-
-    async def close(self) -> None:
-        """Stop searching the events."""
-        await self._background.close()
 
     def marked(self) -> list[int]:
         """The configured units that have a golden set."""
@@ -121,7 +117,7 @@ class BusDrift:
         self._found[unit] = found
         untraced = [one for one in found.values() if not one.traced or one.row.number in named]
         if untraced:
-            self._background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
+            self.background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
 
     async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
         before = self.of(unit)

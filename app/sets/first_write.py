@@ -42,16 +42,8 @@ class FirstWrites:
         self._keeper = keeper
         self._clock = clock
         self._kept: dict[int, date] = {}
-        self._background = Background()
+        self.background = Background()
         writes.on_write(self.before)
-
-    async def settled(self) -> None:
-        """Until all is stored."""
-        await self._background.settled()
-
-    async def close(self) -> None:
-        """End the saving of sets."""
-        await self._background.close()
 
     async def before(self, person: Person, units: Sequence[int], *, parameters: bool) -> None:
         """``units`` are about to be written to. A write of ``parameters`` waits until they are stored (a few
@@ -65,7 +57,7 @@ class FirstWrites:
         if known and parameters:
             await self._keep(person, known)
         elif known:
-            self._background.begin(self._keep_behind(person, known), f"first write of the day, {self._bus}")
+            self.background.begin(self._keep_behind(person, known), f"first write of the day, {self._bus}")
 
     async def _keep_behind(self, person: Person, known: list[UnitRows]) -> None:
         try:
@@ -90,7 +82,7 @@ class FirstWrites:
             raise
         for rows in fresh:
             if len(rows.rows) < len(PARAMETERS):
-                self._background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
+                self.background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
     async def _has_set(self, unit: int, midnight: UnixTime) -> bool:
         """Whether a set of today exists; then none is needed today."""

@@ -48,7 +48,7 @@ class RestoreService:
         self._events = events
         self._store = store
         self._restores: dict[str, Restore] = {}
-        self._background = Background()
+        self.background = Background()
         self._end_subscribers: list[EndSubscriber] = []
 
     def on_end(self, subscriber: EndSubscriber) -> None:
@@ -125,11 +125,7 @@ class RestoreService:
         if any(other.state in UNDER_WAY and _same_unit(other, restore) for other in self._restores.values()):
             raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
-        self._background.begin(self._run(person, restore), f"restore {restore.id}")
-
-    async def close(self) -> None:
-        """End what runs; the rows keep what was done."""
-        await self._background.close()
+        self.background.begin(self._run(person, restore), f"restore {restore.id}")
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:

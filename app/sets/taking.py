@@ -46,7 +46,7 @@ class Takings:
 
     def __init__(self) -> None:
         self._takings: dict[str, Taking] = {}
-        self._background = Background()
+        self.background = Background()
 
     def get(self, taking_id: str) -> Taking | None:
         """A reading begun since the server started."""
@@ -60,12 +60,8 @@ class Takings:
         self._takings[taking.id] = taking
         for old in list(self._takings)[:-_KEEP]:
             del self._takings[old]
-        self._background.begin(self._run(person, keeper, taking), f"parameter set {taking.id}")
+        self.background.begin(self._run(person, keeper, taking), f"parameter set {taking.id}")
         return taking
-
-    async def close(self) -> None:
-        """End what runs; nothing is kept of it."""
-        await self._background.close()
 
     async def _run(self, person: Person, keeper: SetKeeper, taking: Taking) -> None:
         await read_together(keeper, person, taking.units, taking.read, taking.missing)

@@ -9,7 +9,7 @@ from pathlib import Path
 from app.database.connection import Database
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
-from app.history.intake.upkeep import Keep
+from app.history.intake.upkeep import Retention
 from app.history.intake.writer import MIGRATIONS, Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
@@ -75,10 +75,12 @@ class Shelf:
 
 
 def opened(
-    folder: Path, keep: Keep | None = None, on_damage: Callable[[Message], None] = lambda _what: None
+    folder: Path,
+    retention: Retention | None = None,
+    on_damage: Callable[[Message], None] = lambda _what: None,
 ) -> Writer:
     """A writer with its thread."""
-    writer = Writer(folder / "history.db", keep or Keep(), lambda _step, _at: None, on_damage)
+    writer = Writer(folder / "history.db", retention or Retention(), lambda _step, _at: None, on_damage)
     writer.start()
     return writer
 

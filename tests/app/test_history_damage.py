@@ -13,7 +13,7 @@ import pytest
 
 from app.history.intake import writer as writing
 from app.history.intake.recorder import compact
-from app.history.intake.upkeep import Keep, Upkeep
+from app.history.intake.upkeep import Retention, Upkeep
 from app.history.intake.writer import Writer
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
@@ -109,7 +109,7 @@ def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> Non
     spoil(shelf.database.path, "raw", START + MINUTE)
     with pytest.raises(ValueError, match="damaged"):
         shelf.database.write_now(lambda c: compact(c, key, START))
-    upkeep = Upkeep(shelf.database, Keep(), Repair(shelf.database, lambda _: None))
+    upkeep = Upkeep(shelf.database, Retention(), Repair(shelf.database, lambda _: None))
     upkeep.compact(START + 2 * HOUR, float("inf"))
     found = shelf.query("actual", NOON, NOON + 180)
     assert (len(found.series.at), found.damaged) == (601, [])

@@ -148,7 +148,7 @@ async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> 
     [one] = await again.traced(1)
     assert one.change is not None
     assert (one.change["who"], one.traced) == ("anna", True)
-    await again.close()
+    await again.background.close()
 
 
 async def test_the_list_on_the_units_page_has_another_key_when_its_text_changes(scene: Scene) -> None:

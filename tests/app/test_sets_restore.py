@@ -163,7 +163,7 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     assert [row.outcome for row in found.rows] == ["verified", "verified", "unverified", "not_sent"]
     assert scene.events.events[-1]["outcome"] == "stopped"
     assert scene.events.events[-1]["message"].endswith("done: #6, #7; not verified: #12; not written: #9")
-    await scene.restores.close()
+    await scene.restores.background.close()
 
     scene.commands.hangs_after, scene.restores = None, after
     again = await scene.run()

@@ -52,7 +52,7 @@ async def test_what_could_not_be_kept_for_one_person_is_kept_for_the_next(scene:
     with pytest.raises(Problem):
         await scene.first.before(ANNA, [1], parameters=True)
     await scene.first.before(ANNA, [1], parameters=False)
-    await scene.first.settled()
+    await scene.first.background.settled()
     assert await scene.kept(1) == []
     await scene.first.before(Person("ben", Role.ENGINEER, "session"), [1], parameters=True)
     assert await scene.kept(1) == [BEFORE]
@@ -68,7 +68,7 @@ async def test_before_the_first_parameter_write_known_values_are_stored_once_and
     assert scene.commands.sent == []
     summary = (await scene.store.summaries("dry-end", 1))[-1]
     assert summary.origin == BEFORE
-    await scene.first.settled()
+    await scene.first.background.settled()
     await scene.first.before(ANNA, [1], parameters=True)
     assert await scene.kept(1) == [AFTER, BEFORE]
 
@@ -78,11 +78,11 @@ async def test_a_setpoint_waits_for_nothing_and_saves_every_completely_known_uni
     scene.report(2, 6)
     await scene.first.before(ANNA, [1, 2], parameters=False)
     scene.report(1, 6)
-    await scene.first.settled()
+    await scene.first.background.settled()
     assert (await scene.kept(1), await scene.kept(2)) == ([BEFORE], [])
     assert scene.commands.sent == []
     await scene.first.before(ANNA, [1, 2], parameters=False)
-    await scene.first.settled()
+    await scene.first.background.settled()
     assert await scene.kept(1) == [BEFORE]
 
 

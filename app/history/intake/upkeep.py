@@ -52,8 +52,8 @@ _VACUUM = "PRAGMA incremental_vacuum(2000)"
 
 
 @dataclass(frozen=True, slots=True)
-class Keep:
-    """How long, and how much of the disk is left alone."""
+class Retention:
+    """How long readings and their rollups are stored, and how much of the disk stays free."""
 
     raw_days: int = 30
     years: int = 10
@@ -63,10 +63,10 @@ class Keep:
 class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
-    def __init__(self, database: Database, keep: Keep, repair: Repair) -> None:
+    def __init__(self, database: Database, retention: Retention, repair: Repair) -> None:
         self._database = database
         self._repair = repair
-        self._keep = keep
+        self._retention = retention
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
 
@@ -77,7 +77,7 @@ class Upkeep:
     def look(self) -> tuple[int, Space]:
         """Free bytes where the store is, and what they mean."""
         free = shutil.disk_usage(self._database.path.parent).free
-        return free, space(free, self._keep.reserve)
+        return free, space(free, self._retention.reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:
         """Pack hours that are over until ``deadline`` (monotonic seconds)."""
@@ -97,9 +97,9 @@ class Upkeep:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
         if monotonic_now() < self._settled_at:
             return
-        horizon = now - self._keep.raw_days * DAY
+        horizon = now - self._retention.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
-        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._keep.years * 365 * DAY))
+        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._retention.years * 365 * DAY))
 
     def trim(self, now: int) -> None:
         """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than

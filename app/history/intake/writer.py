@@ -19,7 +19,7 @@ from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Keep, Space, Upkeep, prepare
+from app.history.intake.upkeep import Retention, Space, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables
@@ -63,9 +63,11 @@ class _Open:
 class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
-    def __init__(self, path: Path, keep: Keep, on_clock_step: ClockStepped, on_damage: FoundDamage) -> None:
+    def __init__(
+        self, path: Path, retention: Retention, on_clock_step: ClockStepped, on_damage: FoundDamage
+    ) -> None:
         self._path = path
-        self._keep = keep
+        self._retention = retention
         self._on_clock_step = on_clock_step
         self._on_damage = on_damage
         self._reported: deque[BlockKey] = deque(maxlen=MOST_REPORTED)
@@ -226,7 +228,7 @@ class Writer:
         recorder = Recorder(database, self.tail, self._on_damage)
         recorder.replay()
         repair = Repair(database, self._on_damage)
-        return _Open(database, recorder, Upkeep(database, self._keep, repair), repair)
+        return _Open(database, recorder, Upkeep(database, self._retention, repair), repair)
 
     def _rebuild(self) -> None:
         """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
