@@ -16,7 +16,8 @@ window.tones = 0;
 const start = OscillatorNode.prototype.start;
 OscillatorNode.prototype.start = function (...at) { window.tones += 1; return start.apply(this, at); };
 let pressed = false;
-for (const kind of ["keydown", "pointerup"]) addEventListener(kind, () => { pressed = true; }, { capture: true });
+for (const kind of ["keydown", "pointerup"])
+  addEventListener(kind, () => { pressed = true; }, { capture: true });
 window.AudioContext = class extends AudioContext {
   get state() { return pressed ? "running" : "suspended"; }
 };
