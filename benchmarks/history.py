@@ -123,7 +123,7 @@ def _insert(connection: sqlite3.Connection, batch: list[Reading]) -> None:
 
 
 def _recorder(path: Path) -> Recorder:
-    return Recorder(Database(path, MIGRATIONS), Tail())
+    return Recorder(Database(path, MIGRATIONS), Tail(), lambda _: None)
 
 
 def _wire() -> str:

@@ -73,7 +73,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
         intact = prove(connection).broken is None
     tail = Tail()
     database = Database(data / "history.db", MIGRATIONS)
-    Recorder(database, tail).replay()
+    Recorder(database, tail, lambda _: None).replay()
     folded = database.read_now(
         lambda connection: connection.execute("SELECT max(until) FROM bits").fetchone()[0]
     )

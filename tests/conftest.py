@@ -15,6 +15,7 @@ from types import CodeType
 from typing import Any
 
 import pytest
+import structlog
 from argon2 import PasswordHasher
 from hypothesis import settings
 from jinja2 import Environment
@@ -41,6 +42,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.parent.name not in COMPLETE_SITES)
 
 
+# With the values of every frame, one traceback in a log takes two seconds.
+structlog.dev.ConsoleRenderer.get_active().exception_formatter = structlog.dev.plain_traceback
 # httpx looks for it with every request to an app of this process; it is not installed, and not needed.
 sys.modules.setdefault("sniffio", None)  # type: ignore[arg-type]
 # Nothing that is collected or imported for it is garbage, then or in a test.

@@ -370,7 +370,7 @@ async def staged(
 
 async def until(condition: Callable[[], object], what: str) -> None:
     """Wait for a condition; fails with ``what`` after a generous time."""
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < end, f"never: {what}"
         await asyncio.sleep(0.002)

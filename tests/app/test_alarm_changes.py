@@ -126,6 +126,27 @@ def test_a_transition_has_the_time_at_which_it_was_due() -> None:
     assert due_at(facts, how) == 42
 
 
+def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowledged() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
+    facts, done = changes.advance(facts, how, UnixTime(20))
+    assert [(each.trigger, each.at, facts.state) for each in done] == [("realarm", 15, "unack_active")]
+
+
+def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
+    how = AlarmAttributes()
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = changes.shelve(facts, UnixTime(99), UnixTime(11), once=True)
+    for hidden_act in (changes.acknowledge, changes.reset):
+        with pytest.raises(NoTransitionError):
+            hidden_act(facts, how, UnixTime(12))
+    with pytest.raises(NoTransitionError):
+        changes.shelve(facts, UnixTime(99), UnixTime(12))
+    facts, done = changes.observe(facts, how, holds=False, at=UnixTime(13))
+    assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
+
+
 def test_what_hides_an_alarm_is_named_in_the_order_in_which_a_person_has_to_end_it() -> None:
     facts = AlarmFacts(suppressed=True, shelved_until=UnixTime(9), out_of_service=True)
     assert facts.state == "out_of_service"

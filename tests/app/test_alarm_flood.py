@@ -12,7 +12,7 @@ import pytest
 from app.alarms.store import AlarmStore, JournalEntry
 from app.database import Database
 
-KILLS, KILLS_SOAK = 3, 50
+KILLS, KILLS_SOAK = 2, 50
 
 
 def flood_and_kill(store: Path, passes: int) -> None:

@@ -56,6 +56,7 @@ def test_counters_are_judged_by_the_minute_and_may_begin_again_at_zero() -> None
         (Suppressors(), ""),
         (Suppressors(worker_lost=True), "bus unit speed"),
         (Suppressors(port_lost=True), "unit speed"),
+        (Suppressors(no_unit_responds=True), "unit speed"),
         (Suppressors(at_rest=True), "speed"),
         (Suppressors(estops={1}), "speed"),
         (Suppressors(estops={2}), ""),

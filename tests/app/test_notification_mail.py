@@ -129,7 +129,7 @@ async def test_one_that_does_not_respond(authority: Path, monkeypatch: pytest.Mo
 async def test_who_waits_may_stop(context: ssl.SSLContext, authority: Path) -> None:
     async with mail_server(context, replies={"RCPT": ""}) as server:
         sending = asyncio.create_task(MailServer(settings(server.port, authority)).send("duty@plant", LETTER))
-        async with asyncio.timeout(10), server.arrived:
+        async with asyncio.timeout(60), server.arrived:
             await server.arrived.wait_for(lambda: any("rcpt" in each for each in server.commands))
         sending.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until
+from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from bus.instants import UnixTime
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -89,3 +89,7 @@ def test_of_an_hour_that_comes_twice_the_first_is_meant() -> None:
     assert instant_of(150, shift, BERLIN) == at("2026-10-25T02:30:00+02:00")
     spring = shift_at(at("2026-03-29T01:00:00+01:00"), THREE, BERLIN)
     assert instant_of(150, spring, BERLIN) is None
+
+
+def test_a_message_names_a_moment_by_the_clock_of_the_site() -> None:
+    assert site_time(at("2026-10-25T02:30:00+02:00"), BERLIN) == "2026-10-25 02:30"

@@ -49,10 +49,15 @@ def test_the_kernel_reports_how_long_bytes_have_waited(run: Run) -> None:
                 return found
 
             await until(lambda: wait().sent_s >= 0.1, "an age of the connection")
-            client.sendall(b"x")
-            await until(lambda: wait().received_s < 0.1, "the byte in the socket")
+
+            def has_just_received() -> bool:
+                client.sendall(b"x")
+                return wait().received_s < 0.1
+
+            await until(has_just_received, "a byte in the socket")
             await until(lambda: wait().received_s >= 0.1, "an age of the byte")
-            assert wait().sent_s > wait().received_s
+            waits = wait()
+            assert waits.sent_s > waits.received_s
             transports[0].close()
         server.close()
 

@@ -206,7 +206,9 @@ def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
 )
 async def test_large_bodies_are_read_beside_the_loop(house: House, body: object) -> None:
     engineer = await house.program(Role.ENGINEER)
-    assert await cpu_s(engineer, 422, RESTORES, json.dumps(body).encode(), **JSON) < 0.1
+    content = json.dumps(body).encode()
+    # A collection of garbage may come into one of them.
+    assert min([await cpu_s(engineer, 422, RESTORES, content, **JSON) for _ in range(2)]) < 0.1
 
 
 @pytest.mark.parametrize(

@@ -238,7 +238,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
         received, opened = asyncio.Event(), asyncio.Event()
         socket = Responding([encode(hello(uuid4().hex)), encode(snapshot())])
         serving = asyncio.create_task(scene.serve(socket))
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await opened.wait()
             result = await channel.send(Command(COMMAND_ID, time.time() + 5, SetSpeed(1, 5)))
             await serving

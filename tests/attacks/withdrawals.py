@@ -61,5 +61,5 @@ async def noticed(house: House) -> None:
         event.set()
 
     house.services.rights.on_withdrawn(notice)
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         await event.wait()

@@ -26,6 +26,7 @@ from bus.contract import (
 from bus.line.statistics.figures import UnitSymptoms, diagnose, responds_for_all
 from bus.messages import Message
 from bus.simulator.faults import FaultKind
+from tests import fork_server
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
 ROOT = Path(__file__).parents[2]
@@ -293,21 +294,19 @@ def test_a_unit_that_responds_for_a_dead_one_is_found_by_its_parameter_17() -> N
         (["--bus", "other"], "t", "other"),
     ],
 )
-async def test_wrong_use_is_reported_in_one_line(
+def test_wrong_use_is_reported_in_one_line(
     arguments: list[str], token: str, words: str, tmp_path: Path
 ) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text('[[bus]]\nname = "b"\nport = "/dev/none"\n')
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "bus", "--config", str(config), "--app", "http://127.0.0.1:1", *arguments),
+    done = fork_server.run(
+        *("--config", config, "--app", "http://127.0.0.1:1", *arguments),
+        program="bus",
         env={**os.environ, "LINESIDE_WORKER_TOKEN": token},
-        cwd=ROOT,
-        stderr=asyncio.subprocess.PIPE,
     )
-    _, printed = await process.communicate()
-    assert process.returncode == 2
-    assert words in printed.decode()
-    assert "Traceback" not in printed.decode()
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 async def test_it_waits_for_port_and_app_logs_it_once_and_leaves_on_request(tmp_path: Path) -> None:

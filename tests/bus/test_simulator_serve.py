@@ -32,6 +32,7 @@ from bus.wire.commands import (
     StatusReply,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
+from tests import fork_server
 from tests.simulator_remote import Remote
 
 PLAIN = Dialect()
@@ -219,7 +220,6 @@ def test_the_command_prints_the_port_first_and_ends_cleanly(tmp_path: Path, endi
 
 @pytest.mark.parametrize("wrong", [["--baud", "1234"], ["--units", "256"], ["--tcp", "0", "--link", "x"]])
 def test_wrong_use_is_refused_in_words(wrong: list[str]) -> None:
-    code = "import typer, app.cli.simulate as s; c = typer.Typer(); s.register(c); c()"
-    done = subprocess.run([sys.executable, "-c", code, *wrong], capture_output=True, text=True, check=False)
+    done = fork_server.run("simulate", *wrong)
     assert done.returncode == 2
     assert wrong[-2] in done.stderr

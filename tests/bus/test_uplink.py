@@ -62,7 +62,7 @@ class FakeReceiver:
         self.news.set()
 
     async def until(self, what: object) -> None:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while what not in self.requests:
                 self.news.clear()
                 await self.news.wait()
@@ -201,7 +201,7 @@ async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker()
     uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), receiver, ClockOffset(), time.time)
     with capture_logs() as logs:
         linking = asyncio.create_task(uplink.run())
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await receiver.news.wait()
         assert not linking.done()
         linking.cancel()

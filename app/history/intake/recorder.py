@@ -46,7 +46,6 @@ class Recorder:
         self._folding: deque[tuple[int, int]] = deque()
         self._folded_minute = 0
         self._commits = 0
-        """Readings that came after everything of their time had been given up."""
 
     def replay(self) -> None:
         """Load the journal into the tail; damaged parts are left out and reported."""
