@@ -146,6 +146,15 @@ async def acknowledge_alarm(
     return alarm_json(alarms, await alarms.acknowledge(person, alarm_id, comment))
 
 
+@router.post("/{alarm_id}/silence")
+async def silence_alarm(
+    person: Operator, alarms: Alarms, alarm_id: str, body: CommentBody | None = None
+) -> AlarmShown:
+    """End the sound of the occurrence that the id names. It is still to be acknowledged."""
+    comment = "" if body is None else body.comment
+    return alarm_json(alarms, await alarms.silence(person, alarm_id, comment))
+
+
 @router.post("/{alarm_id}/reset")
 async def reset_alarm(
     person: Operator, alarms: Alarms, alarm_id: str, body: CommentBody | None = None

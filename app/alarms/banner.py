@@ -29,12 +29,20 @@ class AlarmBanner:
     def banner(self, translator: Translator) -> Fields:
         """How many wait for an acknowledgement, and the first three of them."""
         waiting, shown = self._alarms.first_waiting(MOST)
-        fields = {"waiting": str(waiting or ""), "changed": str(self._changed)}
+        fields = {"waiting": str(waiting or ""), "changed": str(self._changed), **self._sound()}
         for place in range(MOST):
             alarm = shown[place] if place < len(shown) else None
             fields[f"priority{place + 1}"] = alarm.definition.priority if alarm else ""
             fields[f"text{place + 1}"] = self.text(alarm, translator) if alarm else ""
         return fields
+
+    def _sound(self) -> Fields:
+        """The priority that sounds, and when the newest of those that do began to."""
+        sounding = self._alarms.sounding()
+        if not sounding:
+            return {"sound": "", "sound_at": ""}
+        at = max(float(alarm.facts.since or 0.0) for alarm in sounding)
+        return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
     def mark(self, bus: str, unit: int) -> str:
         """``urgent``, or ``urgent waiting`` while it is not acknowledged."""

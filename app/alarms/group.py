@@ -10,15 +10,16 @@ AlarmGroup = Literal["drive", "communication", "parameters", "system", "own"]
 """``drive``: what the machine does; ``communication``: units, cable, port, worker; ``parameters``: what units
 are set to; ``system``: the server; ``own``: the configuration's."""
 GROUPS: tuple[AlarmGroup, ...] = get_args(AlarmGroup)
-_OF_UNITS: dict[str, AlarmGroup] = {
+_BY_CODE: dict[str, AlarmGroup] = {
     "unit_offline": "communication",
     "link_degraded": "communication",
     "duplicate_address": "communication",
     "ratio_out_of_limits": "parameters",
     "parameter_drift": "parameters",
     "staged_left": "parameters",
+    "control_left": "drive",
 }
-"""Those of a unit that are not about what its drive does."""
+"""Where it does not follow from whether it is of a unit, a bus or the site."""
 
 
 def group_of(definition: AlarmDefinition) -> AlarmGroup:
@@ -26,5 +27,7 @@ def group_of(definition: AlarmDefinition) -> AlarmGroup:
     if not definition.is_built_in:
         return "own"
     if definition.unit is not None:
-        return _OF_UNITS.get(definition.code, "drive")
-    return "system" if definition.bus is None else "communication"
+        usual: AlarmGroup = "drive"
+    else:
+        usual = "system" if definition.bus is None else "communication"
+    return _BY_CODE.get(definition.code, usual)

@@ -110,6 +110,10 @@ class LineAlarms:
         waiting = [alarm for alarm in self._present.values() if alarm.is_unacknowledged]
         return len(waiting), nsmallest(most, waiting, key=_rank)
 
+    def sounding(self) -> list[Alarm]:
+        """Those that are audible, the most important and newest first."""
+        return sorted((alarm for alarm in self._present.values() if alarm.facts.sounds), key=_rank)
+
     def annunciated(self, bus: str, unit: int) -> list[Alarm]:
         """Those of a unit that nothing hides, the most important first."""
         of_unit = self._of_unit.get((bus, unit))
@@ -141,6 +145,10 @@ class LineAlarms:
     async def acknowledge(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
         """A person has seen this occurrence."""
         return await self._act(person, alarm_id, changes.acknowledge, "event_alarm_acknowledged", comment)
+
+    async def silence(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
+        """End the sound of this occurrence."""
+        return await self._act(person, alarm_id, changes.silence, "event_alarm_silenced", comment)
 
     async def reset(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
         """End a latch."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
@@ -64,6 +65,8 @@ class AlarmRow:
     code_of_state: str
     state: Message
     waiting: bool
+    sounds: bool
+    silenced: bool
     since: UnixTime | None
     unknown_since: UnixTime | None
     shelved_until: UnixTime | None
@@ -215,6 +218,25 @@ async def acknowledge_shown(
     return RedirectResponse(f"/alarms?{query}", SEE_OTHER)
 
 
+@router.post("/alarms/silence")
+async def silence_sounding(
+    person: Operator, alarms: Alarms, until: Annotated[float, Form(allow_inf_nan=False)]
+) -> Response:
+    """Those that sounded at the press: not one that came since, and of very many the most important."""
+    sounding = [alarm.id for alarm in alarms.sounding() if float(alarm.facts.since or UnixTime(0.0)) <= until]
+    for alarm_id in sounding[:MOST_ROWS]:
+        with suppress(Problem):
+            await alarms.silence(person, alarm_id)
+    return Response(status_code=204)
+
+
+@router.post("/alarms/{alarm_id}/silence")
+async def silence(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
+    """End its sound."""
+    await alarms.silence(person, alarm_id)
+    return _to(alarm_id)
+
+
 @router.post("/alarms/{alarm_id}/reset")
 async def reset(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
     """End a latch."""
@@ -312,6 +334,8 @@ def _row(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
         code_of_state=facts.state,
         state=_state(facts.state),
         waiting=alarm.is_unacknowledged,
+        sounds=facts.sounds,
+        silenced=facts.silenced,
         since=facts.since,
         unknown_since=facts.unknown_since,
         shelved_until=facts.shelved_until,
@@ -329,7 +353,7 @@ def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
         place=alarms.place(entry.bus, entry.unit),
         priority=entry.priority,
         before=_state(entry.before),
-        after=_state(entry.after),
+        after=Message("alarm_silenced") if entry.trigger == "silence" else _state(entry.after),
         who=entry.who,
         reason=entry.reason,
     )

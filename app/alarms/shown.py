@@ -43,6 +43,7 @@ class AlarmShown(TypedDict):
     state: AlarmStateShown
     active: Annotated[bool, Field(description="Whether its condition holds, its delays included.")]
     acknowledged: bool
+    silenced: Annotated[bool, Field(description="Whether its sound was ended before its acknowledgement.")]
     since: Annotated[str | None, Field(description="When it got into its state; null: it never had another.")]
     unknown_since: Annotated[
         str | None, Field(description="Since when its condition is not known; null: it is known.")
@@ -127,6 +128,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "state": facts.state,
         "active": facts.active,
         "acknowledged": facts.acknowledged,
+        "silenced": facts.silenced,
         "since": _time(facts.since),
         "unknown_since": _time(facts.unknown_since),
         "value": in_english(value) or None,

@@ -21,7 +21,7 @@ _STORED_FACTS = tuple(
     field.name for field in fields(AlarmFacts) if field.name not in ("changing_since", "unknown_since")
 )
 """A delay begins again after a restart, and what nothing is known of is not known then either."""
-_FLAGS = ("active", "acknowledged", "latched", "suppressed", "out_of_service", "shelved_once")
+_FLAGS = ("active", "acknowledged", "latched", "silenced", "suppressed", "out_of_service", "shelved_once")
 _OF_ALARM = ("first_out", "hidden_by", "reason")
 
 

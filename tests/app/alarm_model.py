@@ -108,6 +108,8 @@ class ModelAlarm:
         match word:
             case "acknowledge":
                 return state in ("unack_active", "rtn_unack", "latched_unack")
+            case "silence":
+                return state in ("unack_active", "latched_unack") and not self.is_silenced(at)
             case "reset":
                 return state == "latched_ack"
             case "shelve":
@@ -116,6 +118,14 @@ class ModelAlarm:
                 return word not in hiding
             case _:
                 return {"unshelve": "shelve", "return": "remove", "unsuppress": "suppress"}[word] in hiding
+
+    def is_silenced(self, at: float) -> bool:
+        """Nothing has happened since that makes it sound again, or settles it."""
+        silenced = max((t for t, word, *_ in self.acts if word == "silence" and t <= at), default=FOREVER)
+        later = [t for t, rises in self.detections(at) if rises]
+        later += [start for start, _, _ in self.hidden(at)]
+        later += [t for t, word, *_ in self.acts if word == "acknowledge" and t <= at]
+        return silenced <= at and not any(t > silenced for t in later)
 
     def occurrences(self, at: float) -> int:
         return sum(rises for _, rises in self.detections(at))

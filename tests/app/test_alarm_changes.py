@@ -15,7 +15,7 @@ from app.alarms.rules.states import FACTS_OF, TRANSITIONS
 from bus.instants import UnixTime
 from tests.app.alarm_model import FOREVER, ModelAlarm
 
-ACTS = ("acknowledge", "reset", "shelve", "unshelve", "remove", "return", "suppress", "unsuppress")
+ACTS = ("acknowledge", "silence", "reset", "shelve", "unshelve", "remove", "return", "suppress", "unsuppress")
 STEPS = st.one_of(
     st.tuples(st.just("observe"), st.sampled_from((True, False, True, False, None))),
     st.tuples(st.sampled_from(ACTS), st.tuples(st.integers(1, 8), st.booleans())),
@@ -28,6 +28,8 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
     match word:
         case "acknowledge":
             return changes.acknowledge(facts, how, UnixTime(at))
+        case "silence":
+            return changes.silence(facts, how, UnixTime(at))
         case "reset":
             return changes.reset(facts, how, UnixTime(at))
         case "shelve":

@@ -228,3 +228,35 @@ async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(
     assert mark["shown"] == {"name": "Not-Halt aktiv", "place": "Unwind"}
     there = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/2"})).json()
     assert all(each["unit"] in (2, None) for each in there["occurrences"])
+
+
+async def test_silence_ends_the_sound_and_nothing_else_until_it_comes_again(house: House) -> None:
+    operator, alarms = await house.program(Role.OPERATOR), house.services.alarms
+    estop(house, active=True)
+    (alarm,) = await present(operator)
+    done = (await act(operator, alarm["id"], "silence", comment="on my way")).json()
+    assert (done["silenced"], done["state"], done["acknowledged"]) == (True, "unack_active", False)
+    assert alarms.sounding() == []
+    again = await act(operator, alarm["id"], "silence")
+    assert (again.status_code, again.json()["code"]) == (409, "not_in_state")
+    (entry,) = [e for e in await house.events("alarm") if "silenced" in e["what"]]
+    assert (entry["who"], entry["message"]) == (f"key-{Role.OPERATOR}", "on my way")
+    (transition,) = (await operator.get(f"{API}/journal?limit=1")).json()["transitions"]
+    assert (transition["trigger"], transition["before"]) == ("silence", transition["after"])
+    estop(house, active=False)
+    estop(house, active=True)
+    assert [each.id for each in alarms.sounding()] == [f"{BUS}.1.estop_active.2"]
+
+
+async def test_a_press_silences_what_sounded_and_not_what_came_since(house: House) -> None:
+    alarms = house.services.alarms
+    viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    until = {"until": str(float(alarms.sounding()[0].facts.since or 0.0))}
+    estop(house, active=True, unit=2)
+    assert (await viewer.post("/alarms/silence", data=until)).status_code == 403
+    assert (await operator.post("/alarms/silence", data=until)).status_code == 204
+    assert [each.definition.unit for each in alarms.sounding()] == [2]
+    assert "silenced" in (await operator.get(f"/alarms/{BUS}.1.estop_active.1")).text
+    await operator.post(f"/alarms/{BUS}.2.estop_active.1/silence")
+    assert alarms.sounding() == []

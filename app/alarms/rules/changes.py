@@ -89,6 +89,13 @@ def reset(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Chang
     return _base(facts, attributes, "reset", at)
 
 
+def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
+    """End its sound, which leaves its state. Raises NoTransitionError where it does not sound."""
+    if not facts.sounds:
+        raise NoTransitionError
+    return _moved(facts, replace(facts, silenced=True), "silence", at)
+
+
 def shelve(facts: AlarmFacts, until: UnixTime, at: UnixTime, *, once: bool = False) -> Changed:
     """Hide it until a time; ``once``: or until its condition ends. Raises NoTransitionError."""
     if facts.shelved_until is not None or facts.out_of_service:
@@ -150,5 +157,5 @@ def _in_base(facts: AlarmFacts, attributes: AlarmAttributes, base: BaseState, at
 
 def _moved(before: AlarmFacts, after: AlarmFacts, trigger: AlarmTrigger, at: UnixTime) -> Changed:
     if after.state != before.state:
-        after = replace(after, since=at)
+        after = replace(after, since=at, silenced=after.silenced and trigger == "clear")
     return after, (Transition(at, trigger, after.occurrence, before.state, after.state),)

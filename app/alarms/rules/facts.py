@@ -36,6 +36,8 @@ class AlarmFacts:
     active: bool = False
     acknowledged: bool = True
     latched: bool = False
+    silenced: bool = False
+    """Its sound was ended; it sounds again when it comes again."""
     suppressed: bool = False
     out_of_service: bool = False
     shelved_until: UnixTime | None = None
@@ -62,6 +64,11 @@ class AlarmFacts:
     def is_hidden(self) -> bool:
         """Whether it is detected and recorded, and not annunciated."""
         return self.suppressed or self.out_of_service or self.shelved_until is not None
+
+    @property
+    def sounds(self) -> bool:
+        """Whether it is audible (ISA-18.2-2016, 5.6): what has returned waits without a sound."""
+        return not (self.is_hidden or self.acknowledged or self.silenced) and (self.active or self.latched)
 
     @property
     def state(self) -> AlarmState:

@@ -40,6 +40,7 @@ AlarmTrigger = Literal[
     "unsuppress",
     "remove",
     "return",
+    "silence",
 ]
 
 

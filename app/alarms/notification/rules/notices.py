@@ -69,7 +69,7 @@ class PlannedNotice:
 
 def opened_by(entry: JournalEntry) -> Episode | None:
     """The episode that a transition begins; None where it begins none."""
-    if entry.after not in UNACKNOWLEDGED or entry.trigger == "clear":
+    if entry.after not in UNACKNOWLEDGED or entry.trigger in ("clear", "silence"):
         return None
     return Episode(entry.alarm, entry.id, entry.occurrence, entry.bus, entry.priority, entry.at)
 

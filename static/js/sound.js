@@ -1,0 +1,148 @@
+// Sound for alarms to acknowledge, on a device whose user has switched it on. Browsers allow it only after a press.
+import { listen } from "./bind.js";
+import { isLive } from "./live.js";
+import { isDue, settingsOf, soundingNow, soundState, TONES } from "./sound-rule.js";
+import { word } from "./words.js";
+
+const STORED = "lineside-sound";
+const CHECK_MS = 500;
+const TONE_S = 0.18;
+const PAUSE_S = 0.28;
+const LOUDNESS = 0.4;
+const find = (name) => document.querySelector(`[data-sound-${name}]`);
+
+let settings = settingsOf(null);
+let audio = null;
+let alarms = { priority: "", at: 0 };
+let mutedUntil = 0;
+let sounded = { priority: "", at: 0 };
+/** Of several pages of one browser the first that may sound does. */
+let isFirst = !navigator.locks;
+let isQueued = false;
+
+const hasLeave = () => audio?.state === "running";
+const sounding = () => soundingNow(settings, alarms, mutedUntil, isLive());
+
+function read() {
+  try {
+    return localStorage.getItem(STORED);
+  } catch {
+    return null;
+  }
+}
+
+function store(changed) {
+  settings = { ...settings, ...changed };
+  try {
+    localStorage.setItem(STORED, JSON.stringify(settings));
+  } catch {
+    // A browser that keeps nothing still sounds on this page.
+  }
+}
+
+/** In a press this gives the leave to sound; without one the browser waits for it. */
+async function open() {
+  audio ??= new AudioContext();
+  audio.onstatechange = draw;
+  if (!hasLeave()) await audio.resume().catch(() => {});
+  draw();
+}
+
+function queue() {
+  if (isQueued || isFirst) return;
+  isQueued = true;
+  navigator.locks.request(STORED, () => {
+    isFirst = true;
+    return new Promise(() => {});
+  });
+}
+
+function play(priority) {
+  const { tones, hertz } = TONES[priority];
+  for (let i = 0; i < tones; i++) {
+    const begins = audio.currentTime + i * PAUSE_S;
+    const tone = new OscillatorNode(audio, { frequency: hertz, type: "square" });
+    const gain = new GainNode(audio, { gain: 0 });
+    gain.gain.setTargetAtTime(LOUDNESS, begins, 0.01);
+    gain.gain.setTargetAtTime(0, begins + TONE_S - 0.05, 0.01);
+    tone.connect(gain).connect(audio.destination);
+    tone.start(begins);
+    tone.stop(begins + TONE_S);
+  }
+}
+
+function sound() {
+  draw();
+  const priority = sounding();
+  const now = performance.now() / 1000;
+  if (hasLeave() && settings.on) queue();
+  if (hasLeave() && isFirst && isDue(priority, sounded, now)) {
+    play(priority);
+    sounded = { priority, at: now };
+  }
+  if (!priority) sounded = { priority: "", at: 0 };
+}
+
+let drawn = "";
+
+function draw() {
+  const state = soundState(settings, hasLeave(), sounding());
+  if (state === drawn) return;
+  drawn = state;
+  const [strip, button, shown] = [find("strip"), find("press"), find("state")];
+  strip.hidden = state !== "blocked" && state !== "sounding";
+  find("text").textContent = state === "blocked" ? word("alarmSoundBlocked") : "";
+  button.textContent = word(state === "blocked" ? "alarmSoundAllow" : "alarmSoundSilence");
+  const names = { off: "alarmSoundOff", blocked: "alarmSoundBlocked" };
+  if (shown) shown.textContent = word(names[state] ?? "alarmSoundOn");
+}
+
+/** On this panel at once, and for everybody where the user may. */
+function silence() {
+  mutedUntil = alarms.at;
+  draw();
+  const body = new URLSearchParams({ until: alarms.at });
+  if ("soundActs" in find("strip").dataset) fetch("/alarms/silence", { method: "POST", body }).catch(() => {});
+}
+
+async function press() {
+  if (drawn === "sounding") silence();
+  else await open();
+}
+
+function bindSettings() {
+  const [on, from, test] = [find("on"), find("from"), find("test")];
+  if (!on) return;
+  on.checked = settings.on;
+  from.value = settings.from;
+  on.addEventListener("change", () => {
+    store({ on: on.checked });
+    open();
+  });
+  from.addEventListener("change", () => store({ from: from.value }));
+  test.addEventListener("click", async () => {
+    await open();
+    if (hasLeave()) play(from.value);
+  });
+}
+
+export function start() {
+  if (!find("strip")) return;
+  settings = settingsOf(read());
+  bindSettings();
+  find("press").addEventListener("click", press);
+  // Another page of this browser has changed them.
+  addEventListener("storage", ({ key, newValue }) => {
+    if (key === STORED) settings = settingsOf(newValue);
+  });
+  // Any press gives leave, as long as sound is on. That of the button does so in its own handler: it would silence.
+  const openElsewhere = ({ target }) =>
+    settings.on && !hasLeave() && !find("strip").contains(target) && open();
+  for (const kind of ["pointerup", "keyup"]) addEventListener(kind, openElsewhere);
+  listen("alarms_present", (fields) => {
+    alarms = { priority: fields.sound ?? "", at: Number(fields.sound_at) || 0 };
+    sound();
+  });
+  if (settings.on) open();
+  setInterval(sound, CHECK_MS);
+}

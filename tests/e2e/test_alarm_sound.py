@@ -1,0 +1,70 @@
+"""Alarm sound in a browser: off by default, allowed by a press, silenced apart from acknowledging."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+from playwright.sync_api import Page, expect
+
+from tests.e2e.conftest import GERMAN, OpensPages
+from tests.e2e.site import Site, eventually
+
+COUNTING = """
+window.tones = 0;
+const start = OscillatorNode.prototype.start;
+OscillatorNode.prototype.start = function (...at) { window.tones += 1; return start.apply(this, at); };
+let pressed = false;
+for (const kind of ["keydown", "pointerup"])
+  addEventListener(kind, () => { pressed = true; }, { capture: true });
+window.AudioContext = class extends AudioContext {
+  get state() { return pressed ? "running" : "suspended"; }
+};
+"""
+"""Without a sound card a context may stay suspended: here a press decides, as the rule of browsers is."""
+
+
+def tones(page: Page) -> int:
+    count: int = page.evaluate("window.tones")
+    return count
+
+
+def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
+    site: Site, browser_page: OpensPages, flaws: Callable[..., list[str]]
+) -> None:
+    page = browser_page(locale=GERMAN)
+    page.add_init_script(COUNTING)
+    page.goto("/alarms")
+    expect(page.locator("[data-sound-state]")).to_have_text("Auf diesem Gerät ist der Ton aus.")
+    expect(page.locator(".sound")).to_be_hidden()
+    page.get_by_role("button", name="Ton testen").press("Enter")
+    eventually(lambda: tones(page) > 0, "the tone of the test")
+    page.locator("[data-sound-on]").check()
+    expect(page.locator("[data-sound-state]")).to_have_text("Auf diesem Gerät ist der Ton an.")
+
+    page.goto("/events")
+    expect(page.locator(".sound")).to_contain_text("Alarmton ist aus")
+    allow = page.get_by_role("button", name="Alarmton erlauben")
+    box = allow.bounding_box()
+    assert box is not None
+    assert box["height"] >= 48
+    assert flaws(page, GERMAN) == []
+    site.line.remote.do("input", unit=5, input="estop", on=True)
+    try:
+        allow.click()
+        silence = page.get_by_role("button", name="Alarme stumm schalten")
+        expect(silence).to_be_visible()
+        eventually(lambda: tones(page) > 0, "the alarm sounds")
+        silence.press("Enter")
+        expect(page.locator(".sound")).to_be_hidden()
+        with site.api("viewer") as client:
+            eventually(lambda: _estop(client)["silenced"], "the server knows")
+            assert _estop(client)["acknowledged"] is False
+    finally:
+        site.line.remote.do("input", unit=5, input="estop", on=False)
+
+
+def _estop(client: httpx.Client) -> dict[str, Any]:
+    found: list[dict[str, Any]] = client.get("/alarms", params={"unit": 5}).json()["alarms"]
+    return next(alarm for alarm in found if alarm["code"] == "estop_active")
