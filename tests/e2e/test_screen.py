@@ -23,6 +23,7 @@ PAGES = [
     "/alarms",
     "/alarms/journal",
     "/alarms/performance",
+    "/alarms/own?place=line/1&value=actual&above=1&days=1",
     "/notifications",
     "/shifts",
     "/shifts/present",
