@@ -94,6 +94,9 @@ def test_the_size_of_the_canvas_counts_too() -> None:
         b"\xff\xd8\xff\xd9",
         b"\xff\xd8\xff" + HTML,
         b"RIFF\x04\0\0\0WEBP",
+        jpeg(more=segment(0xFE, PLACE) + b"no marker"),
+        webp().replace(b"\x2f", b"\x2e"),
+        b"RIFF" + pack("<I", 22) + b"WEBPVP8 " + pack("<I", 10) + bytes(10),
         jpeg()[:-4],
         png()[:-8],
         png(0, 2),
@@ -103,6 +106,26 @@ def test_the_size_of_the_canvas_counts_too() -> None:
 def test_other_content_is_refused(content: bytes) -> None:
     with pytest.raises(CallerError):
         plain_picture(content)
+
+
+def test_fill_bytes_before_a_marker_of_jpeg_are_left_out() -> None:
+    assert plain_picture(jpeg(more=b"\xff\xff")).content == jpeg()
+
+
+def lossy_webp(data: bytes) -> bytes:
+    """A picture coded as VP8, with an alpha channel."""
+    chunks = b"".join(
+        kind + pack("<I", len(each)) + each for kind, each in ((b"ALPH", b"\0\0"), (b"VP8 ", data))
+    )
+    return b"RIFF" + pack("<I", 4 + len(chunks)) + b"WEBP" + chunks
+
+
+def test_a_lossy_webp_states_its_size() -> None:
+    frame = b"\x30\x01\0\x9d\x01\x2a"
+    small = lossy_webp(frame + pack("<HH", 2, 2))
+    assert plain_picture(small).content == small
+    with pytest.raises(CallerError, match="pixels"):
+        plain_picture(lossy_webp(frame + pack("<HH", 10_000, 10_001)))
 
 
 @given(st.sampled_from(list(MAKERS)), st.data())
