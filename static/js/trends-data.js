@@ -49,7 +49,7 @@ export function fetchMarks(names, range) {
 /** The alarms that were active over the span: `{alarms: [{t, until, priority, name, place}], more}`, times in
  * seconds, `until` null while one is active. */
 export async function fetchAlarms(names, range) {
-  const { occurrences, more } = await answered(await fetch(`/api/v1/alarms/occurrences?${unitQuery(names, range)}`));
+  const { occurrences, more } = await json(await fetch(`/api/v1/alarms/occurrences?${unitQuery(names, range)}`));
   const alarms = occurrences.map(({ from, to, priority, shown }) => ({
     t: Date.parse(from) / 1000,
     until: to && Date.parse(to) / 1000,

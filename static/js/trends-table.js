@@ -156,6 +156,12 @@ export function drawList(list, count, { items, more }, content, put) {
   if (focused) [...list.querySelectorAll("button")].find(({ textContent }) => textContent === focused)?.focus();
 }
 
+/** What it had listed is not known any more. */
+export function clearList(list, count) {
+  count.textContent = UNKNOWN;
+  list.replaceChildren();
+}
+
 /** An event in a list. */
 export function eventContent(mark) {
   const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";

@@ -3,7 +3,7 @@ import { alarmContent } from "./trends-alarms.js";
 import { exportAddress, fetchAlarms, fetchMarks, fetchSeries } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
 import { Picture } from "./trends-plot.js";
-import { drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
+import { clearList, drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
 import { fromField, length, formatTime, toField } from "./trends-time.js";
 import { MOST_VALUES, View } from "./trends-view.js";
 
@@ -90,10 +90,14 @@ async function fetchAll() {
     byId("trend-fault").textContent = "";
     drawAll();
   } catch (error) {
-    // A browser's own words for a request that came to nothing are in its language, not in the page's.
-    const why = error instanceof TypeError ? words.noResponse : error.message;
-    if (error.name !== "AbortError") byId("trend-fault").textContent = words.fault.replace("{n}", why);
+    if (error.name !== "AbortError") showFault(error);
   }
+}
+
+/** A browser's own words for a request that came to nothing are in its language, not in the page's. */
+function showFault(error) {
+  const why = error instanceof TypeError ? words.noResponse : error.message;
+  byId("trend-fault").textContent = words.fault.replace("{n}", why);
 }
 
 async function fetchEvents() {
@@ -106,8 +110,11 @@ async function fetchEvents() {
     list("events", marks, found.more, eventContent);
     list("alarms", alarms, active.more, (alarm) => alarmContent(alarm, words));
     picture.redraw();
-  } catch {
+  } catch (error) {
+    // None are known, which is not to say that there are none.
     marks = alarms = [];
+    for (const name of ["events", "alarms"]) clearList(byId(`trend-${name}-list`), byId(`trend-${name}-count`));
+    showFault(error);
   }
 }
 
