@@ -259,6 +259,7 @@ def _notices(history: History, anchoring: Anchoring | None, translator: Translat
 @asynccontextmanager
 async def running(services: Services) -> AsyncIterator[None]:
     """From the first request to the last: open commands are closed, and background tasks run."""
+    site_notifier = services.notification.notifier(None, services.alarms.site.list, lambda _: "")
     await _begin(services)
     works = (
         *((services.anchoring.follow,) if services.anchoring else ()),
@@ -267,7 +268,7 @@ async def running(services: Services) -> AsyncIterator[None]:
         services.alarms.site.follow,
         services.expiry.follow,
         services.control_watch.follow,
-        services.notification.notifier(None, services.alarms.site.list, lambda _: "").follow,
+        site_notifier.follow,
         services.notification.dispatcher.follow,
         *(work for bus in services.buses.values() for work in bus.works()),
         services.hub.beat,

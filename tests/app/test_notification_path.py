@@ -14,6 +14,7 @@ import pytest
 
 from app.alarms.notification.notice import OutboxItem
 from app.alarms.notification.outbox import NotificationDelivery
+from app.alarms.notification.store import NotificationStore
 from app.errors import StoreError
 from app.notify_settings import NotifySettings
 from app.web.access import Role
@@ -35,9 +36,12 @@ class Path_:
     mail: PlayedMailServer
     hooks: PlayedReceiver
 
-    async def estop(self, *, active: bool, unit: int = 1) -> None:
+    def input(self, *, estop: bool, unit: int = 1) -> None:
         live = self.house.services.live.buses[BUS]
-        live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)])
+        live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if estop else HEALTHY)])
+
+    async def estop(self, *, active: bool, unit: int = 1) -> None:
+        self.input(estop=active, unit=unit)
         await self.advance()
 
     async def advance(self) -> None:
@@ -121,6 +125,22 @@ async def test_an_alarm_reaches_people_and_programs_and_so_does_its_end(path: Pa
     }
 
 
+async def test_an_alarm_at_once_after_the_first_start_is_notified(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = NotificationStore.load
+
+    async def load_slowly(store: NotificationStore, source: str) -> Any:
+        await asyncio.sleep(0.1)
+        return await load(store, source)
+
+    monkeypatch.setattr(NotificationStore, "load", load_slowly)
+    async with running(tmp_path, *servers) as path:
+        path.input(estop=True)
+        await path.house.services.alarms.write()
+        assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop active"
+
+
 async def test_nothing_is_notified_twice(path: Path_) -> None:
     await path.estop(active=True)
     for _ in range(3):
@@ -170,7 +190,7 @@ async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
 async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
-    async with running(tmp_path, *servers) as path:
+    async with running(tmp_path, *servers, smtp=None, webhook=[]) as path:
         store = path.house.services.notification.outbox
         now = UnixTime(time.time())
         await store.add([OutboxItem("test:crash", "mail:duty@plant", "test", now)])
@@ -249,10 +269,10 @@ async def test_a_test_message_goes_the_same_way(path: Path_) -> None:
 async def test_each_address_gets_one_heartbeat_a_day(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    checks: list[int] = []
+    checked_again = asyncio.Event()
 
     def due(*_: object) -> str:
-        checks.append(len(checks))
+        checked_again.set()
         return "2026-11-22"
 
     monkeypatch.setattr("app.alarms.notification.dispatcher.heartbeat_due", due)
@@ -261,11 +281,12 @@ async def test_each_address_gets_one_heartbeat_a_day(
         assert (await path.mail.mail())["Subject"] == "Mill 7: notification works"
         assert (await path.hooks.body())["kind"] == "heartbeat"
         delivered = await path.ended("delivered", 2)
-        seen = len(checks)
+        checked_again.clear()
+        async with asyncio.timeout(LIMIT_S):
+            await checked_again.wait()
         await path.house.services.notification.dispatcher.test(
             next(iter(path.house.services.notification.plan.endpoints.values()))
         )
-        assert len(checks) > seen
         heartbeats = [each for each in await path.ended("delivered", 3) if each.items[0].kind == "heartbeat"]
         assert [each.id for each in heartbeats] == [each.id for each in delivered]
 

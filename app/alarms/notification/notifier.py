@@ -49,10 +49,10 @@ class AlarmNotifier:
         self._open: dict[str, Episode] = {}
 
     async def follow(self) -> None:
-        """Without end."""
+        """Without end. Call :meth:`load` first: notification that was never on begins with the present, so an
+        alarm that rises before it would be passed over."""
         if not self._plan.endpoints:
             await asyncio.Event().wait()
-        await self.load()
         while True:
             await self.advance()
             await asyncio.sleep(TICK_S)

@@ -45,6 +45,7 @@ class Notification:
         self.local_time = local_time
         self._clock = clock
         self._key = b""
+        self._notifiers: list[AlarmNotifier] = []
         language = languages[settings.site.language]
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
@@ -52,15 +53,17 @@ class Notification:
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, local_time, clock)
 
     async def load(self) -> None:
-        """Once at start."""
+        """Once at start, after the alarms and before the first of them can rise."""
         self._key = await self.store.link_key()
         await self.maintenance.load()
+        for notifier in self._notifiers:
+            await notifier.load()
 
     def notifier(
         self, bus: str | None, alarms: AlarmList, place: Callable[[int | None], str]
     ) -> AlarmNotifier:
         """What notifies of the alarms of one bus, or (None) of the site."""
-        return AlarmNotifier(
+        notifier = AlarmNotifier(
             bus,
             alarms,
             self.plan,
@@ -71,6 +74,8 @@ class Notification:
             self.dispatcher.wake,
             self._clock,
         )
+        self._notifiers.append(notifier)
+        return notifier
 
     def endpoint(self, key: str) -> NotificationEndpoint:
         """The address of a key. Raises Problem 404."""
