@@ -25,7 +25,7 @@ from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.web.access import Engineer, Operator, Viewer
-from app.web.formats import Formats
+from app.web.formats import UNKNOWN, Formats
 from app.web.services import service_of
 from app.web.templating import render, templates_of
 from bus.instants import UnixTime, unix_now
@@ -296,6 +296,7 @@ def _listed(alarms: LineAlarms, chosen: dict[str, str]) -> dict[str, Any]:
         "waiting": [row.id for row in rows if row.waiting],
         "more": max(0, len(found) - MOST_ROWS),
         "back": urlencode(chosen),
+        "is_filtered": any(chosen.values()),
     }
 
 
@@ -364,7 +365,7 @@ def _figure(figure: Figure, formats: Formats) -> FigureRow:
 
     def shown(value: float | None) -> str:
         if value is None:
-            return ""
+            return UNKNOWN
         if figure.code.endswith("share") or figure.code == "windows_over_10":
             return f"{formats.number(100 * value, 1)} %"
         if figure.code.endswith("_s"):

@@ -79,6 +79,8 @@ async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house
 
 async def test_the_list_is_filtered_by_place_priority_state_and_group(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
+    assert "No alarm is present." in await page(viewer, "/alarms/list")
+    assert "No alarm matches the filter." in await page(viewer, "/alarms/list?priority=low")
     estop(house, active=True)
     for query, is_in in (
         (f"place={BUS}/1", True),
