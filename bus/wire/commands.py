@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import msgspec
 
@@ -84,6 +84,32 @@ Request = (
     | WriteOutputRequest
     | WriteAnalogOutputRequest
 )
+
+
+class CommandTraits(NamedTuple):
+    """What the manual states of a command's bytes."""
+
+    name: str
+    """For programs; in words it is the message ``request_…``."""
+    data_bytes: int
+    acknowledged: frozenset[int]
+    """How many data bytes an acknowledgement may have."""
+    refusals: frozenset[int]
+    """[ERR] of its NAK, without "illegal command"."""
+
+
+_NOTHING = frozenset((0,))
+TRAITS = {
+    0x81: CommandTraits("read_status", 0, frozenset((11,)), frozenset()),
+    0x82: CommandTraits("set_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
+    0x83: CommandTraits("execute_speed", 0, _NOTHING, frozenset((0x80,))),
+    0x84: CommandTraits("set_and_execute_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
+    0x85: CommandTraits("read_parameter", 1, frozenset((1, 2, 4)), frozenset((0x82,))),
+    0x86: CommandTraits("write_parameter", 5, frozenset((0, 1, 2, 4)), frozenset((0x80, 0x82, 0x83))),
+    0x87: CommandTraits("write_output", 2, _NOTHING, frozenset((0x80, 0x84, 0x85))),
+    0x88: CommandTraits("write_analog_output", 4, _NOTHING, frozenset((0x80, 0x87, 0x88))),
+}
+"""By command."""
 
 
 class StatusReply(msgspec.Struct, frozen=True):

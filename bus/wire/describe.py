@@ -17,6 +17,7 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
+    TRAITS,
     Ack,
     Nak,
     ParameterReply,
@@ -35,17 +36,6 @@ from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFr
 
 Json: TypeAlias = "bool | int | str | list[Json] | dict[str, Json] | None"
 
-_KINDS = {
-    0x81: "read_status",
-    0x82: "set_speed",
-    0x83: "execute_speed",
-    0x84: "set_and_execute_speed",
-    0x85: "read_parameter",
-    0x86: "write_parameter",
-    0x87: "write_output",
-    0x88: "write_analog_output",
-}
-"""The name of each command for programs; in words it is the message ``request_…``."""
 _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
 
 
@@ -141,14 +131,14 @@ def is_secret(request: Request) -> bool:
 
 
 def _describe_request(request: Request, wire: bytes) -> Described:
-    kind = _KINDS[request.COMMAND]
+    kind = TRAITS[request.COMMAND].name
     fields, meaning = _request_detail(request)
     return Described(request.unit, kind, fields, _of_unit(request.unit, meaning), wire, request=request)
 
 
 def _request_detail(request: Request) -> tuple[dict[str, Json], Message]:
     """What it carries, for programs and for people."""
-    kind = _KINDS[request.COMMAND]
+    kind = TRAITS[request.COMMAND].name
     match request:
         case ReadParameterRequest(number=number):
             fields: dict[str, Json] = {"number": number, "name": _name(number)}
@@ -173,7 +163,7 @@ def _request_detail(request: Request) -> tuple[dict[str, Json], Message]:
 
 
 def _name_of(request: Request) -> Message:
-    return Message(f"request_{_KINDS[request.COMMAND]}")
+    return Message(f"request_{TRAITS[request.COMMAND].name}")
 
 
 def _of_unit(unit: int, meaning: Message) -> Message:
