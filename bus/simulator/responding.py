@@ -45,7 +45,6 @@ Rejection = UnitErrorCode | None
 class Turn:
     """The effect of a request. ``acted``: a write was carried out; ``reply`` None: no response."""
 
-    request: Request | None
     reply: Reply | None
     acted: bool
 
@@ -55,18 +54,18 @@ def respond(unit: Unit, body: bytes) -> Turn:
     try:
         request = parse_request(body, unit.traits.dialect)
     except IllegalRequest as error:
-        return Turn(None, _refuse_illegal(unit, error), acted=False)
+        return Turn(_refuse_illegal(unit, error), acted=False)
     if request.unit == ALL_UNITS:
         acted = isinstance(request, ExecuteSpeedRequest) and _write(unit, request) is None
-        return Turn(request, None, acted)
-    if isinstance(request, ReadStatusRequest):
-        return Turn(request, unit.status(request.unit), acted=False)
-    if isinstance(request, ReadParameterRequest):
-        return Turn(request, _read(unit, request), acted=False)
+        return Turn(None, acted)
+    match request:
+        case ReadStatusRequest():
+            return Turn(unit.status(request.unit), acted=False)
+        case ReadParameterRequest():
+            return Turn(_read(unit, request), acted=False)
     refusal = _write(unit, request)
-    if refusal is not None:
-        return Turn(request, Nak(request.unit, refusal), acted=False)
-    return Turn(request, _written(unit, request), acted=True)
+    reply = _written(unit, request) if refusal is None else Nak(request.unit, refusal)
+    return Turn(reply, acted=refusal is None)
 
 
 def encode(unit: Unit, turn: Turn) -> bytes:
