@@ -18,6 +18,7 @@ from bus.contract.actions import ScanBus as ScanBus
 from bus.contract.actions import SetLine as SetLine
 from bus.contract.actions import SetSpeed as SetSpeed
 from bus.contract.actions import UnitAction as UnitAction
+from bus.contract.actions import WireAction as WireAction
 from bus.contract.actions import WriteAnalogOutput as WriteAnalogOutput
 from bus.contract.actions import WriteOutput as WriteOutput
 from bus.contract.actions import WriteParameter as WriteParameter

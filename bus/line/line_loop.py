@@ -12,11 +12,12 @@ under way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import msgspec
 
-from bus.contract import BusFigures, BusLink, BusLinkState, Watch
+from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update, Watch
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
 from bus.line.clock import NEVER, LineClock
@@ -30,7 +31,6 @@ from bus.line.commands.procedure import (
     Unstage,
 )
 from bus.line.completion import Completion, run_at_once
-from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import Link
 from bus.line.exchange.send import ExchangeResult
@@ -59,9 +59,14 @@ class NextExchange(NamedTuple):
 
 
 class LineLoop:
-    """``report`` receives every event. Times of events are Unix time, those of the loop the line's own."""
+    """``report`` receives every event, in order, while the response to the next request is under way.
 
-    def __init__(self, bus: BusSettings, clock: LineClock, report: Report, seed: int = 0) -> None:
+    Times of events are Unix time, those of the loop the line's own.
+    """
+
+    def __init__(
+        self, bus: BusSettings, clock: LineClock, report: Callable[[list[Update]], None], seed: int = 0
+    ) -> None:
         self.bus = bus
         self.clock = clock
         self.baud: int = bus.baud
@@ -71,7 +76,7 @@ class LineLoop:
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.state = self._port_is("closed", Message("port_not_opened"))
         self._send_report = report
-        self._events: list[LineUpdate] = []
+        self._events: list[Update] = []
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
         self._baud_search = BaudSearch(clock.now())
@@ -196,8 +201,7 @@ class LineLoop:
         """Every event since the last report, and the result of every command that has one."""
         at = self.clock.epoch(self.clock.now())
         for run in self.commands.take_finished():
-            assert run.result is not None
-            self._events.append(CommandFinished(run.id, at, run.result, run.frames))
+            self._events.append(run.report(at, self.bus.dialect))
         if self._events:
             events, self._events = self._events, []
             self._send_report(events)
@@ -311,7 +315,8 @@ class LineLoop:
         at = self.clock.epoch(self.clock.now())
         match effect:
             case ReportProgress():
-                self._events.append(CommandProgressed(command_id, at, effect))
+                progress = Progress(command_id, at, effect.stage, effect.unit, effect.done, effect.of)
+                self._events.append(progress)
             case Unstage():
                 self._events += self.roster.unstage(effect.unit, at)
             case Retune(baud=baud):
