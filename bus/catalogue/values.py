@@ -44,7 +44,17 @@ def speed_raw(text: str, decimals: int) -> int:
     More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
     one decimal the point was most likely meant to group thousands. Raises CallerError.
     """
-    return _raw(text, decimals)
+    if decimals > MOST_DECIMALS:
+        raise CallerError(Message("decimals_too_many"))
+    text = text.strip()
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise _no_number(text, number(speed_text(1234, decimals)))
+    integer_part, part = found[1], found[2] or ""
+    if len(part) > decimals:
+        code = "value_has_decimals" if decimals else "value_takes_no_decimals"
+        raise CallerError(Message.of(code, number=number(text), count=len(part), allowed=decimals))
+    return int(integer_part + part.ljust(decimals, "0"))
 
 
 def speed_message(raw: int, decimals: int | None) -> Message:
@@ -66,7 +76,7 @@ def ratio_text(raw: int) -> str:
 
 def ratio_raw(text: str) -> int:
     """The raw ratio for a typed number of up to four decimals. Raises CallerError."""
-    return _raw(text, RATIO_DECIMALS)
+    return speed_raw(text, RATIO_DECIMALS)
 
 
 def analog_input_value(atd: int, low: int, high: int) -> float:
@@ -137,7 +147,7 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     places = _decimals(parameter, decimals, follower)
     if places is None:
         raise CallerError(Message("decimals_not_read"))
-    raw = _raw(text, places)
+    raw = speed_raw(text, places)
     if parameter.scale is not Scale.BAUD:
         return raw
     if raw % 100:
@@ -157,27 +167,6 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
             return 1
         case _:
             return 0
-
-
-def _raw(text: str, decimals: int) -> int:
-    if decimals > MOST_DECIMALS:
-        raise CallerError(Message("decimals_too_many"))
-    text = text.strip()
-    found = _NUMBER.fullmatch(text)
-    if found is None:
-        raise _no_number(text, number(speed_text(1234, decimals)))
-    integer_part, part = found[1], found[2] or ""
-    if len(part) > decimals:
-        raise _too_many_decimals(text, len(part), decimals)
-    return int(integer_part + part.ljust(decimals, "0"))
-
-
-def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
-    if not allowed:
-        return CallerError(
-            Message.of("value_takes_no_decimals", number=number(text), count=count, allowed=allowed)
-        )
-    return CallerError(Message.of("value_has_decimals", number=number(text), count=count, allowed=allowed))
 
 
 def _no_number(text: str, example: Message) -> CallerError:

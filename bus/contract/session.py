@@ -19,19 +19,7 @@ from bus.contract.bounds import (
     TaggedStruct,
     UnitId,
 )
-from bus.contract.readings import (
-    BusFigures,
-    BusLink,
-    Frames,
-    ParameterValue,
-    Reading,
-    Staged,
-    UnitLink,
-    UnitState,
-)
-from bus.contract.results import Progress, Result
-
-Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
+from bus.contract.updates import BusFigures, BusLink, UnitState, Update
 
 
 class Hello(TaggedStruct, frozen=True, tag="hello"):

@@ -80,9 +80,10 @@ class Roster:
     """Every configured unit in floor order, and any other that a command was sent to."""
 
     def __init__(self, units: Iterable[int], at: UnixTime) -> None:
-        self._configured = tuple(units)
-        self._known = frozenset(self._configured)
-        self._records = {unit: _stranger(unit, at) for unit in self._configured}
+        self.configured = tuple(units)
+        """The addresses of the configuration, in floor order."""
+        self._known = frozenset(self.configured)
+        self._records = {unit: _stranger(unit, at) for unit in self.configured}
 
     def __iter__(self) -> Iterator[UnitRecord]:
         return iter(self._records.values())
@@ -92,11 +93,6 @@ class Roster:
         if record is None:
             record = self._records[unit] = _stranger(unit, UnixTime(0.0))
         return record
-
-    @property
-    def configured(self) -> tuple[int, ...]:
-        """The addresses of the configuration, in floor order."""
-        return self._configured
 
     def is_configured(self, unit: int) -> bool:
         return unit in self._known
@@ -110,7 +106,7 @@ class Roster:
                 parameters=list(record.parameters.values()),
                 staged=record.staged,
             )
-            for record in map(self._records.__getitem__, self._configured)
+            for record in map(self._records.__getitem__, self.configured)
         ]
 
     # --- responses of a unit -------------------------------------------------------------------

@@ -11,37 +11,10 @@ import termios
 import tty
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 READ_BYTES = 4096
 _SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in (300, 600, 1200, 2400, 4800, 9600, 19200, 38400)}
 _SPEED_CODES = {baud: code for code, baud in _SPEEDS.items()}
-
-
-class Port(Protocol):
-    """One end of the cable."""
-
-    @property
-    def name(self) -> str:
-        """What the host opens: a device path or a pySerial URL."""
-
-    def descriptors(self) -> list[int]:
-        """File descriptors that become readable when the host did something."""
-
-    def read(self) -> bytes:
-        """What the host wrote, which may be nothing."""
-
-    def write(self, data: bytes) -> None:
-        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
-
-    def host_baud(self) -> int | None:
-        """The speed to which the host has set the port, where that can be seen."""
-
-    def unplug(self) -> None:
-        """Pull the cable out of the host, and leave nothing behind."""
-
-    def plug(self) -> None:
-        """Put it back."""
 
 
 class PtyPort:
@@ -62,28 +35,34 @@ class PtyPort:
 
     @property
     def name(self) -> str:
+        """What the host opens: a device path or a pySerial URL."""
         return str(self._link or self.device)
 
     def descriptors(self) -> list[int]:
+        """File descriptors that become readable when the host did something."""
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:
+        """What the host wrote, which may be nothing."""
         try:
             return os.read(self._master, READ_BYTES)
         except OSError:
             return b""
 
     def write(self, data: bytes) -> None:
+        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
         if self._master >= 0:
             with suppress(OSError):
                 os.write(self._master, data)
 
     def host_baud(self) -> int | None:
+        """The speed to which the host has set the port, where that can be seen."""
         if not self._follow_speed or self._master < 0:
             return None
         return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or None
 
     def unplug(self) -> None:
+        """Pull the cable out of the host, and leave nothing behind."""
         if self._master < 0:
             return
         if self._link is not None:
@@ -93,7 +72,7 @@ class PtyPort:
         self._master = self._slave = -1
 
     def plug(self) -> None:
-        """Always under another device name than before: the old one is held back meanwhile."""
+        """Put it back, under another device name than before: the old one is held back meanwhile."""
         if self._master >= 0:
             return
         pairs = [os.openpty(), os.openpty()]
@@ -180,3 +159,6 @@ class TcpLinePort:
         host.setblocking(False)
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._host = host
+
+
+Port = PtyPort | TcpLinePort

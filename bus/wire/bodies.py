@@ -39,7 +39,6 @@ class IllegalRequest(LinesideError):
 
     def __init__(self, unit: int, code: int, message: Message) -> None:
         super().__init__(message)
-        self.message: Message = message
         self.unit = unit
         self.code = code
 

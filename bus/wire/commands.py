@@ -10,67 +10,63 @@ LARGEST_VALUE = 99999
 """0001869Fh, the end of every speed and value range on the link."""
 
 
-class ReadStatusRequest(msgspec.Struct, frozen=True):
+class _UnitRequest(msgspec.Struct, frozen=True):
+    unit: int
+
+
+class ReadStatusRequest(_UnitRequest, frozen=True):
     """81h: commanded and actual speed, analog input, outputs and inputs."""
 
     COMMAND: ClassVar[int] = 0x81
-    unit: int
 
 
-class StageSpeedRequest(msgspec.Struct, frozen=True):
+class StageSpeedRequest(_UnitRequest, frozen=True):
     """82h: into the unit's memory only; takes effect with 83h. ``raw``: display units, or ratio x 10000."""
 
     COMMAND: ClassVar[int] = 0x82
-    unit: int
     raw: int
 
 
-class ExecuteSpeedRequest(msgspec.Struct, frozen=True):
+class ExecuteSpeedRequest(_UnitRequest, frozen=True):
     """83h: take over the staged speed. Unit 0 addresses every unit at once, and none of them responds."""
 
     COMMAND: ClassVar[int] = 0x83
-    unit: int
 
 
-class SetAndExecuteSpeedRequest(msgspec.Struct, frozen=True):
+class SetAndExecuteSpeedRequest(_UnitRequest, frozen=True):
     """84h: a new speed, effective now."""
 
     COMMAND: ClassVar[int] = 0x84
-    unit: int
     raw: int
 
 
-class ReadParameterRequest(msgspec.Struct, frozen=True):
+class ReadParameterRequest(_UnitRequest, frozen=True):
     """85h."""
 
     COMMAND: ClassVar[int] = 0x85
-    unit: int
     number: int
 
 
-class WriteParameterRequest(msgspec.Struct, frozen=True):
+class WriteParameterRequest(_UnitRequest, frozen=True):
     """86h."""
 
     COMMAND: ClassVar[int] = 0x86
-    unit: int
     number: int
     raw: int
 
 
-class WriteOutputRequest(msgspec.Struct, frozen=True):
+class WriteOutputRequest(_UnitRequest, frozen=True):
     """87h: auxiliary output 1-6 on or off, whatever it was before."""
 
     COMMAND: ClassVar[int] = 0x87
-    unit: int
     output: int
     on: bool
 
 
-class WriteAnalogOutputRequest(msgspec.Struct, frozen=True):
+class WriteAnalogOutputRequest(_UnitRequest, frozen=True):
     """88h: needs #28 = 2 and #29 <= raw <= #30."""
 
     COMMAND: ClassVar[int] = 0x88
-    unit: int
     raw: int
 
 

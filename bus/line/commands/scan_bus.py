@@ -21,7 +21,7 @@ from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude
 from bus.line.scan.passes import Passes, no_response_s
 from bus.messages import Message, joined
-from bus.settings import Dialect, wire_seconds
+from bus.settings import wire_seconds
 
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
@@ -29,9 +29,6 @@ OVERDUE = 3
 """From this many overdue responses on, a garbled one may be one of them beside another unit's."""
 EXCHANGE_BYTES = 25
 """An 81h and its response."""
-
-_PLAIN = Dialect()
-_DOUBLED = Dialect(checksum_10h="twice")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +107,7 @@ def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
 
 def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
     """One probe as the bus sends it."""
-    dialect = _DOUBLED if probe.doubled else _PLAIN
-    sent = yield from send(Send(probe.request, max_attempts=1, dialect=dialect))
+    sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
     if sent.status is SendStatus.PORT_CLOSED:
         raise _Lost
     return ProbeOutcome(

@@ -173,7 +173,7 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
 def stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
     """Return the result of a change that ended before its broadcast, and the units that may be staged."""
     units = [member.outcome or _untouched(member) for member in members]
-    left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
+    left = [each.unit for each in units if each.outcome == "unverified"]
     refusals = [each.unit_error for each in units if each.unit_error is not None]
     return ProcedureResult(
         outcome=outcome,

@@ -76,7 +76,7 @@ def conclude(found: Sequence[Found]) -> list[Message]:
     for owner in sorted({owner for owner in owners if owner is not None}):
         if owners.count(owner) > 1:
             remarks.append(Message.of("found_many_addresses", unit=owner, count=owners.count(owner)))
-    differ: list[int | str | Message] = [name for name, values in _seen(found).items() if len(values) > 1]
+    differ = [name for name, values in _seen(found).items() if len(values) > 1]
     if differ:
         remarks.append(Message.of("found_settings_differ", settings=differ))
     return remarks

@@ -25,7 +25,6 @@ from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
 
 _PLAIN = Dialect()
-_DOUBLED = Dialect(checksum_10h="twice")
 
 
 @asynccontextmanager
@@ -102,7 +101,7 @@ class ScanPort:
         request = probe.request
         exchange = Exchange(
             request,
-            _DOUBLED if probe.doubled else _PLAIN,
+            probe.dialect,
             decoder=self._decoder,
             pending=self._pending.about(request.unit),
         )

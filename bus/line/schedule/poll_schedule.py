@@ -157,6 +157,7 @@ class PollSchedule:
         self._slow = WireShare(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
         self._background = WireShare(BACKGROUND_SHARE)
         self._poll_s = poll_s
+        """What one completed poll takes, averaged, the unit's turnaround included."""
         self._poll_fraction = 1.0
 
     # --- what happened -------------------------------------------------------------------------
@@ -241,11 +242,6 @@ class PollSchedule:
         self._needed.fraction = NEEDED_SHARE if len(self.poll_order) <= MANY_UNITS else NEEDED_SHARE_OF_MANY
 
     # --- what it costs -------------------------------------------------------------------------
-
-    @property
-    def poll_s(self) -> float:
-        """Return the seconds that one completed poll takes, averaged, the unit's turnaround included."""
-        return self._poll_s
 
     def scan_s(self, more_units: int = 0) -> float:
         """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""

@@ -210,5 +210,5 @@ def _foreign(units: Sequence[UnitSymptoms]) -> Message | None:
     return Message.of("diagnosis_foreign", units=_addresses(foreign)) if foreign else None
 
 
-def _addresses(units: Sequence[UnitSymptoms]) -> list[int | str | Message]:
+def _addresses(units: Sequence[UnitSymptoms]) -> list[int]:
     return [each.unit for each in units]
