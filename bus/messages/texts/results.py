@@ -1,7 +1,5 @@
 """What became of a command on the wire: sent, acknowledged, read back."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
