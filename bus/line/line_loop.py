@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update, Watch
+from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
 from bus.line.clock import NEVER, LineClock
@@ -38,7 +38,6 @@ from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.baud_search import BaudSearch
-from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Trace
@@ -79,6 +78,8 @@ class LineLoop:
         self._events: list[Update] = []
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
+        self.commands = self._arbiter.commands
+        """All that wait or are under way."""
         self._baud_search = BaudSearch(clock.now())
         self._closed_at = clock.now()
         self._resting: Completion[None] = Completion()
@@ -116,7 +117,7 @@ class LineLoop:
         other = self._baud_search.turn(self.baud, responds=self._responds)
         if other is not None:
             self._retune(other)
-            self.schedule.port_opened(now)
+            self.schedule.probes.forgive(now)
         while (turn := self._arbiter.next_request(now)) is not None:
             try:
                 return self._prepare(turn)
@@ -226,7 +227,7 @@ class LineLoop:
 
     def _port_opened(self, port: OpenPort) -> None:
         self.link.attach(port, self.baud)
-        self.schedule.port_opened(self.clock.now())
+        self.schedule.probes.forgive(self.clock.now())
         self.state = self._port_is("open")
         self._events.append(self.state)
 
@@ -245,7 +246,6 @@ class LineLoop:
         return cause
 
     def _port_closed(self, cause: Message) -> None:
-        """An event where that is news."""
         if self.state.link != "closed" or self.state.cause != cause:
             self.state = self._port_is("closed", cause)
             self._events.append(self.state)
@@ -264,11 +264,9 @@ class LineLoop:
 
     @property
     def _responds(self) -> bool:
-        """Whether any unit does at the present rate."""
         return len(self.schedule.poll_order) > 0
 
     def _retune(self, baud: int) -> None:
-        """Everything from here on goes at ``baud``."""
         self._baud_search.tuned(self.clock.now())
         self.baud = baud
         try:
@@ -280,15 +278,6 @@ class LineLoop:
             self._events.append(self.state)
 
     # --- commands ------------------------------------------------------------------------------
-
-    @property
-    def commands(self) -> CommandQueue:
-        """All commands that wait or are under way."""
-        return self._arbiter.commands
-
-    def watch(self, watch: Watch) -> None:
-        """These units are on an open page."""
-        self.schedule.watch(watch.units, any_page=bool(watch.units))
 
     def reserve(self) -> None:
         """A write is about to be requested: no poll leaves before it, for a moment."""

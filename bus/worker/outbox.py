@@ -57,7 +57,7 @@ class Outbox:
 
     def put(self, updates: Iterable[Update]) -> None:
         for update in updates:
-            if isinstance(update, Passing) and not self._worth_queueing():
+            if isinstance(update, Passing) and not (self.connected and len(self._waiting) < ENOUGH_WAITING):
                 continue
             self._waiting.append(update)
             self._count(update, 1)
@@ -120,9 +120,6 @@ class Outbox:
         lasting = [update for update in batch.updates if not isinstance(update, Passing)]
         if lasting:
             self._sent.append(replace(batch, updates=lasting))
-
-    def _worth_queueing(self) -> bool:
-        return self.connected and len(self._waiting) < ENOUGH_WAITING
 
     def _count(self, update: Update, step: int) -> None:
         if isinstance(update, Reading):

@@ -111,21 +111,17 @@ class BusWorker:
         )
 
     def watch(self, watch: Watch) -> None:
-        self.line.watch(watch)
+        self.line.schedule.watch(watch.units)
         self._traces.follow(wanted=watch.trace)
 
     def reserve(self) -> None:
-        """Keep the next turn of the wire free: a write is about to be requested."""
         self.line.reserve()
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
         self.line.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once; a second request with its id returns the same result. A piece of the trace is
-        read again.
-        """
+        """Carry it out once: a second request with its id returns the same result."""
         if isinstance(command.action, ReadTrace):
             self._traces.read(command.id, command.action)
             return

@@ -26,10 +26,7 @@ from bus.line.roster import UnitRecord
 
 
 def command_run_of(line: LineLoop, command_id: str, action: WireAction, deadline: Monotonic) -> CommandRun:
-    """A command with its claim on the wire, and what makes its procedure once its turn has come.
-
-    ``deadline`` is on the line's clock.
-    """
+    """``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line time."""
     command = CommandContext(
         line.bus.dialect,
         time_left_s=deadline - line.clock.now(),

@@ -150,13 +150,8 @@ class _Change:
             message = Message.of("baud_restored", reason=reason, baud=self._old)
         else:
             outcome = "unverified"
-            message = Message.of(
-                "baud_not_restored",
-                reason=reason,
-                baud=self._old,
-                units=lost,
-                value=self._old // HUNDREDS,
-            )
+            value = self._old // HUNDREDS
+            message = Message.of("baud_not_restored", reason=reason, baud=self._old, units=lost, value=value)
         return _result(outcome, message, self._outcomes(lost))
 
     def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
@@ -167,10 +162,7 @@ class _Change:
                 yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
-        return [
-            UnitOutcome(unit=unit, outcome="unverified" if unit in bad else "verified")
-            for unit in self._units
-        ]
+        return [UnitOutcome(unit, "unverified" if unit in bad else "verified") for unit in self._units]
 
 
 def _result(outcome: Outcome, message: Message, units: Sequence[UnitOutcome] = ()) -> ProcedureResult:

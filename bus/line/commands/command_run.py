@@ -53,10 +53,6 @@ class CommandRun:
         """Whether its turn has come."""
         return self._procedure is not None
 
-    def conflicts_with(self, other: CommandRun) -> bool:
-        """Whether the two must not be mixed."""
-        return not self.units.isdisjoint(other.units)
-
     def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
         """What it wants sent now; None while it waits, and once ``result`` is there."""
         if self._procedure is None:

@@ -5,7 +5,8 @@ The requests and the conclusions are those of ``bus.line.scan.examination``; onl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from bus.line.commands.procedure import (
     CommandContext,
@@ -31,8 +32,7 @@ EXCHANGE_BYTES = 25
 """An 81h and its response."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanPace:
+class ScanPace(NamedTuple):
     """How fast the line goes, and how much of it a scan may take from the units that are polled."""
 
     baud: int
@@ -40,9 +40,8 @@ class ScanPace:
 
     def rest_s(self, outcome: ProbeOutcome) -> float:
         """Return the pause in seconds after a request that ended so."""
-        took_s = no_response_s(self.baud, self.turnaround_s)
-        if outcome.reply is not None:
-            took_s = wire_seconds(EXCHANGE_BYTES, self.baud)
+        responds = outcome.reply is not None
+        took_s = wire_seconds(EXCHANGE_BYTES, self.baud) if responds else no_response_s(*self)
         return took_s * (1 / SHARE - 1)
 
 
@@ -106,7 +105,6 @@ def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
 
 
 def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
-    """One probe as the bus sends it."""
     sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
     if sent.status is SendStatus.PORT_CLOSED:
         raise _Lost

@@ -41,9 +41,7 @@ class Found:
 
 
 def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
-    """Return remarks about a DIGIMAX IV. ``garbled`` of its ``requests`` had noise as their response;
-    ``uncertain``: some of them had none.
-    """
+    """Remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``) nothing."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:

@@ -92,10 +92,7 @@ class ScanPort:
         return self._unrequested_bytes
 
     async def exchange(self, probe: Probe, turnaround_s: float) -> Collected:
-        """Send one request and collect what arrives; a unit may take ``turnaround_s`` to begin its response.
-
-        Raises WireError when the port is lost.
-        """
+        """Send one request; a unit may begin within ``turnaround_s``. Raises WireError on a lost port."""
         self._check()
         assert self._port is not None
         request = probe.request

@@ -162,10 +162,10 @@ class PollSchedule:
 
     # --- what happened -------------------------------------------------------------------------
 
-    def watch(self, units: Collection[int], *, any_page: bool) -> None:
-        """Set the ``units`` on an open page; ``any_page``: some page is open at all."""
+    def watch(self, units: Collection[int]) -> None:
+        """These ``units`` are on an open page."""
         self.poll_order.watch(units)
-        self._slow.fraction = SLOW_SHARE_WATCHED if any_page else SLOW_SHARE_UNWATCHED
+        self._slow.fraction = SLOW_SHARE_WATCHED if units else SLOW_SHARE_UNWATCHED
 
     def responded(self, unit: int, now: Monotonic) -> None:
         """``unit`` responded for the first time, or after timeouts."""
@@ -183,10 +183,6 @@ class PollSchedule:
         if unit not in self.probes:
             self.probes.stopped_responding(unit, now)
         self._adapt()
-
-    def port_opened(self, now: Monotonic) -> None:
-        """The port is open again: units without responses are due for a probe."""
-        self.probes.forgive(now)
 
     def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""

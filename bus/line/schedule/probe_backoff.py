@@ -86,9 +86,7 @@ class ProbeBackoff:
                 other.due = min(other.due, now)
 
     def forgive(self, now: Monotonic) -> None:
-        """The port was reopened, or uses another rate: every unit is due at once, the longest waiting first,
-        and the first one whatever was spent before.
-        """
+        """Every unit is due at once, the longest waiting first, the first whatever was spent before."""
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)
