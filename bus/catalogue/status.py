@@ -43,18 +43,9 @@ def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits
     """``outputs`` is ST2, ``inputs`` is ST1; ``estop_healthy`` is the dialect's level of a healthy chain."""
     one, two, three, four, five, six, remote, at_speed = (_bit(outputs, position) for position in range(8))
     run, estop, preset, reverse, up, down, follower = (_bit(inputs, position) for position in range(7))
-    return StatusBits(
-        at_speed=at_speed,
-        remote=remote,
-        outputs=(one, two, three, four, five, six),
-        run=run,
-        estop_active=estop != bool(estop_healthy),
-        preset=preset,
-        reverse=reverse,
-        up=up,
-        down=down,
-        follower=follower,
-    )
+    auxiliary = (one, two, three, four, five, six)
+    estop_active = estop != bool(estop_healthy)
+    return StatusBits(at_speed, remote, auxiliary, run, estop_active, preset, reverse, up, down, follower)
 
 
 def output_is_on(outputs: int, number: int) -> bool:

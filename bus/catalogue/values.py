@@ -85,20 +85,14 @@ def analog_input_value(atd: int, low: int, high: int) -> float:
 
 
 def analog_output_volts(raw: int, low: int, high: int) -> float:
-    """Volts at the analog output for the value of 88h, ``low`` being #29 and ``high`` #30 (manual, 88h).
-
-    Raises CallerError when #29 and #30 are equal, for then no value means any voltage.
-    """
+    """Volts for the value of 88h; ``low`` is #29, ``high`` #30. Raises CallerError where these are equal."""
     if low == high:
         raise CallerError(Message("analog_limits_equal"))
     return _FULL_VOLTS * (raw - low) / (high - low)
 
 
 def rpm(raw: int, max_rpm: int, max_display: int) -> float:
-    """Motor speed for a displayed speed, ``max_rpm`` being #1 and ``max_display`` #2.
-
-    Raises CallerError when #2 is 0.
-    """
+    """Motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raises CallerError if #2 is 0."""
     if max_display == 0:
         raise CallerError(Message("maximum_speed_zero"))
     return raw * max_rpm / max_display

@@ -51,10 +51,7 @@ class WireRecord:
         self._entries.append(WireEvent(self.count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: Happened) -> Iterator[WireEvent]:
-        """Yield the present entries after ``number``, of the kinds in ``what`` (default all).
-
-        The copy is one step for the interpreter, so another thread may read while the line goes on.
-        """
-        entries = tuple(self._entries)
+        """The entries after ``number`` of the kinds ``what`` (default all); another thread may call it."""
+        entries = tuple(self._entries)  # In one step for the interpreter.
         known = number - entries[0].number + 1 if entries else 0
         return (entry for entry in entries[max(known, 0) :] if not what or entry.what in what)

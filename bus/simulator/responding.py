@@ -105,11 +105,17 @@ def _write(unit: Unit, request: Request) -> Rejection:
             unit.setpoint = unit.entered
             return None
         case SetAndExecuteSpeedRequest(raw=raw):
-            return _set(unit, raw)
+            refusal = _enter(unit, raw)
+            if refusal is None:
+                unit.setpoint = raw
+            return refusal
         case WriteParameterRequest(number=number, raw=raw):
             return _write_parameter(unit, number, raw)
         case WriteOutputRequest(output=output, on=on):
-            return _write_output(unit, output, on)
+            if not 1 <= output <= len(unit.outputs):
+                return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
+            unit.outputs[output - 1] = on
+            return None
         case WriteAnalogOutputRequest(raw=raw):
             return _write_analog(unit, raw)
     return UnitErrorCode.ILLEGAL_COMMAND
@@ -120,13 +126,6 @@ def _enter(unit: Unit, raw: int) -> Rejection:
         return UnitErrorCode.ILLEGAL_SPEED
     unit.entered = raw
     return None
-
-
-def _set(unit: Unit, raw: int) -> Rejection:
-    refusal = _enter(unit, raw)
-    if refusal is None:
-        unit.setpoint = raw
-    return refusal
 
 
 def _write_parameter(unit: Unit, number: int, raw: int) -> Rejection:
@@ -146,13 +145,6 @@ def _locked_by_run(unit: Unit, number: int) -> bool:
     if not unit.inputs.run or number in (numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT):
         return False
     return number == numbers.FOLLOWER_MODE or not unit.memory[numbers.SETUP_DURING_RUN]
-
-
-def _write_output(unit: Unit, output: int, on: bool) -> Rejection:
-    if not 1 <= output <= 6:
-        return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
-    unit.outputs[output - 1] = on
-    return None
 
 
 def _write_analog(unit: Unit, raw: int) -> Rejection:

@@ -151,9 +151,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
-        """Return whether ``position`` has so many equal reads that more are not kept: that run ends only with
-        a response that none of them can have caused.
-        """
+        """Whether so many equal reads begin at ``position`` that more of them are not kept."""
         run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
         return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 
