@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
@@ -66,7 +66,7 @@ def load_bus(path: Path, name: str) -> BusSettings:
     buses = {bus.name: bus for bus in load(path, _OnlyBuses).bus}
     if name not in buses:
         raise ConfigurationError(
-            Message.of("configuration_lacks_bus", file=str(path), bus=name, known=_listed(buses))
+            Message.of("configuration_lacks_bus", file=str(path), bus=name, known=", ".join(buses) or "none")
         )
     return buses[name]
 
@@ -82,10 +82,6 @@ def _read(path: Path) -> str:
         raise ConfigurationError(
             Message.of("configuration_unreadable", file=str(path), error=error.strerror or str(error))
         ) from error
-
-
-def _listed(names: Mapping[str, object]) -> str:
-    return ", ".join(names) or "none"
 
 
 def _syntax(path: Path, text: str, error: tomllib.TOMLDecodeError) -> Message:

@@ -61,7 +61,6 @@ def unit_error(code: int) -> Message:
 
 
 def unit_refused(unit: int, code: int) -> Message:
-    """A unit's NAK, with its error byte."""
     return Message("unit_refused", {"unit": unit, "error": unit_error(code)})
 
 

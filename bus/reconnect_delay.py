@@ -39,7 +39,6 @@ class ReconnectDelay:
 
     @property
     def is_worth_logging(self) -> bool:
-        """Whether to log this end."""
         return is_worth_logging(self.count)
 
 

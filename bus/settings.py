@@ -18,7 +18,6 @@ BITS_PER_BYTE = 10
 
 
 def wire_seconds(byte_count: int, baud: int) -> float:
-    """How long ``byte_count`` bytes take on the wire."""
     return byte_count * BITS_PER_BYTE / baud
 
 

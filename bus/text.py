@@ -21,14 +21,9 @@ def check_one_line(text: str) -> str:
     return _seen(text, frozenset())
 
 
-def check_lines(text: str) -> str:
-    """``text`` itself, which may have several lines. Raises ValueError."""
-    return _seen(text, _BREAKS)
-
-
 OneLine = Annotated[str, AfterValidator(check_one_line)]
 """A name or a reason."""
-Lines = Annotated[str, AfterValidator(check_lines)]
+Lines = Annotated[str, AfterValidator(lambda text: _seen(text, _BREAKS))]
 """A comment."""
 
 

@@ -1,7 +1,5 @@
 """The numbers of the 40 parameters by name (manual, section 4.0): the one place that names them."""
 
-from __future__ import annotations
-
 MAX_RPM = 1
 MAX_DISPLAY = 2
 DECIMALS = 3

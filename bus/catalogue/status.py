@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-_AT_SPEED, _REMOTE = 7, 6
-_RUN, _ESTOP, _PRESET, _REVERSE, _UP, _DOWN, _FOLLOWER = range(7)
 OUTPUT_NUMBERS = range(1, 7)
 
 
@@ -43,19 +41,11 @@ class StatusBits:
 @lru_cache(maxsize=4096)
 def status_bits(outputs: int, inputs: int, estop_healthy: int = 1) -> StatusBits:
     """``outputs`` is ST2, ``inputs`` is ST1; ``estop_healthy`` is the dialect's level of a healthy chain."""
-    one, two, three, four, five, six = (_bit(outputs, number - 1) for number in OUTPUT_NUMBERS)
-    return StatusBits(
-        at_speed=_bit(outputs, _AT_SPEED),
-        remote=_bit(outputs, _REMOTE),
-        outputs=(one, two, three, four, five, six),
-        run=_bit(inputs, _RUN),
-        estop_active=_bit(inputs, _ESTOP) != bool(estop_healthy),
-        preset=_bit(inputs, _PRESET),
-        reverse=_bit(inputs, _REVERSE),
-        up=_bit(inputs, _UP),
-        down=_bit(inputs, _DOWN),
-        follower=_bit(inputs, _FOLLOWER),
-    )
+    one, two, three, four, five, six, remote, at_speed = (_bit(outputs, position) for position in range(8))
+    run, estop, preset, reverse, up, down, follower = (_bit(inputs, position) for position in range(7))
+    auxiliary = (one, two, three, four, five, six)
+    estop_active = estop != bool(estop_healthy)
+    return StatusBits(at_speed, remote, auxiliary, run, estop_active, preset, reverse, up, down, follower)
 
 
 def output_is_on(outputs: int, number: int) -> bool:

@@ -44,7 +44,17 @@ def speed_raw(text: str, decimals: int) -> int:
     More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
     one decimal the point was most likely meant to group thousands. Raises CallerError.
     """
-    return _raw(text, decimals)
+    if decimals > MOST_DECIMALS:
+        raise CallerError(Message("decimals_too_many"))
+    text = text.strip()
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise _no_number(text, number(speed_text(1234, decimals)))
+    integer_part, part = found[1], found[2] or ""
+    if len(part) > decimals:
+        code = "value_has_decimals" if decimals else "value_takes_no_decimals"
+        raise CallerError(Message.of(code, number=number(text), count=len(part), allowed=decimals))
+    return int(integer_part + part.ljust(decimals, "0"))
 
 
 def speed_message(raw: int, decimals: int | None) -> Message:
@@ -66,7 +76,7 @@ def ratio_text(raw: int) -> str:
 
 def ratio_raw(text: str) -> int:
     """The raw ratio for a typed number of up to four decimals. Raises CallerError."""
-    return _raw(text, RATIO_DECIMALS)
+    return speed_raw(text, RATIO_DECIMALS)
 
 
 def analog_input_value(atd: int, low: int, high: int) -> float:
@@ -75,20 +85,14 @@ def analog_input_value(atd: int, low: int, high: int) -> float:
 
 
 def analog_output_volts(raw: int, low: int, high: int) -> float:
-    """Volts at the analog output for the value of 88h, ``low`` being #29 and ``high`` #30 (manual, 88h).
-
-    Raises CallerError when #29 and #30 are equal, for then no value means any voltage.
-    """
+    """Volts for the value of 88h; ``low`` is #29, ``high`` #30. Raises CallerError where these are equal."""
     if low == high:
         raise CallerError(Message("analog_limits_equal"))
     return _FULL_VOLTS * (raw - low) / (high - low)
 
 
 def rpm(raw: int, max_rpm: int, max_display: int) -> float:
-    """Motor speed for a displayed speed, ``max_rpm`` being #1 and ``max_display`` #2.
-
-    Raises CallerError when #2 is 0.
-    """
+    """Motor speed of a displayed one: ``max_rpm`` #1, ``max_display`` #2. Raises CallerError if #2 is 0."""
     if max_display == 0:
         raise CallerError(Message("maximum_speed_zero"))
     return raw * max_rpm / max_display
@@ -137,7 +141,7 @@ def parameter_raw(parameter: Parameter, text: str, decimals: int | None, *, foll
     places = _decimals(parameter, decimals, follower)
     if places is None:
         raise CallerError(Message("decimals_not_read"))
-    raw = _raw(text, places)
+    raw = speed_raw(text, places)
     if parameter.scale is not Scale.BAUD:
         return raw
     if raw % 100:
@@ -157,27 +161,6 @@ def _decimals(parameter: Parameter, decimals: int | None, follower: bool) -> int
             return 1
         case _:
             return 0
-
-
-def _raw(text: str, decimals: int) -> int:
-    if decimals > MOST_DECIMALS:
-        raise CallerError(Message("decimals_too_many"))
-    text = text.strip()
-    found = _NUMBER.fullmatch(text)
-    if found is None:
-        raise _no_number(text, number(speed_text(1234, decimals)))
-    integer_part, part = found[1], found[2] or ""
-    if len(part) > decimals:
-        raise _too_many_decimals(text, len(part), decimals)
-    return int(integer_part + part.ljust(decimals, "0"))
-
-
-def _too_many_decimals(text: str, count: int, allowed: int) -> CallerError:
-    if not allowed:
-        return CallerError(
-            Message.of("value_takes_no_decimals", number=number(text), count=count, allowed=allowed)
-        )
-    return CallerError(Message.of("value_has_decimals", number=number(text), count=count, allowed=allowed))
 
 
 def _no_number(text: str, example: Message) -> CallerError:

@@ -1,7 +1,7 @@
 """What the app can request of a bus: from the app to the worker.
 
-A new one needs a class here, a row in ``bus.line.commands.catalogue`` for how it is carried out and verified,
-and a row in ``app.commands.catalogue`` for everything else.
+A new one needs a class here, a case in ``bus.line.commands.catalogue`` for how it is carried out
+and verified, and a row in ``app.commands.catalogue`` for everything else.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class ReadTrace(BusAction, frozen=True, tag="read_trace"):
     limit: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = MOST_FRAMES
 
 
-Action = (
+WireAction = (
     SetSpeed
     | ExecuteSpeed
     | ExecuteAll
@@ -150,5 +150,5 @@ Action = (
     | WriteParameter
     | ChangeBaud
     | ScanBus
-    | ReadTrace
 )
+Action = WireAction | ReadTrace

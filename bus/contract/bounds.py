@@ -52,7 +52,6 @@ ParameterNumber = Annotated[int, Meta(ge=1, le=40)]
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
 BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]
-Sequence = Annotated[int, Meta(ge=0, le=2**53)]
 
 Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""

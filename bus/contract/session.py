@@ -13,25 +13,13 @@ from bus.contract.bounds import (
     MOST_UPDATES,
     Id,
     LongText,
-    Sequence,
     ShortText,
     Stamp,
     TaggedStruct,
+    Total,
     UnitId,
 )
-from bus.contract.readings import (
-    BusFigures,
-    BusLink,
-    Frames,
-    ParameterValue,
-    Reading,
-    Staged,
-    UnitLink,
-    UnitState,
-)
-from bus.contract.results import Progress, Result
-
-Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames
+from bus.contract.updates import BusFigures, BusLink, UnitState, Update
 
 
 class Hello(TaggedStruct, frozen=True, tag="hello"):
@@ -49,7 +37,7 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
     """The complete present state; ``seq`` is the number of the last update it includes."""
 
-    seq: Sequence
+    seq: Total
     sent_at: Stamp
     bus: BusLink
     units: Annotated[list[UnitState], Meta(max_length=MOST_UNITS)]
@@ -59,7 +47,7 @@ class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
 class Batch(TaggedStruct, frozen=True, tag="batch"):
     """Updates in order. ``live`` False: kept while the app was away; they belong to history only."""
 
-    seq: Sequence
+    seq: Total
     sent_at: Stamp
     updates: Annotated[list[Update], Meta(max_length=MOST_UPDATES)]
     live: bool = True
@@ -93,7 +81,7 @@ class Welcome(TaggedStruct, frozen=True, tag="welcome"):
     """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
 
     version: int
-    seq: Sequence
+    seq: Total
     app_time: Stamp
     refused: LongText = ""
 
@@ -101,7 +89,7 @@ class Welcome(TaggedStruct, frozen=True, tag="welcome"):
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):
     """Everything up to ``seq`` is safe with the app; the worker may forget it."""
 
-    seq: Sequence
+    seq: Total
 
 
 class ClockSync(TaggedStruct, frozen=True, tag="clock"):

@@ -40,10 +40,7 @@ class LineClock(Protocol):
 
 
 class RealClock:
-    """The machine's clocks and the running event loop.
-
-    The offset between the two is fixed, so that frames stay in order when the wall clock is set.
-    """
+    """The machine's clocks, a fixed offset apart: frames stay in order when the wall clock is set."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
         self._loop = loop or asyncio.get_running_loop()

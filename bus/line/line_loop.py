@@ -12,11 +12,12 @@ under way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import msgspec
 
-from bus.contract import BusFigures, BusLink, BusLinkState, Watch
+from bus.contract import BusFigures, BusLink, BusLinkState, Progress, Update
 from bus.errors import CallerError, WireError
 from bus.instants import Monotonic
 from bus.line.clock import NEVER, LineClock
@@ -30,7 +31,6 @@ from bus.line.commands.procedure import (
     Unstage,
 )
 from bus.line.completion import Completion, run_at_once
-from bus.line.events import CommandFinished, CommandProgressed, LineUpdate, Report
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import Link
 from bus.line.exchange.send import ExchangeResult
@@ -38,7 +38,6 @@ from bus.line.port.port import OpenPort
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.baud_search import BaudSearch
-from bus.line.schedule.command_queue import CommandQueue
 from bus.line.schedule.poll_schedule import PollSchedule
 from bus.line.statistics.figures import Figures
 from bus.line.statistics.trace import Trace
@@ -59,9 +58,14 @@ class NextExchange(NamedTuple):
 
 
 class LineLoop:
-    """``report`` receives every event. Times of events are Unix time, those of the loop the line's own."""
+    """``report`` receives every event, in order, while the response to the next request is under way.
 
-    def __init__(self, bus: BusSettings, clock: LineClock, report: Report, seed: int = 0) -> None:
+    Times of events are Unix time, those of the loop the line's own.
+    """
+
+    def __init__(
+        self, bus: BusSettings, clock: LineClock, report: Callable[[list[Update]], None], seed: int = 0
+    ) -> None:
         self.bus = bus
         self.clock = clock
         self.baud: int = bus.baud
@@ -71,9 +75,11 @@ class LineLoop:
         self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.state = self._port_is("closed", Message("port_not_opened"))
         self._send_report = report
-        self._events: list[LineUpdate] = []
+        self._events: list[Update] = []
         self._figures = Figures()
         self._arbiter = Arbiter(self.schedule, self.link.pending, self._exchange_s)
+        self.commands = self._arbiter.commands
+        """All that wait or are under way."""
         self._baud_search = BaudSearch(clock.now())
         self._closed_at = clock.now()
         self._resting: Completion[None] = Completion()
@@ -111,7 +117,7 @@ class LineLoop:
         other = self._baud_search.turn(self.baud, responds=self._responds)
         if other is not None:
             self._retune(other)
-            self.schedule.port_opened(now)
+            self.schedule.probes.forgive(now)
         while (turn := self._arbiter.next_request(now)) is not None:
             try:
                 return self._prepare(turn)
@@ -196,8 +202,7 @@ class LineLoop:
         """Every event since the last report, and the result of every command that has one."""
         at = self.clock.epoch(self.clock.now())
         for run in self.commands.take_finished():
-            assert run.result is not None
-            self._events.append(CommandFinished(run.id, at, run.result, run.frames))
+            self._events.append(run.report(at, self.bus.dialect))
         if self._events:
             events, self._events = self._events, []
             self._send_report(events)
@@ -222,7 +227,7 @@ class LineLoop:
 
     def _port_opened(self, port: OpenPort) -> None:
         self.link.attach(port, self.baud)
-        self.schedule.port_opened(self.clock.now())
+        self.schedule.probes.forgive(self.clock.now())
         self.state = self._port_is("open")
         self._events.append(self.state)
 
@@ -241,7 +246,6 @@ class LineLoop:
         return cause
 
     def _port_closed(self, cause: Message) -> None:
-        """An event where that is news."""
         if self.state.link != "closed" or self.state.cause != cause:
             self.state = self._port_is("closed", cause)
             self._events.append(self.state)
@@ -260,11 +264,9 @@ class LineLoop:
 
     @property
     def _responds(self) -> bool:
-        """Whether any unit does at the present rate."""
         return len(self.schedule.poll_order) > 0
 
     def _retune(self, baud: int) -> None:
-        """Everything from here on goes at ``baud``."""
         self._baud_search.tuned(self.clock.now())
         self.baud = baud
         try:
@@ -276,15 +278,6 @@ class LineLoop:
             self._events.append(self.state)
 
     # --- commands ------------------------------------------------------------------------------
-
-    @property
-    def commands(self) -> CommandQueue:
-        """All commands that wait or are under way."""
-        return self._arbiter.commands
-
-    def watch(self, watch: Watch) -> None:
-        """These units are on an open page."""
-        self.schedule.watch(watch.units, any_page=bool(watch.units))
 
     def reserve(self) -> None:
         """A write is about to be requested: no poll leaves before it, for a moment."""
@@ -311,7 +304,8 @@ class LineLoop:
         at = self.clock.epoch(self.clock.now())
         match effect:
             case ReportProgress():
-                self._events.append(CommandProgressed(command_id, at, effect))
+                progress = Progress(command_id, at, effect.stage, effect.unit, effect.done, effect.of)
+                self._events.append(progress)
             case Unstage():
                 self._events += self.roster.unstage(effect.unit, at)
             case Retune(baud=baud):

@@ -35,7 +35,7 @@ class Opener:
         self._causes = 0
         """How often in a row another cause was seen than before."""
         self._backoff = ReconnectDelay(random.random)
-        self._opening: _Opening | None = None
+        self.opening: _Opening | None = None
 
     async def run(self) -> None:
         """Until cancelled, which closes the port."""
@@ -55,7 +55,7 @@ class Opener:
         """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
         clock = self._line.clock
         began = clock.now()
-        self._opening = opening = _Opening(self)
+        self.opening = opening = _Opening(self, self._line)
         try:
             self._port = await self._open(self._line.bus.port, self._line.baud, opening)
             opening.check()
@@ -115,22 +115,13 @@ class Opener:
                 "port closed; retrying", cause=str(cause), lost_soon_after_opening=self._backoff.count
             )
 
-    def data_received(self, opening: _Opening, data: bytes) -> None:
-        """Bytes of one opening; those of an old one mean nothing."""
-        if opening is self._opening:
-            self._line.link.data_received(data)
-
-    def lost(self, opening: _Opening, cause: Message) -> None:
-        """One opening is over."""
-        if opening is self._opening:
-            self._line.lose_port(cause)
-
 
 class _Opening:
-    """Receives what comes of one opening of the port."""
+    """Receives what comes of one opening of the port; what comes of an old one means nothing."""
 
-    def __init__(self, opener: Opener) -> None:
+    def __init__(self, opener: Opener, line: LineLoop) -> None:
         self._opener = opener
+        self._line = line
         self._loss: Message | None = None
 
     def check(self) -> None:
@@ -139,8 +130,10 @@ class _Opening:
             raise EndedWhileOpening(self._loss)
 
     def data_received(self, data: bytes) -> None:
-        self._opener.data_received(self, data)
+        if self._opener.opening is self:
+            self._line.link.data_received(data)
 
     def connection_lost(self, cause: Message) -> None:
         self._loss = cause
-        self._opener.lost(self, cause)
+        if self._opener.opening is self:
+            self._line.lose_port(cause)

@@ -70,6 +70,11 @@ class UnitRecord:
             self.responded_at is None or not 0 <= at - self.responded_at < LOST_AFTER_S
         )
 
+    @property
+    def commanded(self) -> int | None:
+        """As last read; None when it never was."""
+        return self.reading.commanded if self.reading is not None else None
+
     def raw(self, number: int) -> int | None:
         """A parameter as last read; None when it never was, or the unit does not have it."""
         known = self.parameters.get(number)
@@ -80,9 +85,10 @@ class Roster:
     """Every configured unit in floor order, and any other that a command was sent to."""
 
     def __init__(self, units: Iterable[int], at: UnixTime) -> None:
-        self._configured = tuple(units)
-        self._known = frozenset(self._configured)
-        self._records = {unit: _stranger(unit, at) for unit in self._configured}
+        self.configured = tuple(units)
+        """The addresses of the configuration, in floor order."""
+        self._known = frozenset(self.configured)
+        self._records = {unit: _stranger(unit, at) for unit in self.configured}
 
     def __iter__(self) -> Iterator[UnitRecord]:
         return iter(self._records.values())
@@ -92,11 +98,6 @@ class Roster:
         if record is None:
             record = self._records[unit] = _stranger(unit, UnixTime(0.0))
         return record
-
-    @property
-    def configured(self) -> tuple[int, ...]:
-        """The addresses of the configuration, in floor order."""
-        return self._configured
 
     def is_configured(self, unit: int) -> bool:
         return unit in self._known
@@ -110,7 +111,7 @@ class Roster:
                 parameters=list(record.parameters.values()),
                 staged=record.staged,
             )
-            for record in map(self._records.__getitem__, self._configured)
+            for record in map(self._records.__getitem__, self.configured)
         ]
 
     # --- responses of a unit -------------------------------------------------------------------
@@ -127,10 +128,21 @@ class Roster:
             case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
             case _, StatusReply():
-                record.reading = _reading(reply, at)
+                record.reading = Reading(
+                    unit=reply.unit,
+                    at=at,
+                    commanded=reply.commanded,
+                    actual=reply.actual,
+                    analog=reply.analog,
+                    outputs=reply.outputs,
+                    inputs=reply.inputs,
+                )
                 updates.append(record.reading)
-            case ReadParameterRequest(), _:
-                updates += self._learn(record, parameter_value(record.unit, request.number, reply, at, frame))
+            case ReadParameterRequest(number=number), _:
+                value = parameter_value(record.unit, number, reply, at, frame)
+                if value is not None:
+                    record.parameters[number] = value
+                    updates.append(value)
             case StageSpeedRequest(), Ack():
                 updates += self._stage(record, request.raw, at)
             case ((ExecuteSpeedRequest() | SetAndExecuteSpeedRequest()), Ack()):
@@ -169,12 +181,6 @@ class Roster:
         record.misses, record.responded_at = 0, at
         return self._link(record, "online", at, None) if record.link.link != "online" else []
 
-    def _learn(self, record: UnitRecord, value: ParameterValue | None) -> list[UnitUpdate]:
-        if value is None:
-            return []
-        record.parameters[value.number] = value
-        return [value]
-
     def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
         if record.staged == raw:
             return []
@@ -194,25 +200,10 @@ def _stranger(unit: int, at: UnixTime) -> UnitRecord:
     return UnitRecord(unit, UnitLink(unit=unit, at=at, link="unknown", cause=Message("no_response_yet")))
 
 
-def _reading(reply: StatusReply, at: UnixTime) -> Reading:
-    return Reading(
-        unit=reply.unit,
-        at=at,
-        commanded=reply.commanded,
-        actual=reply.actual,
-        analog=reply.analog,
-        outputs=reply.outputs,
-        inputs=reply.inputs,
-    )
-
-
 def parameter_value(
     unit: int, number: int, reply: Reply | None, at: UnixTime, frame: bytes
 ) -> ParameterValue | None:
-    """Return the value of parameter ``number`` in a response to 85h; None where it has none.
-
-    A unit that does not have the parameter responds with NAK 82h.
-    """
+    """The value in a response to 85h, None where it has none. NAK 82h: the unit lacks the parameter."""
     match reply:
         case ParameterReply():
             return ParameterValue(unit, number, at, reply.raw, frame=frame)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -48,7 +48,7 @@ class Message(msgspec.Struct, frozen=True):
     params: Annotated[dict[ParamName, ParamValue], Meta(max_length=20)] = {}
 
     @classmethod
-    def of(cls, code: str, /, **params: ParamValue) -> Message:
+    def of(cls, code: str, /, **params: ParamValue | list[Any]) -> Message:
         """The message, its params as keywords. What would be nested too deeply, or too large, becomes text in
         English, as another process may have sent it."""
         try:
@@ -95,10 +95,10 @@ def in_english(message: Message | None) -> str:
 
 def joined(messages: Iterable[Message | None]) -> Message | None:
     """One message of several, those that are None left out; None where there is none."""
-    several: list[int | str | Message] = [each for each in messages if each is not None]
+    several = [each for each in messages if each is not None]
     if len(several) > 1:
         return Message.of("several", messages=several)
-    return next((each for each in several if isinstance(each, Message)), None)
+    return several[0] if several else None
 
 
 def number(value: Decimal | str) -> Message:

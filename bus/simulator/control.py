@@ -1,7 +1,7 @@
 """Remote control of a simulated line: JSON lines over a TCP port of the loopback.
 
 One line is a request, one line its response: ``{"do": "mode", "unit": 3, "to": "local"}`` → ``{"ok": true}``,
-or ``{"ok": false, "error": "…"}``. The table ``_ACTIONS`` lists the actions.
+or ``{"ok": false, "error": "…"}``. The tables ``_ON_LINE`` and ``_ON_SERVER`` list the actions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from bus.catalogue import numbers
 from bus.simulator.faults import EVERY_UNIT, FaultKind
 from bus.simulator.line import SimulatedLine
-from bus.simulator.record import Happened, WireEvent
+from bus.simulator.record import Happened
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import FACTORY, Memory, Mode, Traits, Unit
@@ -50,15 +50,16 @@ class SimulatorControl:
 def _respond(server: LineServer, text: bytes) -> ControlRequest:
     try:
         request = json.loads(text)
-        return {"ok": True, "result": _ACTIONS[request["do"]](server, request)}
+        return {"ok": True, "result": _carry_out(server, request)}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         return {"ok": False, "error": f"{type(error).__name__}: {error}"}
 
 
-def _on_unit(
-    action: Callable[[SimulatedLine, ControlRequest], object],
-) -> Callable[[LineServer, ControlRequest], object]:
-    return lambda server, request: server.call(lambda line: action(line, request))
+def _carry_out(server: LineServer, request: ControlRequest) -> object:
+    action = request["do"]
+    if action in _ON_SERVER:
+        return _ON_SERVER[action](server)
+    return server.call(lambda line: _ON_LINE[action](line, request))
 
 
 def _unit(line: SimulatedLine, request: ControlRequest) -> Unit:
@@ -81,10 +82,6 @@ def _parameter(line: SimulatedLine, request: ControlRequest) -> int:
     if "raw" in request:
         memory[request["number"]] = int(request["raw"])
     return memory[request["number"]]
-
-
-def _power_cycle(line: SimulatedLine, request: ControlRequest) -> None:
-    _unit(line, request).power_up()
 
 
 def _remove(line: SimulatedLine, request: ControlRequest) -> None:
@@ -112,14 +109,6 @@ def _fault(line: SimulatedLine, request: ControlRequest) -> None:
     line.faults.set(FaultKind(request["kind"]), float(request["rate"]), request.get("unit", EVERY_UNIT))
 
 
-def _clear(line: SimulatedLine, _request: ControlRequest) -> None:
-    line.faults.clear()
-
-
-def _stop_script(line: SimulatedLine, _request: ControlRequest) -> None:
-    line.plant.script = None
-
-
 def _state(line: SimulatedLine, request: ControlRequest) -> ControlRequest:
     unit = _unit(line, request)
     return {
@@ -136,33 +125,35 @@ def _state(line: SimulatedLine, request: ControlRequest) -> ControlRequest:
 
 def _record(line: SimulatedLine, request: ControlRequest) -> list[ControlRequest]:
     kinds = [Happened(kind) for kind in request.get("kinds", [])]
-    return [_as_json(entry) for entry in line.record.since(request.get("since", 0), *kinds)]
+    entries = line.record.since(request.get("since", 0), *kinds)
+    return [
+        {
+            "number": each.number,
+            "at": each.at,
+            "what": each.what,
+            "unit": each.unit,
+            "hex": each.data.hex(" "),
+        }
+        for each in entries
+    ]
 
 
-def _as_json(entry: WireEvent) -> ControlRequest:
-    return {
-        "number": entry.number,
-        "at": entry.at,
-        "what": entry.what,
-        "unit": entry.unit,
-        "hex": entry.data.hex(" "),
-    }
-
-
-_ACTIONS: dict[str, Callable[[LineServer, ControlRequest], object]] = {
-    "mode": _on_unit(_mode),
-    "input": _on_unit(_input),
-    "parameter": _on_unit(_parameter),
-    "power_cycle": _on_unit(_power_cycle),
-    "remove": _on_unit(_remove),
-    "spare": _on_unit(_spare),
-    "traits": _on_unit(_traits),
-    "fault": _on_unit(_fault),
-    "clear": _on_unit(_clear),
-    "hands_off": _on_unit(_stop_script),
-    "state": _on_unit(_state),
-    "record": _on_unit(_record),
-    "unplug": lambda server, _request: server.unplug(),
-    "plug": lambda server, _request: server.plug(),
-    "port": lambda server, _request: server.port.name,
+_ON_LINE: dict[str, Callable[[SimulatedLine, ControlRequest], object]] = {
+    "mode": _mode,
+    "input": _input,
+    "parameter": _parameter,
+    "power_cycle": lambda line, request: _unit(line, request).power_up(),
+    "remove": _remove,
+    "spare": _spare,
+    "traits": _traits,
+    "fault": _fault,
+    "clear": lambda line, _request: line.faults.clear(),
+    "hands_off": lambda line, _request: setattr(line.plant, "script", None),
+    "state": _state,
+    "record": _record,
+}
+_ON_SERVER: dict[str, Callable[[LineServer], object]] = {
+    "unplug": LineServer.unplug,
+    "plug": LineServer.plug,
+    "port": lambda server: server.port.name,
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from bus.catalogue import numbers
@@ -23,24 +22,22 @@ class _Machine(NamedTuple):
     group: str
     draw: float
     ramp_s: int
-    analog: str
     outputs: dict[int, str]
 
 
 _MACHINES = (
-    _Machine("Unwind", "Infeed", 0.995, 20, "Web tension", {1: "Brake release", 2: "Splice arm"}),
-    _Machine("Infeed nip", "Infeed", 0.998, 15, "Web tension", {1: "Nip close"}),
-    _Machine("Coater", "Coating", 1.0, 15, "Web tension", {1: "Blade load", 2: "Pump"}),
-    _Machine("Dryer 1", "Drying", 1.001, 20, "Web tension", {1: "Hood fan", 2: "Steam valve"}),
-    _Machine("Dryer 2", "Drying", 1.002, 20, "Web tension", {1: "Hood fan", 2: "Steam valve"}),
-    _Machine("Cooling drum", "Drying", 1.002, 20, "Web tension", {1: "Chilled water"}),
-    _Machine("Pull nip", "Outfeed", 1.004, 15, "Web tension", {1: "Nip close"}),
-    _Machine("Rewind", "Outfeed", 1.006, 20, "Web tension", {1: "Brake release", 2: "Core chuck"}),
+    _Machine("Unwind", "Infeed", 0.995, 20, {1: "Brake release", 2: "Splice arm"}),
+    _Machine("Infeed nip", "Infeed", 0.998, 15, {1: "Nip close"}),
+    _Machine("Coater", "Coating", 1.0, 15, {1: "Blade load", 2: "Pump"}),
+    _Machine("Dryer 1", "Drying", 1.001, 20, {1: "Hood fan", 2: "Steam valve"}),
+    _Machine("Dryer 2", "Drying", 1.002, 20, {1: "Hood fan", 2: "Steam valve"}),
+    _Machine("Cooling drum", "Drying", 1.002, 20, {1: "Chilled water"}),
+    _Machine("Pull nip", "Outfeed", 1.004, 15, {1: "Nip close"}),
+    _Machine("Rewind", "Outfeed", 1.006, 20, {1: "Brake release", 2: "Core chuck"}),
 )
 
 
-@dataclass(frozen=True, slots=True)
-class DemoLine:
+class DemoLine(NamedTuple):
     """The configuration of the units, and the plant that it drives."""
 
     settings: tuple[UnitSettings, ...]
@@ -72,7 +69,7 @@ def _follows(address: int) -> bool:
 def _settings(address: int) -> UnitSettings:
     machine = _machine(address)
     bank = (address - 1) // len(_MACHINES)
-    labels = UnitLabels(output=machine.outputs, analog=machine.analog, analog_unit="N", unit="m/min")
+    labels = UnitLabels(output=machine.outputs, analog="Web tension", analog_unit="N", unit="m/min")
     name = f"{machine.name} {chr(ord('A') + bank - 1)}" if bank else machine.name
     return UnitSettings(id=address, name=name, group=machine.group, labels=labels)
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import random
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
 
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
+from bus.wire.commands import TRAITS
 from bus.wire.framing import ACK, checksum, encode_frame
 
 EVERY_UNIT = 0
@@ -93,78 +93,53 @@ class Faults:
 
     def refusal(self, command: int) -> int:
         """The code of a NAK out of nowhere: one of those that the manual lists for ``command``."""
-        return self._random.choice(_LISTED.get(command, (UnitErrorCode.ILLEGAL_COMMAND,)))
+        listed = sorted(TRAITS[command].refusals) if command in TRAITS else []
+        return self._random.choice([*listed, UnitErrorCode.ILLEGAL_COMMAND])
 
     def noise_bytes(self, count: int) -> bytes:
         """``count`` bytes without a frame in them: no 10h, so nothing ever starts or ends."""
         return bytes(self._random.choice(_NO_DLE) for _ in range(count))
 
     def spoil(self, unit: int, frame: bytes, body: bytes) -> list[Piece]:
-        """Apply the faults to a response: ``frame`` as the unit wrote it, ``body`` its content."""
-        for kind, spoiler in _SPOILERS.items():
-            if self.strikes(kind, unit):
-                return spoiler(self, frame, body)
-        return [Piece(0.0, frame)]
+        """Apply the first of the faults that strike to a response: ``frame`` as the unit wrote it, ``body``
+        its content.
+        """
+        kind = next((kind for kind in _ON_RESPONSES if self.strikes(kind, unit)), None)
+        match kind:
+            case FaultKind.LATE:
+                return [Piece(self.late_s * self._random.uniform(0.5, 1.5), frame)]
+            case FaultKind.SLOW:
+                return [Piece(SLOW_S, frame)]
+            case FaultKind.LOST:
+                return []
+            case FaultKind.DOUBLED:
+                return [Piece(0.0, frame), Piece(0.0, frame)]
+            case None:
+                return [Piece(0.0, frame)]
+        return [Piece(0.0, self._spoilt(kind, frame, body))]
 
-    def _late(self, frame: bytes, _body: bytes) -> list[Piece]:
-        return [Piece(self.late_s * self._random.uniform(0.5, 1.5), frame)]
-
-    def _slow(self, frame: bytes, _body: bytes) -> list[Piece]:
-        return [Piece(SLOW_S, frame)]
-
-    def _lost(self, _frame: bytes, _body: bytes) -> list[Piece]:
-        return []
-
-    def _doubled(self, frame: bytes, _body: bytes) -> list[Piece]:
-        return [Piece(0.0, frame), Piece(0.0, frame)]
-
-    def _foreign(self, _frame: bytes, body: bytes) -> list[Piece]:
-        other = self.foreign_address or body[0] % 255 + 1
-        return [Piece(0.0, encode_frame(bytes((other,)) + body[1:], _PLAIN))]
-
-    def _cut(self, frame: bytes, _body: bytes) -> list[Piece]:
-        return [Piece(0.0, frame[: self._random.randrange(1, len(frame))])]
-
-    def _corrupt(self, frame: bytes, _body: bytes) -> list[Piece]:
-        spoilt = bytearray(frame)
-        spoilt[self._random.randrange(len(frame))] ^= self._random.randrange(1, 256)
-        return [Piece(0.0, bytes(spoilt))]
-
-    def _noise(self, frame: bytes, _body: bytes) -> list[Piece]:
-        noise_bytes = self.noise_bytes(self._random.randrange(1, 12))
-        return [Piece(0.0, self._random.choice((noise_bytes + frame, frame + noise_bytes)))]
-
-    def _wrong_length(self, _frame: bytes, body: bytes) -> list[Piece]:
-        length = self._random.choice((3, 5, 7, 9))
-        odd = body[:1] + bytes((ACK,)) + bytes(self._random.randrange(256) for _ in range(length))
-        return [Piece(0.0, encode_frame(odd, _PLAIN))]
-
-    def _huge(self, _frame: bytes, body: bytes) -> list[Piece]:
-        frame = body[:1] + bytes((ACK,)) + self.noise_bytes(HUGE_BYTES)
-        return [Piece(0.0, b"\x10\x02" + frame + b"\x10\x03" + bytes((checksum(frame),)))]
+    def _spoilt(self, kind: FaultKind, frame: bytes, body: bytes) -> bytes:
+        match kind:
+            case FaultKind.FOREIGN:
+                other = self.foreign_address or body[0] % 255 + 1
+                return encode_frame(bytes((other,)) + body[1:], _PLAIN)
+            case FaultKind.CUT:
+                return frame[: self._random.randrange(1, len(frame))]
+            case FaultKind.CORRUPT:
+                spoilt = bytearray(frame)
+                spoilt[self._random.randrange(len(frame))] ^= self._random.randrange(1, 256)
+                return bytes(spoilt)
+            case FaultKind.NOISE:
+                noise = self.noise_bytes(self._random.randrange(1, 12))
+                return self._random.choice((noise + frame, frame + noise))
+            case FaultKind.WRONG_LENGTH:
+                length = self._random.choice((3, 5, 7, 9))
+                odd = bytes(self._random.randrange(256) for _ in range(length))
+                return encode_frame(bytes((body[0], ACK)) + odd, _PLAIN)
+        huge = bytes((body[0], ACK)) + self.noise_bytes(HUGE_BYTES)
+        return b"\x10\x02" + huge + b"\x10\x03" + bytes((checksum(huge),))
 
 
-_LISTED = {
-    0x82: (0x80, 0x81, 0x89),
-    0x83: (0x80, 0x89),
-    0x84: (0x80, 0x81, 0x89),
-    0x85: (0x82, 0x89),
-    0x86: (0x80, 0x82, 0x83, 0x89),
-    0x87: (0x80, 0x84, 0x85, 0x89),
-    0x88: (0x80, 0x87, 0x88, 0x89),
-}
 _PLAIN = Dialect()
 _NO_DLE = bytes(value for value in range(256) if value != 0x10)
-_SPOILERS: dict[FaultKind, Callable[[Faults, bytes, bytes], list[Piece]]] = {
-    FaultKind.LATE: Faults._late,
-    FaultKind.SLOW: Faults._slow,
-    FaultKind.LOST: Faults._lost,
-    FaultKind.DOUBLED: Faults._doubled,
-    FaultKind.FOREIGN: Faults._foreign,
-    FaultKind.CUT: Faults._cut,
-    FaultKind.CORRUPT: Faults._corrupt,
-    FaultKind.NOISE: Faults._noise,
-    FaultKind.WRONG_LENGTH: Faults._wrong_length,
-    FaultKind.HUGE: Faults._huge,
-}
-"""The first of several faults at once is the only one applied."""
+_ON_RESPONSES = tuple(FaultKind)[tuple(FaultKind).index(FaultKind.LATE) :]

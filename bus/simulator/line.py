@@ -157,7 +157,7 @@ class SimulatedLine:
 
     def _turn(self, unit: Unit, body: bytes) -> Turn:
         if body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, unit.address):
-            return Turn(None, Nak(body[0], self.faults.refusal(body[1])), acted=False)
+            return Turn(Nak(body[0], self.faults.refusal(body[1])), acted=False)
         return respond(unit, body)
 
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:

@@ -18,7 +18,6 @@ WAKE_S = 0.004
 
 
 def byte_seconds(baud: int, speedup: float = 1.0) -> float:
-    """How long one byte takes."""
     return BITS_PER_BYTE / (baud * speedup)
 
 

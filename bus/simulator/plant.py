@@ -83,10 +83,7 @@ class Plant:
 
     def unit(self, address: int) -> Unit:
         """The first unit at ``address``. Raises KeyError where there is none."""
-        for unit in self.units:
-            if unit.address == address:
-                return unit
-        raise KeyError(address)
+        return {unit.address: unit for unit in reversed(self.units)}[address]
 
     def settle(self) -> None:
         """Set every section to its commanded speed."""

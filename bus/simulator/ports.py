@@ -9,41 +9,12 @@ import os
 import socket
 import termios
 import tty
+from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 READ_BYTES = 4096
 _SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in (300, 600, 1200, 2400, 4800, 9600, 19200, 38400)}
 _SPEED_CODES = {baud: code for code, baud in _SPEEDS.items()}
-
-
-class Port(Protocol):
-    """One end of the cable."""
-
-    @property
-    def name(self) -> str:
-        """What the host opens: a device path or a pySerial URL."""
-
-    def descriptors(self) -> list[int]:
-        """File descriptors that become readable when the host did something."""
-
-    def read(self) -> bytes:
-        """What the host wrote, which may be nothing."""
-
-    def write(self, data: bytes) -> None:
-        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
-
-    def host_baud(self) -> int | None:
-        """The speed to which the host has set the port, where that can be seen."""
-
-    def unplug(self) -> None:
-        """Pull the cable out of the host."""
-
-    def plug(self) -> None:
-        """Put it back."""
-
-    def close(self) -> None:
-        """Leave nothing behind."""
 
 
 class PtyPort:
@@ -58,41 +29,40 @@ class PtyPort:
         self._baud = baud
         self._follow_speed = follow_speed
         self._master = self._slave = -1
-        self._device = ""
+        self.device = ""
+        """The device itself, behind the link."""
         self.plug()
 
     @property
     def name(self) -> str:
-        return str(self._link or self._device)
-
-    @property
-    def device(self) -> str:
-        """The device itself, behind the link."""
-        return self._device
+        """What the host opens: a device path or a pySerial URL."""
+        return str(self._link or self.device)
 
     def descriptors(self) -> list[int]:
+        """File descriptors that become readable when the host did something."""
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:
+        """What the host wrote, which may be nothing."""
         try:
             return os.read(self._master, READ_BYTES)
         except OSError:
             return b""
 
     def write(self, data: bytes) -> None:
-        if self._master < 0:
-            return
-        try:
-            os.write(self._master, data)
-        except OSError:
-            return
+        """Hand bytes to the host; what it has no room for is lost, as in a UART."""
+        if self._master >= 0:
+            with suppress(OSError):
+                os.write(self._master, data)
 
     def host_baud(self) -> int | None:
+        """The speed to which the host has set the port, where that can be seen."""
         if not self._follow_speed or self._master < 0:
             return None
         return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or None
 
     def unplug(self) -> None:
+        """Pull the cable out of the host, and leave nothing behind."""
         if self._master < 0:
             return
         if self._link is not None:
@@ -102,28 +72,14 @@ class PtyPort:
         self._master = self._slave = -1
 
     def plug(self) -> None:
-        """Always under another device name than before: the old one is held back meanwhile."""
+        """Put it back, under another device name than before: the old one is held back meanwhile."""
         if self._master >= 0:
             return
-        placeholder = os.openpty()
-        self._master, self._slave = os.openpty()
-        if self._device != os.ttyname(placeholder[1]):
-            self._exchange(placeholder)
-        else:
-            self._discard(placeholder)
-        self._prepare()
-
-    def close(self) -> None:
-        self.unplug()
-
-    def _exchange(self, placeholder: tuple[int, int]) -> None:
-        self._discard((self._master, self._slave))
-        self._master, self._slave = placeholder
-
-    @staticmethod
-    def _discard(pair: tuple[int, int]) -> None:
-        for descriptor in pair:
+        pairs = [os.openpty(), os.openpty()]
+        self._master, self._slave = pairs.pop(1 if os.ttyname(pairs[0][1]) == self.device else 0)
+        for descriptor in pairs[0]:
             os.close(descriptor)
+        self._prepare()
 
     def _prepare(self) -> None:
         tty.setraw(self._slave)
@@ -131,10 +87,10 @@ class PtyPort:
         attributes[4] = attributes[5] = _SPEED_CODES[self._baud]
         termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
         os.set_blocking(self._master, False)
-        self._device = os.ttyname(self._slave)
+        self.device = os.ttyname(self._slave)
         if self._link is not None:
             fresh = self._link.with_name(self._link.name + ".new")
-            fresh.symlink_to(self._device)
+            fresh.symlink_to(self.device)
             fresh.replace(self._link)
 
 
@@ -170,12 +126,9 @@ class TcpLinePort:
         return data
 
     def write(self, data: bytes) -> None:
-        if self._host is None:
-            return
-        try:
-            self._host.send(data)
-        except OSError:
-            return
+        if self._host is not None:
+            with suppress(OSError):
+                self._host.send(data)
 
     def host_baud(self) -> int | None:
         return None
@@ -193,9 +146,6 @@ class TcpLinePort:
         self._listener.setblocking(False)
         self._number = self._listener.getsockname()[1]
 
-    def close(self) -> None:
-        self.unplug()
-
     def _accept(self) -> None:
         if self._listener is None:
             return
@@ -209,3 +159,6 @@ class TcpLinePort:
         host.setblocking(False)
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._host = host
+
+
+Port = PtyPort | TcpLinePort

@@ -44,21 +44,14 @@ class WireRecord:
     """Bounded, in the order of happening."""
 
     _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
-    _count: int = 0
+    count: int = 0
 
     def add(self, at: float, what: Happened, unit: int, data: bytes) -> None:
-        self._count += 1
-        self._entries.append(WireEvent(self._count, at, what, unit, data))
+        self.count += 1
+        self._entries.append(WireEvent(self.count, at, what, unit, data))
 
     def since(self, number: int = 0, *what: Happened) -> Iterator[WireEvent]:
-        """Yield the present entries after ``number``, of the kinds in ``what`` (default all).
-
-        The copy is one step for the interpreter, so another thread may read while the line goes on.
-        """
-        entries = tuple(self._entries)
+        """The entries after ``number`` of the kinds ``what`` (default all); another thread may call it."""
+        entries = tuple(self._entries)  # In one step for the interpreter.
         known = number - entries[0].number + 1 if entries else 0
         return (entry for entry in entries[max(known, 0) :] if not what or entry.what in what)
-
-    @property
-    def count(self) -> int:
-        return self._count

@@ -45,7 +45,6 @@ Rejection = UnitErrorCode | None
 class Turn:
     """The effect of a request. ``acted``: a write was carried out; ``reply`` None: no response."""
 
-    request: Request | None
     reply: Reply | None
     acted: bool
 
@@ -55,18 +54,18 @@ def respond(unit: Unit, body: bytes) -> Turn:
     try:
         request = parse_request(body, unit.traits.dialect)
     except IllegalRequest as error:
-        return Turn(None, _refuse_illegal(unit, error), acted=False)
+        return Turn(_refuse_illegal(unit, error), acted=False)
     if request.unit == ALL_UNITS:
         acted = isinstance(request, ExecuteSpeedRequest) and _write(unit, request) is None
-        return Turn(request, None, acted)
-    if isinstance(request, ReadStatusRequest):
-        return Turn(request, unit.status(request.unit), acted=False)
-    if isinstance(request, ReadParameterRequest):
-        return Turn(request, _read(unit, request), acted=False)
+        return Turn(None, acted)
+    match request:
+        case ReadStatusRequest():
+            return Turn(unit.status(request.unit), acted=False)
+        case ReadParameterRequest():
+            return Turn(_read(unit, request), acted=False)
     refusal = _write(unit, request)
-    if refusal is not None:
-        return Turn(request, Nak(request.unit, refusal), acted=False)
-    return Turn(request, _written(unit, request), acted=True)
+    reply = _written(unit, request) if refusal is None else Nak(request.unit, refusal)
+    return Turn(reply, acted=refusal is None)
 
 
 def encode(unit: Unit, turn: Turn) -> bytes:
@@ -106,11 +105,17 @@ def _write(unit: Unit, request: Request) -> Rejection:
             unit.setpoint = unit.entered
             return None
         case SetAndExecuteSpeedRequest(raw=raw):
-            return _set(unit, raw)
+            refusal = _enter(unit, raw)
+            if refusal is None:
+                unit.setpoint = raw
+            return refusal
         case WriteParameterRequest(number=number, raw=raw):
             return _write_parameter(unit, number, raw)
         case WriteOutputRequest(output=output, on=on):
-            return _write_output(unit, output, on)
+            if not 1 <= output <= len(unit.outputs):
+                return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
+            unit.outputs[output - 1] = on
+            return None
         case WriteAnalogOutputRequest(raw=raw):
             return _write_analog(unit, raw)
     return UnitErrorCode.ILLEGAL_COMMAND
@@ -121,13 +126,6 @@ def _enter(unit: Unit, raw: int) -> Rejection:
         return UnitErrorCode.ILLEGAL_SPEED
     unit.entered = raw
     return None
-
-
-def _set(unit: Unit, raw: int) -> Rejection:
-    refusal = _enter(unit, raw)
-    if refusal is None:
-        unit.setpoint = raw
-    return refusal
 
 
 def _write_parameter(unit: Unit, number: int, raw: int) -> Rejection:
@@ -147,13 +145,6 @@ def _locked_by_run(unit: Unit, number: int) -> bool:
     if not unit.inputs.run or number in (numbers.SPEED_SETPOINT, numbers.RATIO_SETPOINT):
         return False
     return number == numbers.FOLLOWER_MODE or not unit.memory[numbers.SETUP_DURING_RUN]
-
-
-def _write_output(unit: Unit, output: int, on: bool) -> Rejection:
-    if not 1 <= output <= 6:
-        return UnitErrorCode.ILLEGAL_OUTPUT_NUMBER
-    unit.outputs[output - 1] = on
-    return None
 
 
 def _write_analog(unit: Unit, raw: int) -> Rejection:

@@ -14,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from types import TracebackType
 from typing import Any, TypeVar
 
 from bus.simulator.line import SimulatedLine
@@ -51,7 +50,7 @@ class LineServer:
         self._stopping = True
         os.write(self._waker, b".")
         self._thread.join()
-        self.port.close()
+        self.port.unplug()
         os.close(self._waked)
         os.close(self._waker)
 
@@ -59,9 +58,7 @@ class LineServer:
         self.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def call(self, change: Callable[[SimulatedLine], T]) -> T:

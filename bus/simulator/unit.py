@@ -12,6 +12,7 @@ from enum import IntEnum
 from typing import Literal
 
 from bus.catalogue import numbers
+from bus.catalogue.parameter import nearest_legal
 from bus.catalogue.parameters import PARAMETERS
 from bus.settings import Dialect
 from bus.wire.commands import StatusReply
@@ -55,7 +56,6 @@ FACTORY: Mapping[int, int] = {
 }
 """A unit out of its box: address 1 at 9600 baud; in REMOTE, so that a host can be tried on it."""
 
-LEGAL_BAUD_NUMBERS = frozenset({3, 6, 12, 24, 48, 96})
 _WIDTHS = {"UCHR": 1, "UINT": 2, "ULNG": 4}
 
 
@@ -76,11 +76,8 @@ class Memory(dict[int, int]):
 
     def takes(self, number: int, raw: int) -> bool:
         """Whether ``raw`` is a value that the parameter can hold, by its printed range and its kind."""
-        parameter = PARAMETERS[number]
-        if not parameter.minimum <= raw <= parameter.maximum:
+        if nearest_legal(PARAMETERS[number], raw) != raw:
             return False
-        if number == numbers.BAUD_RATE:
-            return raw in LEGAL_BAUD_NUMBERS
         if number == numbers.SPEED_SETPOINT:
             return raw <= self[numbers.MAX_DISPLAY]
         if number == numbers.RATIO_SETPOINT:
@@ -93,14 +90,11 @@ def width_by_type(number: int) -> int:
     return _WIDTHS[PARAMETERS[number].type]
 
 
-AS_THE_MANUAL_READS = Dialect()
-
-
 @dataclass(frozen=True, slots=True)
 class Traits:
     """What the manual leaves open, as this one unit decides it."""
 
-    dialect: Dialect = AS_THE_MANUAL_READS
+    dialect: Dialect = field(default_factory=Dialect)
     last_parameter: int = 40
     responds_with_written_value: bool = False
     baud_changes: Literal["at once", "at power-up"] = "at power-up"
@@ -185,11 +179,9 @@ class Unit:
         if self.inputs.preset:
             return self.memory[numbers.PRESET_SPEED]
         if self.memory[numbers.JUMP_MODE] == 1:
-            jump = (
-                self.memory[numbers.JUMP_UP] * self.inputs.up
-                - self.memory[numbers.JUMP_DOWN] * self.inputs.down
-            )
-            return min(max(self.setpoint + jump, 0), self.highest)
+            up = self.memory[numbers.JUMP_UP] * self.inputs.up
+            down = self.memory[numbers.JUMP_DOWN] * self.inputs.down
+            return min(max(self.setpoint + up - down, 0), self.highest)
         return self.setpoint
 
     @property

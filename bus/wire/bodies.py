@@ -14,6 +14,7 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import (
     LARGEST_VALUE,
+    TRAITS,
     Ack,
     ExecuteSpeedRequest,
     Nak,
@@ -38,7 +39,6 @@ class IllegalRequest(LinesideError):
 
     def __init__(self, unit: int, code: int, message: Message) -> None:
         super().__init__(message)
-        self.message: Message = message
         self.unit = unit
         self.code = code
 
@@ -99,12 +99,11 @@ _VALUE_COMMANDS: dict[int, type[StageSpeedRequest | SetAndExecuteSpeedRequest | 
     command.COMMAND: command
     for command in (StageSpeedRequest, SetAndExecuteSpeedRequest, WriteAnalogOutputRequest)
 }
-_REQUEST_DATA_BYTES = {0x81: 0, 0x82: 4, 0x83: 0, 0x84: 4, 0x85: 1, 0x86: 5, 0x87: 2, 0x88: 4}
 
 
 def is_request(body: bytes) -> bool:
     """Return whether ``body`` has the shape of a request; a response has 06h or 15h as its second byte."""
-    return len(body) >= 2 and _REQUEST_DATA_BYTES.get(body[1]) == len(body) - 2
+    return len(body) >= 2 and body[1] in TRAITS and TRAITS[body[1]].data_bytes == len(body) - 2
 
 
 def parse_request(body: bytes, dialect: Dialect) -> Request:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import msgspec
 
@@ -10,67 +10,63 @@ LARGEST_VALUE = 99999
 """0001869Fh, the end of every speed and value range on the link."""
 
 
-class ReadStatusRequest(msgspec.Struct, frozen=True):
+class _UnitRequest(msgspec.Struct, frozen=True):
+    unit: int
+
+
+class ReadStatusRequest(_UnitRequest, frozen=True):
     """81h: commanded and actual speed, analog input, outputs and inputs."""
 
     COMMAND: ClassVar[int] = 0x81
-    unit: int
 
 
-class StageSpeedRequest(msgspec.Struct, frozen=True):
+class StageSpeedRequest(_UnitRequest, frozen=True):
     """82h: into the unit's memory only; takes effect with 83h. ``raw``: display units, or ratio x 10000."""
 
     COMMAND: ClassVar[int] = 0x82
-    unit: int
     raw: int
 
 
-class ExecuteSpeedRequest(msgspec.Struct, frozen=True):
+class ExecuteSpeedRequest(_UnitRequest, frozen=True):
     """83h: take over the staged speed. Unit 0 addresses every unit at once, and none of them responds."""
 
     COMMAND: ClassVar[int] = 0x83
-    unit: int
 
 
-class SetAndExecuteSpeedRequest(msgspec.Struct, frozen=True):
+class SetAndExecuteSpeedRequest(_UnitRequest, frozen=True):
     """84h: a new speed, effective now."""
 
     COMMAND: ClassVar[int] = 0x84
-    unit: int
     raw: int
 
 
-class ReadParameterRequest(msgspec.Struct, frozen=True):
+class ReadParameterRequest(_UnitRequest, frozen=True):
     """85h."""
 
     COMMAND: ClassVar[int] = 0x85
-    unit: int
     number: int
 
 
-class WriteParameterRequest(msgspec.Struct, frozen=True):
+class WriteParameterRequest(_UnitRequest, frozen=True):
     """86h."""
 
     COMMAND: ClassVar[int] = 0x86
-    unit: int
     number: int
     raw: int
 
 
-class WriteOutputRequest(msgspec.Struct, frozen=True):
+class WriteOutputRequest(_UnitRequest, frozen=True):
     """87h: auxiliary output 1-6 on or off, whatever it was before."""
 
     COMMAND: ClassVar[int] = 0x87
-    unit: int
     output: int
     on: bool
 
 
-class WriteAnalogOutputRequest(msgspec.Struct, frozen=True):
+class WriteAnalogOutputRequest(_UnitRequest, frozen=True):
     """88h: needs #28 = 2 and #29 <= raw <= #30."""
 
     COMMAND: ClassVar[int] = 0x88
-    unit: int
     raw: int
 
 
@@ -84,6 +80,32 @@ Request = (
     | WriteOutputRequest
     | WriteAnalogOutputRequest
 )
+
+
+class CommandTraits(NamedTuple):
+    """What the manual states of a command's bytes."""
+
+    name: str
+    """For programs; in words it is the message ``request_…``."""
+    data_bytes: int
+    acknowledged: frozenset[int]
+    """How many data bytes an acknowledgement may have."""
+    refusals: frozenset[int]
+    """[ERR] of its NAK, without "illegal command"."""
+
+
+_NOTHING = frozenset((0,))
+TRAITS = {
+    0x81: CommandTraits("read_status", 0, frozenset((11,)), frozenset()),
+    0x82: CommandTraits("set_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
+    0x83: CommandTraits("execute_speed", 0, _NOTHING, frozenset((0x80,))),
+    0x84: CommandTraits("set_and_execute_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
+    0x85: CommandTraits("read_parameter", 1, frozenset((1, 2, 4)), frozenset((0x82,))),
+    0x86: CommandTraits("write_parameter", 5, frozenset((0, 1, 2, 4)), frozenset((0x80, 0x82, 0x83))),
+    0x87: CommandTraits("write_output", 2, _NOTHING, frozenset((0x80, 0x84, 0x85))),
+    0x88: CommandTraits("write_analog_output", 4, _NOTHING, frozenset((0x80, 0x87, 0x88))),
+}
+"""By command."""
 
 
 class StatusReply(msgspec.Struct, frozen=True):

@@ -17,6 +17,7 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.bodies import IllegalRequest, parse_reply, parse_request
 from bus.wire.commands import (
+    TRAITS,
     Ack,
     Nak,
     ParameterReply,
@@ -35,18 +36,9 @@ from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFr
 
 Json: TypeAlias = "bool | int | str | list[Json] | dict[str, Json] | None"
 
-_KINDS = {
-    0x81: "read_status",
-    0x82: "set_speed",
-    0x83: "execute_speed",
-    0x84: "set_and_execute_speed",
-    0x85: "read_parameter",
-    0x86: "write_parameter",
-    0x87: "write_output",
-    0x88: "write_analog_output",
-}
-"""The name of each command for programs; in words it is the message ``request_…``."""
 _PARAMETER_VALUE_WIDTHS = (1, 2, 4)
+Detail: TypeAlias = "tuple[str, dict[str, Json], Message]"
+"""Kind, fields and meaning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +114,16 @@ def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Describe
 def describe_body(body: bytes, wire: bytes, dialect: Dialect, request: Request | None = None) -> Described:
     """Describe the ``body`` of a good frame; ``request`` is the one that it may respond to."""
     if body[1] == ACK or body[1] == NAK:
-        return _describe_response(body, wire, dialect, request)
+        kind, fields, meaning = _response_detail(body, dialect, request)
+        return Described(body[0], kind, fields, _of_unit(body[0], meaning), wire)
+    parsed: Request | None = None
     try:
-        return _describe_request(parse_request(body, dialect), wire)
+        parsed = parse_request(body, dialect)
+        kind, fields, meaning = _request_detail(parsed)
     except IllegalRequest as error:
-        fields: dict[str, Json] = {"command": f"{body[1]:02X}", "data": body[2:].hex(" ").upper()}
-        return Described(body[0], "unknown", fields, _of_unit(body[0], error.message), wire)
+        fields = {"command": f"{body[1]:02X}", "data": body[2:].hex(" ").upper()}
+        kind, meaning = "unknown", error.message
+    return Described(body[0], kind, fields, _of_unit(body[0], meaning), wire, request=parsed)
 
 
 def is_secret(request: Request) -> bool:
@@ -140,40 +136,31 @@ def is_secret(request: Request) -> bool:
 # --- requests ------------------------------------------------------------------------------------
 
 
-def _describe_request(request: Request, wire: bytes) -> Described:
-    kind = _KINDS[request.COMMAND]
-    fields, meaning = _request_detail(request)
-    return Described(request.unit, kind, fields, _of_unit(request.unit, meaning), wire, request=request)
-
-
-def _request_detail(request: Request) -> tuple[dict[str, Json], Message]:
-    """What it carries, for programs and for people."""
-    kind = _KINDS[request.COMMAND]
+def _request_detail(request: Request) -> Detail:
+    kind = TRAITS[request.COMMAND].name
     match request:
         case ReadParameterRequest(number=number):
-            fields: dict[str, Json] = {"number": number, "name": _name(number)}
-            return fields, Message.of("request_read_parameter_number", parameter=_title(number))
+            meaning = Message.of("request_read_parameter_number", parameter=_title(number))
+            return kind, {"number": number, "name": _name(number)}, meaning
         case WriteParameterRequest(number=number, raw=raw):
-            fields = {"number": number, "name": _name(number), "raw": raw}
-            return fields, Message.of(
-                "request_write_parameter_to", parameter=_title(number), raw=_unless_secret(request, raw)
-            )
+            shown = _unless_secret(request, raw)
+            meaning = Message.of("request_write_parameter_to", parameter=_title(number), raw=shown)
+            return kind, {"number": number, "name": _name(number), "raw": raw}, meaning
         case (
             StageSpeedRequest(raw=raw)
             | SetAndExecuteSpeedRequest(raw=raw)
             | WriteAnalogOutputRequest(raw=raw)
         ):
-            return {"raw": raw}, Message.of(f"request_{kind}_to", raw=raw)
+            return kind, {"raw": raw}, Message.of(f"request_{kind}_to", raw=raw)
         case WriteOutputRequest(output=output, on=on):
-            return {"output": output, "on": on}, Message.of(
-                "request_write_output_on" if on else "request_write_output_off", output=output
-            )
+            code = "request_write_output_on" if on else "request_write_output_off"
+            return kind, {"output": output, "on": on}, Message.of(code, output=output)
         case _:
-            return {}, Message(f"request_{kind}")
+            return kind, {}, Message(f"request_{kind}")
 
 
 def _name_of(request: Request) -> Message:
-    return Message(f"request_{_KINDS[request.COMMAND]}")
+    return Message(f"request_{TRAITS[request.COMMAND].name}")
 
 
 def _of_unit(unit: int, meaning: Message) -> Message:
@@ -197,57 +184,41 @@ def _title(number: int) -> str | Message:
 # --- responses -----------------------------------------------------------------------------------
 
 
-def _describe_response(body: bytes, wire: bytes, dialect: Dialect, request: Request | None) -> Described:
+def _response_detail(body: bytes, dialect: Dialect, request: Request | None) -> Detail:
     reply = parse_reply(request, body, dialect) if request is not None else None
     if reply is not None and request is not None:
-        return _in_context(reply, request, wire, dialect)
-    return _without_context(body, wire, dialect)
+        return _in_context(reply, request, dialect)
+    mark, data = body[1], body[2:]
+    if mark == NAK and len(data) == 1:
+        return _nak(data[0], None)
+    status = parse_reply(ReadStatusRequest(body[0]), body, dialect)
+    if isinstance(status, StatusReply):
+        return _status(status, dialect)
+    return _without_request(mark, data)
 
 
-def _in_context(reply: Reply, request: Request, wire: bytes, dialect: Dialect) -> Described:
+def _in_context(reply: Reply, request: Request, dialect: Dialect) -> Detail:
     match reply:
         case StatusReply():
-            return _status(reply, wire, dialect)
+            return _status(reply, dialect)
         case Nak():
-            return _nak(reply, wire, request)
+            return _nak(reply.code, request)
         case ParameterReply() if isinstance(request, ReadParameterRequest):
-            fields: dict[str, Json] = {
-                "number": request.number,
-                "name": _name(request.number),
-                "raw": reply.raw,
-            }
-            value = Message.of(
-                "parameter_response", parameter=_title(request.number), raw=_unless_secret(request, reply.raw)
-            )
-            return Described(reply.unit, "parameter_value", fields, _of_unit(reply.unit, value), wire)
+            number, shown = request.number, _unless_secret(request, reply.raw)
+            value = Message.of("parameter_response", parameter=_title(number), raw=shown)
+            return "parameter_value", {"number": number, "name": _name(number), "raw": reply.raw}, value
         case _:
             data = reply.data if isinstance(reply, Ack) else b""
-            accepted = Message.of(
-                "request_accepted_with_value" if data else "request_accepted", request=_name_of(request)
-            )
-            return Described(reply.unit, "ack", _data_fields(data), _of_unit(reply.unit, accepted), wire)
+            code = "request_accepted_with_value" if data else "request_accepted"
+            return "ack", _data_fields(data), Message.of(code, request=_name_of(request))
 
 
-def _without_context(body: bytes, wire: bytes, dialect: Dialect) -> Described:
-    unit, data = body[0], body[2:]
-    if body[1] == NAK and len(data) == 1:
-        return _nak(Nak(unit, data[0]), wire, None)
-    status = parse_reply(ReadStatusRequest(unit), body, dialect)
-    if isinstance(status, StatusReply):
-        return _status(status, wire, dialect)
-    kind, fields, meaning = _without_request(body[1], data)
-    return Described(unit, kind, fields, _of_unit(unit, meaning), wire)
-
-
-def _without_request(mark: int, data: bytes) -> tuple[str, dict[str, Json], Message]:
+def _without_request(mark: int, data: bytes) -> Detail:
     if mark == ACK and not data:
         return "ack", {}, Message("ack")
     if mark == ACK and len(data) in _PARAMETER_VALUE_WIDTHS:
-        return (
-            "parameter_value",
-            _data_fields(data),
-            Message.of("ack_with_value", raw=int.from_bytes(data, "big")),
-        )
+        meaning = Message.of("ack_with_value", raw=int.from_bytes(data, "big"))
+        return "parameter_value", _data_fields(data), meaning
     meaning = Message.of("ack_of_wrong_length" if mark == ACK else "nak_of_wrong_length", count=len(data))
     return "unknown", {"data": data.hex(" ").upper()}, meaning
 
@@ -256,17 +227,16 @@ def _data_fields(data: bytes) -> dict[str, Json]:
     return {"raw": int.from_bytes(data, "big"), "width": len(data)} if data else {}
 
 
-def _nak(reply: Nak, wire: bytes, request: Request | None) -> Described:
-    error = unit_error(reply.code)
-    fields: dict[str, Json] = {"unit_error": reply.code, "name": str(error)}
+def _nak(code: int, request: Request | None) -> Detail:
+    error = unit_error(code)
     if request is None:
         meaning = Message.of("nak", error=error)
     else:
         meaning = Message.of("nak_to_request", request=_name_of(request), error=error)
-    return Described(reply.unit, "nak", fields, _of_unit(reply.unit, meaning), wire)
+    return "nak", {"unit_error": code, "name": str(error)}, meaning
 
 
-def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
+def _status(reply: StatusReply, dialect: Dialect) -> Detail:
     bits = status_bits(reply.outputs, reply.inputs, dialect.estop_healthy)
     fields: dict[str, Json] = {
         "commanded_raw": reply.commanded,
@@ -284,7 +254,7 @@ def _status(reply: StatusReply, wire: bytes, dialect: Dialect) -> Described:
         analog=reply.analog,
         state=list(_state(bits)),
     )
-    return Described(reply.unit, "status", fields, _of_unit(reply.unit, meaning), wire)
+    return "status", fields, meaning
 
 
 def _state(bits: StatusBits) -> Iterator[Message]:

@@ -37,6 +37,10 @@ class Responded(msgspec.Struct, frozen=True):
     frame: ReceivedFrame
 
 
+class _WithFrame(msgspec.Struct, frozen=True):
+    frame: ReceivedFrame
+
+
 class Foreign(msgspec.Struct, frozen=True):
     """A good frame with an address other than that of the request."""
 
@@ -44,28 +48,20 @@ class Foreign(msgspec.Struct, frozen=True):
     frame: ReceivedFrame
 
 
-class Echo(msgspec.Struct, frozen=True):
+class Echo(_WithFrame, frozen=True):
     """Our own request came back."""
 
-    frame: ReceivedFrame
 
-
-class Unexpected(msgspec.Struct, frozen=True):
+class Unexpected(_WithFrame, frozen=True):
     """A good frame of the addressed unit that is no response to this command."""
 
-    frame: ReceivedFrame
 
-
-class Late(msgspec.Struct, frozen=True):
+class Late(_WithFrame, frozen=True):
     """A good frame of the unit that belongs, or may belong, to an earlier request."""
 
-    frame: ReceivedFrame
 
-
-class Duplicate(msgspec.Struct, frozen=True):
+class Duplicate(_WithFrame, frozen=True):
     """A duplicate of the response already taken."""
-
-    frame: ReceivedFrame
 
 
 ExchangeEvent = Responded | Foreign | Echo | Unexpected | Late | Duplicate | Noise | DoubledChecksum

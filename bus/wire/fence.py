@@ -34,7 +34,7 @@ import msgspec
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
-from bus.wire.commands import ReadParameterRequest, ReadStatusRequest, Request, is_write
+from bus.wire.commands import TRAITS, ReadParameterRequest, ReadStatusRequest, Request, is_write
 from bus.wire.describe import is_secret
 from bus.wire.framing import ACK, NAK
 from bus.wire.lengths import acknowledged_lengths
@@ -48,17 +48,6 @@ MOST_FENCES_PLANNED = 4
 """Ahead; each may double what is looked at."""
 
 _ILLEGAL_COMMAND = frozenset((UnitErrorCode.ILLEGAL_COMMAND, UnitErrorCode.ILLEGAL_COMMAND_DFS))
-_REFUSALS: dict[int, frozenset[int]] = {
-    0x81: frozenset(),
-    0x82: frozenset((0x80, 0x81)),
-    0x83: frozenset((0x80,)),
-    0x84: frozenset((0x80, 0x81)),
-    0x85: frozenset((0x82,)),
-    0x86: frozenset((0x80, 0x82, 0x83)),
-    0x87: frozenset((0x80, 0x84, 0x85)),
-    0x88: frozenset((0x80, 0x87, 0x88)),
-}
-"""[ERR] by command, as the manual lists them, without "illegal command"."""
 
 
 class Shape(NamedTuple):
@@ -94,7 +83,7 @@ def possible_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
 @cache
 def _ordinary(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
     acks = {Shape(ACK, length) for length in lengths}
-    return frozenset(acks | {Shape(NAK, code) for code in _REFUSALS[command]})
+    return frozenset(acks | {Shape(NAK, code) for code in TRAITS[command].refusals})
 
 
 @cache
@@ -162,9 +151,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         return PendingResponses(self.unit, self.dialect, self.outstanding)
 
     def _is_a_long_run(self, position: int) -> bool:
-        """Return whether ``position`` has so many equal reads that more are not kept: that run ends only with
-        a response that none of them can have caused.
-        """
+        """Whether so many equal reads begin at ``position`` that more of them are not kept."""
         run = self.outstanding[position : position + LONG_RUN] if position >= 0 else ()
         return len(run) == LONG_RUN and not is_write(run[0]) and all(sent == run[0] for sent in run)
 

@@ -92,10 +92,7 @@ def checksum(body: bytes) -> int:
 
 
 def encode_frame(body: bytes, dialect: Dialect) -> bytes:
-    """The bytes to send for ``body`` ([UID][CMD or ACK/NAK][data]).
-
-    Raises CallerError for a body that no frame can carry.
-    """
+    """The frame of ``body`` ([UID][CMD or ACK/NAK][data]). Raises CallerError where none can carry it."""
     if not SHORTEST_BODY <= len(body) <= LONGEST_BODY:
         raise CallerError(
             Message.of("frame_length_illegal", lowest=SHORTEST_BODY, highest=LONGEST_BODY, count=len(body))
@@ -107,10 +104,7 @@ def encode_frame(body: bytes, dialect: Dialect) -> bytes:
 
 
 class FrameDecoder:
-    """Bytes in, frames and noise out, by the rules at the head of this module.
-
-    Receiving is the same in every dialect: a checksum of 10h may come once or twice.
-    """
+    """Bytes in, frames and noise out, by the rules above; receiving is the same in every dialect."""
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect

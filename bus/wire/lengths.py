@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus.settings import Dialect
-from bus.wire.commands import ReadParameterRequest, Request
+from bus.wire.commands import TRAITS, ReadParameterRequest, Request
 
 _FRAME_OVERHEAD = 5
 """10 02 before the body; 10 03 and the checksum after it."""
@@ -14,20 +14,7 @@ def acknowledged_lengths(request: Request, dialect: Dialect) -> frozenset[int]:
     width = dialect.parameter_reply_bytes
     if width and request.COMMAND == ReadParameterRequest.COMMAND:
         return frozenset((width,))
-    return _ACKNOWLEDGED_LENGTHS[request.COMMAND]
-
-
-_NOTHING, _STATUS = frozenset((0,)), frozenset((11,))
-_ACKNOWLEDGED_LENGTHS = {
-    0x81: _STATUS,
-    0x82: _NOTHING,
-    0x83: _NOTHING,
-    0x84: _NOTHING,
-    0x85: frozenset((1, 2, 4)),
-    0x86: frozenset((0, 1, 2, 4)),
-    0x87: _NOTHING,
-    0x88: _NOTHING,
-}
+    return TRAITS[request.COMMAND].acknowledged
 
 
 def usual_reply_bytes(request: Request, dialect: Dialect) -> int:

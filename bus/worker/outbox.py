@@ -44,24 +44,20 @@ class Outbox:
         self._waiting: deque[Update] = deque()
         self._readings = 0
         self._others = 0
-        self._seq = 0
+        self.seq = 0
+        """The number of the last batch made."""
         self._backlog = 0
         self.connected = False
         self.lost = 0
         """Updates dropped since the start because the app was away too long."""
         self.filled = asyncio.Event()
 
-    @property
-    def seq(self) -> int:
-        """The number of the last batch made."""
-        return self._seq
-
     def __len__(self) -> int:
         return self._readings + self._others
 
     def put(self, updates: Iterable[Update]) -> None:
         for update in updates:
-            if isinstance(update, Passing) and not self._worth_queueing():
+            if isinstance(update, Passing) and not (self.connected and len(self._waiting) < ENOUGH_WAITING):
                 continue
             self._waiting.append(update)
             self._count(update, 1)
@@ -86,7 +82,7 @@ class Outbox:
         self._readings = self._others = 0
         for update in kept:
             self._count(update, 1)
-        self._seq = delivered
+        self.seq = delivered
         self._backlog = len(kept)
         self.connected = True
 
@@ -98,8 +94,8 @@ class Outbox:
             return None
         live = self._backlog == 0
         self._backlog = max(0, self._backlog - len(updates))
-        self._seq += 1
-        batch = Batch(seq=self._seq, sent_at=at, updates=updates, live=live)
+        self.seq += 1
+        batch = Batch(seq=self.seq, sent_at=at, updates=updates, live=live)
         self._keep_until_confirmed(batch)
         return batch
 
@@ -120,17 +116,10 @@ class Outbox:
 
     def _keep_until_confirmed(self, batch: Batch) -> None:
         """Without what is of the moment: an app that never confirms must not fill the memory."""
-        lasting: list[Update] = []
-        for update in batch.updates:
-            if isinstance(update, Passing):
-                self._count(update, -1)
-            else:
-                lasting.append(update)
+        self._others -= sum(_weight(update) for update in batch.updates if isinstance(update, Passing))
+        lasting = [update for update in batch.updates if not isinstance(update, Passing)]
         if lasting:
             self._sent.append(replace(batch, updates=lasting))
-
-    def _worth_queueing(self) -> bool:
-        return self.connected and len(self._waiting) < ENOUGH_WAITING
 
     def _count(self, update: Update, step: int) -> None:
         if isinstance(update, Reading):
@@ -153,9 +142,7 @@ class Outbox:
         self._readings -= gone
         self.lost += gone
         if others:
-            self._stripped.append(
-                Batch(seq=batch.seq, sent_at=batch.sent_at, updates=others, live=batch.live)
-            )
+            self._stripped.append(replace(batch, updates=others))
 
     def _drop_first_reading(self) -> None:
         """The oldest reading goes; what is none keeps its place before all that follows."""

@@ -20,10 +20,7 @@ PRIORITY = -10
 
 
 def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> int:
-    """Run one worker until SIGTERM or SIGINT; ``child``: also until the parent process is gone.
-
-    Gives the exit code.
-    """
+    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())

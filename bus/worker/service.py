@@ -15,7 +15,6 @@ from bus.contract import (
     CONTRACT_VERSION,
     BusLink,
     Command,
-    Frames,
     Hello,
     Outcome,
     Progress,
@@ -25,32 +24,29 @@ from bus.contract import (
     UnitLink,
     Update,
     Watch,
+    WireAction,
 )
 from bus.contract.clock_offset import ClockOffset
 from bus.instants import UnixTime
 from bus.line.clock import LineClock, RealClock
 from bus.line.commands.catalogue import command_run_of
-from bus.line.events import LineUpdate
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, OpenFunction
 from bus.line.port.open_port import open_port
-from bus.line.statistics.trace import Interpreter, TracedFrame
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
-from bus.worker.command_messages import update_of
 from bus.worker.outbox import Outbox
+from bus.worker.trace_reports import TraceReports
 from bus.worker.uplink import Uplink
 
 RESULTS_KEPT = 2_000
-MOST_COMMANDS, MOST_TRACES = 300, 8
+MOST_COMMANDS = 300
 """At once, far more than people and programs request: a faulty app must not fill the memory."""
-TOO_MANY = Message("too_many_commands")
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
 """What a change in flight may take once the worker has to leave."""
 DELIVER_WITHIN_S = 0.3
 LOOK_S = 0.01
-FRAMES_AT_A_STRETCH = 25
 
 _log = structlog.get_logger("bus.worker")
 
@@ -70,15 +66,12 @@ class BusWorker:
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
         self.app_clock = ClockOffset()
-        self.line = LineLoop(bus, self.clock, self._take, seed if seed is not None else uuid.uuid4().int)
+        self.line = LineLoop(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
         self._opener = Opener(self.line, open_function)
         self._started_at = self._epoch()
         self._figures = self.line.figures()
         self._results: OrderedDict[str, Result | None] = OrderedDict()
-        self._frames: list[TracedFrame] = []
-        self._dialect = bus.dialect
-        self._interpreter = Interpreter(self._dialect)
-        self._reading_traces: set[asyncio.Task[None]] = set()
+        self._traces = TraceReports(self.line.trace, bus.dialect, self._emit, self._epoch)
         self._leaving = False
 
     async def run(self) -> None:
@@ -118,23 +111,19 @@ class BusWorker:
         )
 
     def watch(self, watch: Watch) -> None:
-        self.line.watch(watch)
-        self.line.trace.follower = self._follow if watch.trace else None
+        self.line.schedule.watch(watch.units)
+        self._traces.follow(wanted=watch.trace)
 
     def reserve(self) -> None:
-        """Keep the next turn of the wire free: a write is about to be requested."""
         self.line.reserve()
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
         self.line.cancel(command_id)
 
     def command(self, command: Command) -> None:
-        """Carry it out once; a second request with its id returns the same result. A piece of the trace is
-        read again.
-        """
+        """Carry it out once: a second request with its id returns the same result."""
         if isinstance(command.action, ReadTrace):
-            self._begin_trace(command.id, command.action)
+            self._traces.read(command.id, command.action)
             return
         if command.id in self._results:
             known = self._results[command.id]
@@ -142,43 +131,31 @@ class BusWorker:
                 self.outbox.put([known])
             return
         self._remember(command.id, None)
-        self._begin(command)
+        self._begin(command.id, command.action, command.deadline)
 
     # --- commands ------------------------------------------------------------------------------
 
-    def _begin(self, command: Command) -> None:
+    def _begin(self, command_id: str, action: WireAction, app_deadline: UnixTime) -> None:
         now = self.clock.now()
-        deadline = now + (self.app_clock.here(command.deadline) - self.clock.epoch(now))
-        refusal = self._refusal(command, deadline - now)
-        run = command_run_of(self.line, command.id, command.action, deadline)
-        if refusal is None and run is None:
-            refusal = "invalid", Message("unknown_command")
+        deadline = now + (self.app_clock.here(app_deadline) - self.clock.epoch(now))
+        refusal = self._refusal(action, deadline - now)
         if refusal is not None:
-            self._emit([Result(command.id, self._epoch(), *refusal)])
+            self._emit([Result(command_id, self._epoch(), *refusal)])
             return
-        assert run is not None
-        kind = type(command.action).__name__
-        _log.info("command", id=command.id, action=kind, time_left_s=round(deadline - now, 3))
-        self._emit([Progress(command.id, self._epoch(), "waiting")])
-        self.line.submit(run)
+        kind = type(action).__name__
+        _log.info("command", id=command_id, action=kind, time_left_s=round(deadline - now, 3))
+        self._emit([Progress(command_id, self._epoch(), "waiting")])
+        self.line.submit(command_run_of(self.line, command_id, action, deadline))
 
-    def _begin_trace(self, command_id: str, action: ReadTrace) -> None:
-        if len(self._reading_traces) >= MOST_TRACES:
-            self._emit([Result(command_id, self._epoch(), "not_sent", TOO_MANY)])
-            return
-        task = asyncio.ensure_future(self._read_trace(command_id, action))
-        self._reading_traces.add(task)
-        task.add_done_callback(self._reading_traces.discard)
-
-    def _refusal(self, command: Command, time_left_s: float) -> tuple[Outcome, Message] | None:
+    def _refusal(self, action: WireAction, time_left_s: float) -> tuple[Outcome, Message] | None:
         """Why nothing is sent for it, where that is plain at once."""
         if self._leaving:
             return "not_sent", Message("worker_stopping")
         if len(self.line.commands) >= MOST_COMMANDS:
-            return "not_sent", TOO_MANY
+            return "not_sent", Message("too_many_commands")
         if not self.line.link.open:
             return "bus_closed", self.line.state.refusal
-        if time_left_s < 0 and command.action.writes:
+        if time_left_s < 0 and action.writes:
             return "not_sent", Message.of("arrived_late", seconds=round(-time_left_s, 1))
         return None
 
@@ -188,9 +165,6 @@ class BusWorker:
             self._results.popitem(last=False)
 
     # --- reports -------------------------------------------------------------------------------
-
-    def _take(self, events: list[LineUpdate]) -> None:
-        self._emit([update_of(event, self._dialect) for event in events])
 
     def _emit(self, updates: list[Update]) -> None:
         for update in updates:
@@ -214,28 +188,6 @@ class BusWorker:
             figures = self.line.figures()
             self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
             self.outbox.put([self._figures])
-
-    def _follow(self, passed: TracedFrame) -> None:
-        if not self._frames:
-            asyncio.get_running_loop().call_soon(self._report_frames)
-        self._frames.append(passed)
-
-    def _report_frames(self) -> None:
-        frames = [self._interpreter.frame(passed) for passed in self._frames]
-        self._frames.clear()
-        self.outbox.put([Frames(frames)])
-
-    async def _read_trace(self, command_id: str, action: ReadTrace) -> None:
-        """In small pieces, so that the wire waits for none of it."""
-        interpreter = Interpreter(self._dialect)
-        frames = []
-        for passed in self.line.trace.since(action.since):
-            frames.append(interpreter.frame(passed))
-            if len(frames) >= action.limit:
-                break
-            if len(frames) % FRAMES_AT_A_STRETCH == 0:
-                await asyncio.sleep(0)
-        self._emit([Result(command_id, self._epoch(), "verified", frames=frames)])
 
     def _epoch(self) -> UnixTime:
         return self.clock.epoch(self.clock.now())

@@ -30,7 +30,6 @@ from bus.contract import (
     WantSnapshot,
     Watch,
     Welcome,
-    WorkerMessage,
     decode_from_app,
     encode,
 )
@@ -113,7 +112,6 @@ class Uplink:
         """When the app accepted the connection; None where it did not."""
 
     async def run(self) -> None:
-        """Be connected, until cancelled."""
         loop = asyncio.get_running_loop()
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
@@ -140,7 +138,7 @@ class Uplink:
         except InvalidStatus as error:
             self._log_unreachable(_about_status(error.response))
         except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
-            self._log_unreachable(f"no dashboard at {self._url}: {_words(error)}")
+            self._log_unreachable(f"no dashboard at {self._url}: {str(error) or type(error).__name__}")
         return False
 
     async def _be_connected(self) -> None:
@@ -226,17 +224,13 @@ class Uplink:
     async def _send(self, socket: ClientConnection) -> None:
         """Each update at once; what piles up while the socket is slow goes together."""
         while True:
-            message = self._next_message()
-            if message is not None:
-                await socket.send(encode(message))
+            if self._snapshot_wanted:
+                self._snapshot_wanted = False
+                await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
+            elif (batch := self._outbox.next_batch(self._epoch())) is not None:
+                await socket.send(encode(batch))
             else:
                 await self._outbox.filled.wait()
-
-    def _next_message(self) -> WorkerMessage | None:
-        if self._snapshot_wanted:
-            self._snapshot_wanted = False
-            return self._duty.snapshot(self._outbox.seq)
-        return self._outbox.next_batch(self._epoch())
 
     def _log_unreachable(self, what: str) -> None:
         if what != self._logged:
@@ -271,7 +265,3 @@ def _problem_detail(body: bytes) -> str:
     except (msgspec.DecodeError, ValueError):
         return ""
     return "".join(sign for sign in detail[:MOST_DETAIL] if sign.isprintable())
-
-
-def _words(error: BaseException) -> str:
-    return str(error) or type(error).__name__

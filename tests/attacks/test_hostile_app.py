@@ -23,7 +23,8 @@ from bus.contract import (
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
-from bus.worker.service import MOST_COMMANDS, MOST_TRACES, RESULTS_KEPT
+from bus.worker.service import MOST_COMMANDS, RESULTS_KEPT
+from bus.worker.trace_reports import MOST_TRACES
 from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN

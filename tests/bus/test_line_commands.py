@@ -1,7 +1,8 @@
-"""Every kind of command has one row that states how a worker carries it out, and how it claims the wire."""
+"""Every kind of command has a procedure with which a worker carries it out, and a claim on the wire."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import get_args
 
 import pytest
@@ -16,18 +17,19 @@ from bus.contract import (
     ScanBus,
     SetLine,
     SetSpeed,
+    WireAction,
     WriteAnalogOutput,
     WriteOutput,
     WriteParameter,
 )
 from bus.line.clock import RealClock
-from bus.line.commands.catalogue import COMMANDS, command_run_of
+from bus.line.commands.catalogue import command_run_of
 from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, Priority
 from bus.line.line_loop import LineLoop
 from bus.settings import BusSettings, UnitSettings
 
 ONE = frozenset({1})
-CLAIMS: list[tuple[Action, Priority, frozenset[int]]] = [
+CLAIMS: list[tuple[WireAction, Priority, frozenset[int]]] = [
     (SetSpeed(1, 500), Priority.WRITE, ONE),
     (SetSpeed(1, 500, execute=False), Priority.WRITE, ONE),
     (ExecuteSpeed(1), Priority.WRITE, ONE),
@@ -43,17 +45,17 @@ CLAIMS: list[tuple[Action, Priority, frozenset[int]]] = [
 ]
 
 
-def test_every_action_but_the_trace_which_needs_no_wire_has_a_row() -> None:
-    assert set(get_args(Action)) - {ReadTrace} == COMMANDS.keys()
-    assert {type(action) for action, _, _ in CLAIMS} == COMMANDS.keys()
+def test_every_action_but_the_trace_needs_the_wire_and_is_tried_here() -> None:
+    assert set(get_args(Action)) - {ReadTrace} == set(get_args(WireAction))
+    assert {type(action) for action, _, _ in CLAIMS} == set(get_args(WireAction))
 
 
 @pytest.mark.parametrize(("action", "claim", "units"), CLAIMS, ids=lambda value: type(value).__name__)
 async def test_what_writes_goes_first_and_claims_the_units_that_it_can_reach(
-    action: Action, claim: Priority, units: frozenset[int]
+    action: WireAction, claim: Priority, units: frozenset[int]
 ) -> None:
     bus = BusSettings(name="a", port="/dev/null", unit=(UnitSettings(id=1, name="One"),))
     run = command_run_of(LineLoop(bus, RealClock(), lambda _: None), "a", action, 2.0)
-    assert run is not None
+    assert isinstance(run.begin(), Generator)
     assert (run.priority, run.units) == (claim, units)
     assert (run.priority is Priority.WRITE) == action.writes

@@ -171,7 +171,7 @@ def test_units_added_and_removed_take_no_other_turn() -> None:
 
 def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> None:
     line = line_of(8)
-    line.schedule.watch({3}, any_page=True)
+    line.schedule.watch({3})
     line.play(40.0)
     counts = Counter(task.unit for _, task, _ in line.of(TaskKind.POLL, since=20.0))
     assert 8.5 < counts[3] / 20.0 <= WATCHED_HZ
@@ -266,7 +266,7 @@ def test_a_parameter_that_a_unit_does_not_have_is_not_read_again() -> None:
 @pytest.mark.parametrize(("any_page", "low", "high"), [(True, 0.08, 0.11), (False, 0.9, 0.96)])
 def test_a_slow_read_takes_the_gaps(any_page: bool, low: float, high: float) -> None:
     line = line_of(8)
-    line.schedule.watch(range(1, 9) if any_page else (), any_page=any_page)
+    line.schedule.watch(range(1, 9) if any_page else ())
     line.play(10.0).play(40.0, slow=True)
     assert low < line.share(TaskKind.SLOW, since=10.0) < high
 

@@ -34,8 +34,6 @@ from bus.wire.commands import ReadStatusRequest, WriteParameterRequest
 HUNDREDS = 100
 READ_ATTEMPTS = 2
 
-UnitsFound = Subprocedure[set[int]]
-
 
 def change_baud(
     roster: Roster, old: int, new: int, context: CommandContext, *, own_rate: bool = True
@@ -44,19 +42,15 @@ def change_baud(
     if not own_rate:
         return _result("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:
-        rates: list[int | str | Message] = [rate for rate in BAUDS if rate != old]
+        rates = [rate for rate in BAUDS if rate != old]
         return _result("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
-    units = roster.configured
-    change = _Change(roster, units, old, new, context)
-    return (yield from change.run())
+    return (yield from _Change(roster, old, new, context).run())
 
 
 class _Change:
-    def __init__(
-        self, roster: Roster, units: Sequence[int], old: int, new: int, context: CommandContext
-    ) -> None:
+    def __init__(self, roster: Roster, old: int, new: int, context: CommandContext) -> None:
         self._roster = roster
-        self._units = units
+        self._units = roster.configured
         self._old = old
         self._new = new
         self._context = context
@@ -75,9 +69,9 @@ class _Change:
             return (yield from self._at_once())
         lost = sorted(set(self._units) - at_old - at_new)
         if lost:
-            reason = Message.of("baud_no_response", units=_listed(lost))
+            reason = Message.of("baud_no_response", units=lost)
         else:
-            reason = Message.of("baud_not_followed", units=_listed(sorted(at_old)), baud=self._old)
+            reason = Message.of("baud_not_followed", units=sorted(at_old), baud=self._old)
         return (yield from self._go_back("unverified", reason))
 
     # --- forth ---------------------------------------------------------------------------------
@@ -106,7 +100,7 @@ class _Change:
     def _likely_refusals_first(self) -> list[int]:
         return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
-    def _responding(self, units: Sequence[int]) -> UnitsFound:
+    def _responding(self, units: Sequence[int]) -> Subprocedure[set[int]]:
         """Return the ones of ``units`` that respond at the present rate."""
         found: set[int] = set()
         for unit in units:
@@ -118,7 +112,7 @@ class _Change:
     def _at_once(self) -> Procedure:
         missing = yield from self._not_holding(self._units, self._new)
         if missing:
-            message = Message.of("baud_readback_differs", units=_listed(missing), baud=self._new)
+            message = Message.of("baud_readback_differs", units=missing, baud=self._new)
             return _result("unverified", message, self._outcomes(missing))
         yield ExpectBaud(self._new)
         return _result("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
@@ -126,7 +120,7 @@ class _Change:
     def _at_power_up(self) -> Procedure:
         missing = yield from self._not_holding(self._units, self._new)
         if missing:
-            reason = Message.of("baud_not_held", units=_listed(missing))
+            reason = Message.of("baud_not_held", units=missing)
             return (yield from self._go_back("unverified", reason))
         yield ExpectBaud(self._new)
         message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
@@ -156,13 +150,8 @@ class _Change:
             message = Message.of("baud_restored", reason=reason, baud=self._old)
         else:
             outcome = "unverified"
-            message = Message.of(
-                "baud_not_restored",
-                reason=reason,
-                baud=self._old,
-                units=_listed(lost),
-                value=self._old // HUNDREDS,
-            )
+            value = self._old // HUNDREDS
+            message = Message.of("baud_not_restored", reason=reason, baud=self._old, units=lost, value=value)
         return _result(outcome, message, self._outcomes(lost))
 
     def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
@@ -173,15 +162,8 @@ class _Change:
                 yield from send(Send(request, withdraws=True, max_attempts=READ_ATTEMPTS))
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
-        return [
-            UnitOutcome(unit=unit, outcome="unverified" if unit in bad else "verified")
-            for unit in self._units
-        ]
+        return [UnitOutcome(unit, "unverified" if unit in bad else "verified") for unit in self._units]
 
 
 def _result(outcome: Outcome, message: Message, units: Sequence[UnitOutcome] = ()) -> ProcedureResult:
     return ProcedureResult(outcome, message, units=tuple(units))
-
-
-def _listed(units: Sequence[int]) -> list[int | str | Message]:
-    return list(units)

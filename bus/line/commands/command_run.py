@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from bus.instants import Monotonic
+from bus.contract import FoundUnit, Result
+from bus.instants import Monotonic, UnixTime
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, ProcedureResult, Wait
 from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult
-from bus.line.statistics.trace import TracedFrame
+from bus.line.statistics.trace import Interpreter, TracedFrame
+from bus.settings import Dialect
 from bus.wire.commands import Request
 from bus.wire.fence import PendingResponses
 
@@ -50,10 +52,6 @@ class CommandRun:
     def begun(self) -> bool:
         """Whether its turn has come."""
         return self._procedure is not None
-
-    def conflicts_with(self, other: CommandRun) -> bool:
-        """Whether the two must not be mixed."""
-        return not self.units.isdisjoint(other.units)
 
     def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
         """What it wants sent now; None while it waits, and once ``result`` is there."""
@@ -98,6 +96,27 @@ class CommandRun:
             self._procedure.close()
         self.result = result
         self.attempts = None
+
+    def report(self, at: UnixTime, dialect: Dialect) -> Result:
+        """What became of it, and the frames that carried it."""
+        assert self.result is not None
+        result, interpreter = self.result, Interpreter(dialect)
+        return Result(
+            self.id,
+            at,
+            result.outcome,
+            result.message,
+            unit_error=result.unit_error,
+            read_back=result.read_back,
+            units=list(result.units),
+            values=list(result.values),
+            found=[
+                FoundUnit(each.unit, each.baud, each.kind, list(each.parameters), list(each.remarks))
+                for each in result.found
+            ],
+            skew_s=result.skew_s,
+            frames=[interpreter.frame(passed) for passed in self.frames],
+        )
 
     def _take_result(self) -> SendResult | None:
         assert self.attempts is not None

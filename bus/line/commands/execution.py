@@ -32,7 +32,8 @@ class Member:
 
     record: UnitRecord
     raw: int
-    before: int | None = None
+    before: int | None
+    """What it was last seen commanded."""
     sent: SendResult | None = None
     outcome: UnitOutcome | None = None
 
@@ -51,11 +52,6 @@ class Member:
     def may_hold(self) -> bool:
         """Whether its memory may hold the value: it was sent, and not surely refused."""
         return self.sent is not None and self.sent.may_have_acted
-
-
-def member_of(record: UnitRecord, raw: int) -> Member:
-    """``record`` is to take ``raw``; ``before`` is what it was last seen commanded."""
-    return Member(record, raw, record.reading.commanded if record.reading is not None else None)
 
 
 EXECUTED_SINGLY = Message("executed_singly")
@@ -114,9 +110,9 @@ def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]
     for record in roster:
         if record.unit in inside or not roster.is_configured(record.unit):
             continue
-        if record.link.link != "online" or record.reading is None:
+        if record.link.link != "online" or record.commanded is None:
             continue
-        readback = yield from verify_unchanged(record, record.reading.commanded)
+        readback = yield from verify_unchanged(record, record.commanded)
         if readback.why is not None and readback.read_back is not None:
             moved.append(Message.of("outsider_moved", unit=record.unit, reason=readback.why))
     return moved
@@ -124,9 +120,8 @@ def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]
 
 def unchanged(member: Member, broadcast: SendResult, readback: Readback) -> UnitOutcome:
     """Return the outcome of a unit that had nothing staged from here."""
-    if readback.why is None:
-        message = Message("unit_unchanged")
-    else:
+    message = Message("unit_unchanged")
+    if readback.why is not None:
         message = Message.of("unit_remark", unit=member.unit, remark=readback.why)
     outcome = outcome_with_readback(member.unit, broadcast, readback)
     return msgspec.structs.replace(outcome, message=message, acknowledged_at=None)

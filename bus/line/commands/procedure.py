@@ -23,10 +23,7 @@ from bus.settings import Dialect
 
 @dataclass(frozen=True, slots=True)
 class ProcedureResult:
-    """``values`` are those that a read returned, ``found`` those of a scan.
-
-    ``skew_s``: upper bound of the time between the first and the last unit's acting on one broadcast.
-    """
+    """What became of a command, with the fields of ``bus.contract.Result``."""
 
     outcome: Outcome
     message: Message | None = None

@@ -9,6 +9,7 @@ A unit may take a moment to show what it acknowledged, so a read-back that diffe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from bus.catalogue.numbers import FOLLOWER_MODE, RATIO_SETPOINT, SPEED_SETPOINT
@@ -41,9 +42,7 @@ class Readback:
 Verification = Subprocedure[Readback]
 
 
-def read_status(
-    unit: int,
-) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
+def read_status(unit: int) -> Subprocedure[tuple[StatusReply | None, SendResult]]:
     """A fresh 81h that nothing older can be taken for."""
     sent = yield from send(Send(ReadStatusRequest(unit), fresh=True))
     return (sent.reply if isinstance(sent.reply, StatusReply) else None), sent
@@ -63,23 +62,34 @@ def follows(record: UnitRecord, bits: StatusBits) -> Subprocedure[bool]:
     return bits.follower if mode is None else mode != 0
 
 
+def _until_shown(look: Callable[[], Subprocedure[Readback | None]]) -> Verification:
+    """``look`` reads it once, and again where it differs; None: the unit did not respond."""
+    readback = Readback(False)
+    for count in range(1 + REREADS):
+        if count:
+            yield Wait(REREAD_AFTER_S)
+        seen = yield from look()
+        if seen is None:
+            return Readback(False, readback.read_back, readback.at, NO_READBACK)
+        readback = seen
+        if readback.shown:
+            break
+    return readback
+
+
 def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int | None) -> Verification:
     """That ``raw`` is now the commanded speed (or ratio). ``before``: the CS last read before the write."""
-    readback = Readback(False)
-    for look in range(1 + REREADS):
-        if look:
-            yield Wait(REREAD_AFTER_S)
+
+    def look() -> Subprocedure[Readback | None]:
         status, sent = yield from read_status(record.unit)
         if status is None:
-            return Readback(False, readback.read_back, readback.at, NO_READBACK)
+            return None
         bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
         if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
-            readback = yield from _verify_ratio(record, raw, status, sent, before)
-        else:
-            readback = _compare_speed(raw, status, bits, sent)
-        if readback.shown:
-            return readback
-    return readback
+            return (yield from _verify_ratio(record, raw, status, sent, before))
+        return _compare_speed(raw, status, bits, sent)
+
+    return (yield from _until_shown(look))
 
 
 def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
@@ -91,7 +101,7 @@ def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendRe
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
     """With what, at the unit's terminals, may stand above the commanded speed."""
     active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
-    inputs: list[int | str | Message] = [Message(f"status_{name}") for name in active]
+    inputs: list[str | Message] = [Message(f"status_{name}") for name in active]
     if not bits.remote:
         inputs.append("LOCAL")
     if not inputs:
@@ -132,34 +142,29 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
-    readback = Readback(False)
-    for look in range(1 + REREADS):
-        if look:
-            yield Wait(REREAD_AFTER_S)
+    """That 85h reads ``raw``."""
+
+    def look() -> Subprocedure[Readback | None]:
         shown, sent = yield from read_parameter(unit, number)
         if sent.reply is None:
-            return Readback(False, readback.read_back, readback.at, NO_READBACK)
-        readback = Readback(shown == raw, shown, sent.responded_at, _parameter_reads(number, shown))
-        if readback.shown:
-            return readback
-    return readback
+            return None
+        return Readback(shown == raw, shown, sent.responded_at, _parameter_reads(number, shown))
+
+    return (yield from _until_shown(look))
 
 
 def verify_output(unit: int, number: int, on: bool) -> Verification:
     """That the bit of output ``number`` in ST2 shows ``on``."""
-    readback = Readback(False)
-    for look in range(1 + REREADS):
-        if look:
-            yield Wait(REREAD_AFTER_S)
+
+    def look() -> Subprocedure[Readback | None]:
         status, sent = yield from read_status(unit)
         if status is None:
-            return Readback(False, readback.read_back, readback.at, NO_READBACK)
+            return None
         shown = output_is_on(status.outputs, number)
         why = Message("output_reads_on" if shown else "output_reads_off")
-        readback = Readback(shown == on, int(shown), sent.responded_at, why)
-        if readback.shown:
-            return readback
-    return readback
+        return Readback(shown == on, int(shown), sent.responded_at, why)
+
+    return (yield from _until_shown(look))
 
 
 def present_setpoint(record: UnitRecord, dialect: Dialect) -> Subprocedure[int | None]:

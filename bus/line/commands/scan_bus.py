@@ -5,7 +5,8 @@ The requests and the conclusions are those of ``bus.line.scan.examination``; onl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from bus.line.commands.procedure import (
     CommandContext,
@@ -21,7 +22,7 @@ from bus.line.scan.examination import Probe, ProbeOutcome, examine
 from bus.line.scan.found import Found, conclude
 from bus.line.scan.passes import Passes, no_response_s
 from bus.messages import Message, joined
-from bus.settings import Dialect, wire_seconds
+from bus.settings import wire_seconds
 
 SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
@@ -30,12 +31,8 @@ OVERDUE = 3
 EXCHANGE_BYTES = 25
 """An 81h and its response."""
 
-_PLAIN = Dialect()
-_DOUBLED = Dialect(checksum_10h="twice")
 
-
-@dataclass(frozen=True, slots=True)
-class ScanPace:
+class ScanPace(NamedTuple):
     """How fast the line goes, and how much of it a scan may take from the units that are polled."""
 
     baud: int
@@ -43,9 +40,8 @@ class ScanPace:
 
     def rest_s(self, outcome: ProbeOutcome) -> float:
         """Return the pause in seconds after a request that ended so."""
-        took_s = no_response_s(self.baud, self.turnaround_s)
-        if outcome.reply is not None:
-            took_s = wire_seconds(EXCHANGE_BYTES, self.baud)
+        responds = outcome.reply is not None
+        took_s = wire_seconds(EXCHANGE_BYTES, self.baud) if responds else no_response_s(*self)
         return took_s * (1 / SHARE - 1)
 
 
@@ -109,9 +105,7 @@ def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
 
 
 def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
-    """One probe as the bus sends it."""
-    dialect = _DOUBLED if probe.doubled else _PLAIN
-    sent = yield from send(Send(probe.request, max_attempts=1, dialect=dialect))
+    sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
     if sent.status is SendStatus.PORT_CLOSED:
         raise _Lost
     return ProbeOutcome(

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_refused
-from bus.line.commands.execution import Member, executed, member_of, unchanged, verify, verify_all
+from bus.line.commands.execution import Member, executed, unchanged, verify, verify_all
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
@@ -40,9 +40,8 @@ ALL_UNITS = 0
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
     """Carry out the complete change. ``setpoints``: unit → raw."""
-    members = [
-        member_of(roster[unit], raw) for unit, raw in _likely_refusals_first(roster, setpoints, context)
-    ]
+    ordered = _likely_refusals_first(roster, setpoints, context)
+    members = [Member(roster[unit], raw, roster[unit].commanded) for unit, raw in ordered]
     if context.exchange_s * len(members) > context.time_left_s:
         return _no_time(members, context)
     suspended = SuspendedStages(roster, setpoints, context)
@@ -63,7 +62,8 @@ def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandConte
 
 def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     """83h to every unit, and what each shows afterwards."""
-    members = [member_of(roster[unit], roster[unit].staged or 0) for unit in roster.configured]
+    records = map(roster.__getitem__, roster.configured)
+    members = [Member(record, record.staged or 0, record.commanded) for record in records]
     knew = {member.unit for member in members if member.record.staged is not None}
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
@@ -124,12 +124,8 @@ def _why_stopped(member: Member) -> tuple[Outcome, Message]:
 
 def _no_time(members: list[Member], context: CommandContext) -> ProcedureResult:
     seconds = context.exchange_s * len(members)
-    message = Message.of(
-        "change_too_long",
-        n=len(members),
-        seconds=round(seconds, 1),
-        allowed=round(max(context.time_left_s, 0), 1),
-    )
+    allowed = round(max(context.time_left_s, 0), 1)
+    message = Message.of("change_too_long", n=len(members), seconds=round(seconds, 1), allowed=allowed)
     return ProcedureResult("not_sent", message)
 
 
@@ -172,8 +168,9 @@ def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
 
 def stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
     """Return the result of a change that ended before its broadcast, and the units that may be staged."""
-    units = [member.outcome or _untouched(member) for member in members]
-    left: list[int | str | Message] = [each.unit for each in units if each.outcome == "unverified"]
+    untouched = Message("unit_untouched")
+    units = [each.outcome or UnitOutcome(each.unit, "not_sent", untouched) for each in members]
+    left = [each.unit for each in units if each.outcome == "unverified"]
     refusals = [each.unit_error for each in units if each.unit_error is not None]
     return ProcedureResult(
         outcome=outcome,
@@ -183,10 +180,6 @@ def stopped(members: list[Member], outcome: Outcome, reason: Message) -> Procedu
         unit_error=refusals[0] if refusals else None,
         units=tuple(sorted(units, key=lambda each: each.unit)),
     )
-
-
-def _untouched(member: Member) -> UnitOutcome:
-    return UnitOutcome(unit=member.unit, outcome="not_sent", message=Message("unit_untouched"))
 
 
 class SuspendedStages:

@@ -31,7 +31,7 @@ from bus.wire.commands import (
 
 def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
     """84h, verified by the commanded speed of an 81h."""
-    before = record.reading.commanded if record.reading is not None else None
+    before = record.commanded
     return write(
         record.unit,
         SetAndExecuteSpeedRequest(record.unit, raw),
@@ -46,15 +46,11 @@ def stage(record: UnitRecord, raw: int) -> Procedure:
 
 def execute(record: UnitRecord, context: CommandContext) -> Procedure:
     """83h to one unit, verified where its staged value is known."""
-    staged = record.staged
-    before = record.reading.commanded if record.reading is not None else None
+    staged, before = record.staged, record.commanded
+    request = ExecuteSpeedRequest(record.unit)
     if staged is None:
-        return write(record.unit, ExecuteSpeedRequest(record.unit), None)
-    return write(
-        record.unit,
-        ExecuteSpeedRequest(record.unit),
-        lambda: verify_speed(record, staged, context.dialect, before=before),
-    )
+        return write(record.unit, request, None)
+    return write(record.unit, request, lambda: verify_speed(record, staged, context.dialect, before=before))
 
 
 def write_parameter(unit: int, number: int, raw: int) -> Procedure:
@@ -155,7 +151,6 @@ def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | No
 
 
 def result_of_one(outcome: UnitOutcome) -> ProcedureResult:
-    """The result of a command to one unit."""
     return ProcedureResult(
         outcome=outcome.outcome,
         message=outcome.message,

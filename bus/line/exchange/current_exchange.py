@@ -37,6 +37,8 @@ class CurrentExchange(msgspec.Struct):
     def result(self, clock: LineClock) -> ExchangeResult:
         exchange = self.exchange
         responded_at = clock.epoch(min(self.ended, self.last_moment)) if exchange.reply is not None else None
+        # Bytes that never became a frame are noise too: two units at one address may sound like that.
+        garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
         return ExchangeResult(
             exchange.request,
             exchange.reply,
@@ -45,15 +47,7 @@ class CurrentExchange(msgspec.Struct):
             clock.epoch(self.ends_sending),
             responded_at,
             b"" if exchange.prepared.secret else self.frame,
-            self._noise(),
+            LineNoise(garbled, self.unexpected, self.late) if garbled or self.has_noise else NO_NOISE,
             exchange.dialect,
             self.overdue,
         )
-
-    def _noise(self) -> LineNoise:
-        """Bytes that never became a frame are noise too: two units at one address may sound like that."""
-        exchange = self.exchange
-        garbled = self.garbled or (exchange.reply is None and exchange.first_byte_at is not None)
-        if not (garbled or self.has_noise):
-            return NO_NOISE
-        return LineNoise(garbled, self.unexpected, self.late)

@@ -23,7 +23,7 @@ from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
 from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
 from bus.line.statistics.trace import Trace, TracedFrame
-from bus.line.statistics.wire_statistics import StrayFrame, WireCounts, WireStatistics
+from bus.line.statistics.wire_statistics import StrayFrame, WireStatistics
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
@@ -52,6 +52,8 @@ class Link:
         self._clock = clock
         self._trace = trace
         self._statistics = WireStatistics(roster)
+        self.counts = self._statistics.wire
+        """What the bus carried since the worker started."""
         self._port: OpenPort | None = None
         self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
@@ -102,11 +104,6 @@ class Link:
     def is_paced(self) -> bool:
         """Whether the port is known to be as slow as its baud rate."""
         return self._pace.paced is True
-
-    @property
-    def counts(self) -> WireCounts:
-        """What the bus carried since the worker started."""
-        return self._statistics.wire
 
     def pending(self, unit: int) -> PendingResponses:
         """Which responses of ``unit`` may still come late or twice.
@@ -186,7 +183,7 @@ class Link:
         current = self._current
         exchange = current.exchange if current is not None else self._last
         if exchange is None:
-            self._statistics.wire.noise_bytes += len(data)
+            self.counts.noise_bytes += len(data)
             self._note_stray(now, data, None, valid=False)
             return
         events = exchange.receive(data, now)

@@ -204,10 +204,7 @@ class SendAttempts:
 
     def _timed_out(self) -> None:
         self._without_response += 1
-        if (
-            self._without_response >= self.send.attempts_allowed
-            or self._attempts >= self.send.attempts_allowed
-        ):
+        if max(self._without_response, self._attempts) >= self.send.attempts_allowed:
             self._end(SendStatus.TIMED_OUT)
 
     def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:

@@ -24,8 +24,6 @@ _TIOCGEXCL = 0x80045440
 
 
 class DevicePort:
-    """An open one."""
-
     def __init__(self, instance: GatedSerial, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._serial = instance
         self._descriptor = instance.device
@@ -136,7 +134,6 @@ class GatedSerial(serial.Serial):
         return self._gate.fileno()
 
     def listen(self, *, now: bool) -> None:
-        """Open the gate or close it."""
         if self.is_open:
             self._gate.modify(self.device, select.EPOLLIN if now else 0)
 
@@ -158,6 +155,5 @@ class GatedSerial(serial.Serial):
             self.reset_output_buffer()
 
     def close(self) -> None:
-        """Give the device back, and the gate."""
         super().close()
         self._gate.close()

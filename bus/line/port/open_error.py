@@ -30,9 +30,7 @@ def why_not(path: str, error: Exception) -> Message:
 
 def in_use(path: str) -> Message:
     """Another program has it, and which."""
-    programs: list[int | str | Message] = [
-        Message.of("process", program=name, pid=pid) for pid, name in users_of(path)
-    ]
+    programs = [Message.of("process", program=name, pid=pid) for pid, name in users_of(path)]
     if not programs:
         return Message.of("port_in_use", port=path)
     return Message.of("port_in_use_by", port=path, programs=programs)
@@ -47,7 +45,7 @@ def _errno_in(error: Exception) -> int | None:
 
 
 def _missing(path: str) -> Message:
-    ports: list[int | str | Message] = []
+    ports: list[str] = []
     with suppress(OSError):
         ports += sorted(str(entry) for entry in Path("/dev/serial/by-id").iterdir())
     if not ports:
@@ -91,11 +89,9 @@ def _played_by(device: Path) -> set[int]:
 
 def _has_end(pid: int, end: str) -> bool:
     with suppress(OSError):
-        for descriptor in (_PROC / str(pid) / "fd").iterdir():
-            with suppress(OSError):
-                is_end = descriptor.readlink().name == "ptmx"
-                if is_end and end in (_PROC / str(pid) / "fdinfo" / descriptor.name).read_text():
-                    return True
+        for number, opened in _open_files(pid):
+            if opened.name == "ptmx" and end in (_PROC / str(pid) / "fdinfo" / number).read_text():
+                return True
     return False
 
 
@@ -121,12 +117,15 @@ def _pids() -> Iterator[int]:
 
 
 def _has_open(pid: int, device: Path) -> bool:
+    return any(opened == device for _, opened in _open_files(pid))
+
+
+def _open_files(pid: int) -> Iterator[tuple[str, Path]]:
+    """The number of each descriptor of a process, and what it is of."""
     with suppress(OSError):
         for descriptor in (_PROC / str(pid) / "fd").iterdir():
             with suppress(OSError):
-                if descriptor.readlink() == device:
-                    return True
-    return False
+                yield descriptor.name, descriptor.readlink()
 
 
 def _name(pid: int) -> str:

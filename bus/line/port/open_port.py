@@ -14,10 +14,7 @@ from bus.line.port.tcp import open_socket
 
 
 async def open_port(port: str, baud: int, receiver: Receiver) -> OpenPort:
-    """Open ``port`` (a device path, ``socket://host:port`` or ``rfc2217://host:port``).
-
-    Raises PortUnavailable.
-    """
+    """Open a device path, ``socket://host:port`` or ``rfc2217://host:port``. Raises PortUnavailable."""
     if port.startswith("socket://"):
         return await open_socket(port, receiver)
     if port.startswith("rfc2217://"):

@@ -36,9 +36,7 @@ class OpenPort(Protocol):
     """An open port. It is single-use: once lost or closed it is reopened as a new one."""
 
     def write(self, data: bytes) -> None:
-        """Hand over one request, at once. Raises PartlySent when the port took only some of it,
-        any other WireError when it took nothing.
-        """
+        """Hand over one request at once. Raises PartlySent where some of it was taken, else WireError."""
 
     def listen(self, *, now: bool) -> None:
         """Give what comes in at once, or let it gather until this is called again."""

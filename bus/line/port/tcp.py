@@ -19,8 +19,6 @@ _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 
 
 class TcpPort:
-    """An open one."""
-
     def __init__(self, transport: Any, protocol: PortProtocol, name: str) -> None:
         self._transport = transport
         self._protocol = protocol

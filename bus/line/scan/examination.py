@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import PARAMETERS
@@ -38,6 +38,7 @@ GARBLED_SHARE = 0.25
 """Above this part of damaged or duplicate responses the cause is more than noise."""
 OWN_ADDRESS_IN_BCD = 0x17
 FIRST_OF_EACH_TYPE = tuple({row.type: number for number, row in reversed(list(PARAMETERS.items()))}.values())
+_PLAIN, _DOUBLED = Dialect(), Dialect(checksum_10h="twice")
 _READABLE = [number for number, parameter in PARAMETERS.items() if not parameter.secret]
 
 
@@ -47,6 +48,10 @@ class Probe:
 
     request: Request
     doubled: bool = False
+
+    @property
+    def dialect(self) -> Dialect:
+        return _DOUBLED if self.doubled else _PLAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +74,6 @@ class ProbeOutcome:
     def no_response(self) -> bool:
         """Nothing came at all."""
         return self.reply is None and not (self.garbled or self.unexpected or self.surplus)
-
-
-class Responses(NamedTuple):
-    """How many responses came after their window, and how many that no request explains."""
-
-    late: int
-    doubled: int
 
 
 Examining = Generator[Probe, ProbeOutcome, Found | None]
@@ -119,7 +117,7 @@ class _Examination:
             checksum_10h=self._sends_checksum_10h() or takes,
             reply_bytes=self._reply_bytes(),
             estop_healthy=self._estop_healthy(),
-            late=self._responses().late > 0,
+            late=self._surplus()[0] > 0,
             responds_within_s=max(
                 (o.responded_after_s for o in self.outcomes if o.responded_after_s is not None), default=None
             ),
@@ -175,11 +173,10 @@ class _Examination:
 
     def _last_parameter(self, counts_in_bcd: bool) -> Generator[Probe, ProbeOutcome, int]:
         """Search by halving: the existing ones are taken to be a run from #1 on. The password is not read."""
-        dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
         low, high = -1, len(_READABLE)
         probe = high - 1
         while high - low > 1:
-            reply = yield from self._read(encode_number(_READABLE[probe], dialect))
+            reply = yield from self._read(_number_byte(_READABLE[probe], counts_in_bcd))
             if isinstance(reply, ParameterReply):
                 low = probe
             else:
@@ -190,10 +187,9 @@ class _Examination:
 
     def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Probe, ProbeOutcome, None]:
         """How wide a value comes shows only where the types have different widths."""
-        dialect = Dialect(parameter_numbers="bcd" if counts_in_bcd else "binary")
         for number in FIRST_OF_EACH_TYPE:
             if number <= last:
-                yield from self._read(encode_number(number, dialect))
+                yield from self._read(_number_byte(number, counts_in_bcd))
 
     def _takes_checksum_10h(self) -> Generator[Probe, ProbeOutcome, Checksum10h | None]:
         """Send a read whose checksum is 10h plainly and, without a response, doubled."""
@@ -222,16 +218,16 @@ class _Examination:
 
     def _garbled_share(self) -> float:
         garbled = sum(outcome.garbled for outcome in self.outcomes)
-        return (garbled + self._responses().doubled) / len(self.outcomes)
+        return (garbled + self._surplus()[1]) / len(self.outcomes)
 
-    def _responses(self) -> Responses:
-        """A unit owes one response to each request: one that comes after its window is late, not doubled."""
+    def _surplus(self) -> tuple[int, int]:
+        """How many responses were late, as a unit owes one to each request, and how many none explains."""
         awaited = late = doubled = 0
         for outcome in self.outcomes:
             paid = min(awaited, outcome.surplus)
             late, doubled = late + paid, doubled + outcome.surplus - paid
             awaited += (outcome.reply is None and not outcome.garbled) - paid
-        return Responses(late, doubled)
+        return late, doubled
 
     def _reply_bytes(self) -> tuple[int, ...]:
         replies = [outcome.reply for outcome in self.outcomes]
@@ -256,9 +252,9 @@ def _turns_at_speed(status: StatusReply) -> bool:
     return bits.run and bits.at_speed and status.actual > 0
 
 
-def encode_number(number: int, dialect: Dialect) -> int:
+def _number_byte(number: int, in_bcd: bool) -> int:
     """The PRM byte for ``number``, to be sent in the plain dialect."""
-    return number // 10 * 16 + number % 10 if dialect.parameter_numbers == "bcd" else number
+    return number // 10 * 16 + number % 10 if in_bcd else number
 
 
 def number_for_checksum_10h(unit: int) -> int:

@@ -41,9 +41,7 @@ class Found:
 
 
 def remarks_on(one: Found, *, garbled: int, requests: int, uncertain: bool) -> tuple[Message, ...]:
-    """Return remarks about a DIGIMAX IV. ``garbled`` of its ``requests`` had noise as their response;
-    ``uncertain``: some of them had none.
-    """
+    """Remarks about a DIGIMAX IV; of ``requests``, ``garbled`` had noise, some (``uncertain``) nothing."""
     remarks = _on_its_address(one)
     last = len(one.parameters)
     if last < _HIGHEST:
@@ -76,7 +74,7 @@ def conclude(found: Sequence[Found]) -> list[Message]:
     for owner in sorted({owner for owner in owners if owner is not None}):
         if owners.count(owner) > 1:
             remarks.append(Message.of("found_many_addresses", unit=owner, count=owners.count(owner)))
-    differ: list[int | str | Message] = [name for name, values in _seen(found).items() if len(values) > 1]
+    differ = [name for name, values in _seen(found).items() if len(values) > 1]
     if differ:
         remarks.append(Message.of("found_settings_differ", settings=differ))
     return remarks

@@ -38,12 +38,8 @@ class Passes:
     @property
     def settled(self) -> int:
         """Return how many requests are done or no longer needed."""
-        done_passes, remaining_passes = min(self._done + 1, PASSES), min(self._done, PASSES)
-        return (
-            PASSES * self._found
-            + done_passes * len(self._without_response)
-            + remaining_passes * len(self._remaining)
-        )
+        without_response = min(self._done + 1, PASSES) * len(self._without_response)
+        return PASSES * self._found + without_response + min(self._done, PASSES) * len(self._remaining)
 
     @property
     def done(self) -> int:

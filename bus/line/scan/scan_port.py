@@ -25,7 +25,6 @@ from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
 
 _PLAIN = Dialect()
-_DOUBLED = Dialect(checksum_10h="twice")
 
 
 @asynccontextmanager
@@ -93,16 +92,13 @@ class ScanPort:
         return self._unrequested_bytes
 
     async def exchange(self, probe: Probe, turnaround_s: float) -> Collected:
-        """Send one request and collect what arrives; a unit may take ``turnaround_s`` to begin its response.
-
-        Raises WireError when the port is lost.
-        """
+        """Send one request; a unit may begin within ``turnaround_s``. Raises WireError on a lost port."""
         self._check()
         assert self._port is not None
         request = probe.request
         exchange = Exchange(
             request,
-            _DOUBLED if probe.doubled else _PLAIN,
+            probe.dialect,
             decoder=self._decoder,
             pending=self._pending.about(request.unit),
         )

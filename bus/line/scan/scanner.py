@@ -29,10 +29,7 @@ ALLOWANCE = 2.0
 
 
 class SlowUnitError(Exception):
-    """A unit takes about as long to begin its response as it is allowed, or longer.
-
-    ``allowance_s``: what units are to be allowed instead.
-    """
+    """A unit takes as long as it is allowed, or longer; ``allowance_s`` is what to allow instead."""
 
     def __init__(self, turnaround_s: float) -> None:
         super().__init__(turnaround_s)

@@ -38,7 +38,7 @@ class CommandQueue:
             if run.id == command_id:
                 run.context.cancelled = True
                 if not run.begun:
-                    run.end(_never_begun(Message("canceled_before_sending")))
+                    run.end(ProcedureResult("not_sent", Message("canceled_before_sending")))
 
     def note_overdue(self, units: Iterable[int]) -> None:
         """Responses of these units came too late, while commands were under way."""
@@ -98,12 +98,8 @@ class CommandQueue:
         for earlier in self._all:
             if earlier is run:
                 return True
-            if earlier.result is None and earlier.conflicts_with(run):
+            if earlier.result is None and not earlier.units.isdisjoint(run.units):
                 if now > run.deadline:
-                    run.end(_never_begun(Message("units_busy")))
+                    run.end(ProcedureResult("not_sent", Message("units_busy")))
                 return False
         return True
-
-
-def _never_begun(message: Message) -> ProcedureResult:
-    return ProcedureResult("not_sent", message)

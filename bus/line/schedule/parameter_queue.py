@@ -43,11 +43,7 @@ class ParameterQueue:
     def need(self, unit: int) -> None:
         """Read again what is needed to show ``unit`` right."""
         for number in self._needed_numbers:
-            if (unit, number) not in self._urgent:
-                self._urgent.add((unit, number))
-                self._arrivals += 1
-                rank = (number != DECIMALS, number, self._arrivals, unit)
-                heapq.heappush(self._needed, rank)
+            self._add_needed(unit, number, later=number != DECIMALS)
 
     def forget(self, unit: int) -> None:
         """``unit`` does not respond; nothing is read from it."""
@@ -84,15 +80,15 @@ class ParameterQueue:
     def was_not_read(self, unit: int, number: int) -> None:
         """No response: put it back into the queue it came from."""
         if number in self._needed_numbers:
-            self._again(unit, number)
+            self._add_needed(unit, number, later=True)
         else:
             self._add_background(unit, number)
 
-    def _again(self, unit: int, number: int) -> None:
+    def _add_needed(self, unit: int, number: int, *, later: bool) -> None:
         if (unit, number) not in self._urgent:
             self._urgent.add((unit, number))
             self._arrivals += 1
-            heapq.heappush(self._needed, (True, number, self._arrivals, unit))
+            heapq.heappush(self._needed, (later, number, self._arrivals, unit))
 
     def _add_background(self, unit: int, number: int) -> None:
         if (unit, number) not in self._waiting:

@@ -157,14 +157,15 @@ class PollSchedule:
         self._slow = WireShare(SLOW_SHARE_UNWATCHED, BURST_POLLS * poll_s)
         self._background = WireShare(BACKGROUND_SHARE)
         self._poll_s = poll_s
+        """What one completed poll takes, averaged, the unit's turnaround included."""
         self._poll_fraction = 1.0
 
     # --- what happened -------------------------------------------------------------------------
 
-    def watch(self, units: Collection[int], *, any_page: bool) -> None:
-        """Set the ``units`` on an open page; ``any_page``: some page is open at all."""
+    def watch(self, units: Collection[int]) -> None:
+        """These ``units`` are on an open page."""
         self.poll_order.watch(units)
-        self._slow.fraction = SLOW_SHARE_WATCHED if any_page else SLOW_SHARE_UNWATCHED
+        self._slow.fraction = SLOW_SHARE_WATCHED if units else SLOW_SHARE_UNWATCHED
 
     def responded(self, unit: int, now: Monotonic) -> None:
         """``unit`` responded for the first time, or after timeouts."""
@@ -182,10 +183,6 @@ class PollSchedule:
         if unit not in self.probes:
             self.probes.stopped_responding(unit, now)
         self._adapt()
-
-    def port_opened(self, now: Monotonic) -> None:
-        """The port is open again: units without responses are due for a probe."""
-        self.probes.forgive(now)
 
     def spent(self, task: Task, began: Monotonic, ended: Monotonic, *, responded: bool) -> None:
         """``task`` used the wire between these moments; settles the shares and the averages."""
@@ -241,11 +238,6 @@ class PollSchedule:
         self._needed.fraction = NEEDED_SHARE if len(self.poll_order) <= MANY_UNITS else NEEDED_SHARE_OF_MANY
 
     # --- what it costs -------------------------------------------------------------------------
-
-    @property
-    def poll_s(self) -> float:
-        """Return the seconds that one completed poll takes, averaged, the unit's turnaround included."""
-        return self._poll_s
 
     def scan_s(self, more_units: int = 0) -> float:
         """Return the seconds in which every online unit is polled once, with ``more_units`` more of them."""

@@ -18,19 +18,15 @@ class WireShare:
     def __init__(self, fraction: float, burst_s: float = 0.0) -> None:
         self.fraction = fraction
         self.burst_s = burst_s
-        self._ready_at = Monotonic(float("-inf"))
+        self.ready_at = Monotonic(float("-inf"))
+        """The moment from which it may be used."""
 
     def ready(self, now: Monotonic) -> bool:
-        return now >= self._ready_at
-
-    @property
-    def ready_at(self) -> Monotonic:
-        """The moment from which it may be used."""
-        return self._ready_at
+        return now >= self.ready_at
 
     def spend(self, now: Monotonic, seconds: float) -> None:
         """It was used for ``seconds``, beginning at ``now``."""
-        self._ready_at = max(self._ready_at, now - self.burst_s) + seconds / self.fraction
+        self.ready_at = max(self.ready_at, now - self.burst_s) + seconds / self.fraction
 
 
 STEPS_S = (0.5, 1.0, 2.0, 4.0, 8.0, 10.0)
@@ -90,9 +86,7 @@ class ProbeBackoff:
                 other.due = min(other.due, now)
 
     def forgive(self, now: Monotonic) -> None:
-        """The port was reopened, or uses another rate: every unit is due at once, the longest waiting first,
-        and the first one whatever was spent before.
-        """
+        """Every unit is due at once, the longest waiting first, the first whatever was spent before."""
         self._rations = _rations()
         for offline in self._units.values():
             offline.step, offline.due = 0, min(offline.due, now)

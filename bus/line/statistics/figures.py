@@ -97,9 +97,7 @@ COLLIDED_BYTES = 20
 
 
 class UnitSymptoms(msgspec.Struct, frozen=True):
-    """The counts of one unit in the window, units in floor order. ``spoilt``: responses with a wrong
-    checksum. ``own_address``: the address that its #17 reads, None where that was not read.
-    """
+    """One unit's counts in the window. ``spoilt``: wrong checksum. ``own_address``: #17, None if not read."""
 
     unit: int
     offline: bool = False
@@ -135,7 +133,13 @@ class UnitSymptoms(msgspec.Struct, frozen=True):
 def diagnose(units: Sequence[UnitSymptoms], noise_bytes: int, echoes: int) -> list[Message]:
     """One or two causes; empty when all is well."""
     found = [_in_another_name(units), _garbled(units), _collided(units, noise_bytes) or _unresponsive(units)]
-    found += [_duplicated(units)] if responds_for_all(units) else [_slow(units), _foreign(units)]
+    if (all_twice := responds_for_all(units)) != 0:
+        found.append(Message.of("diagnosis_all_twice", unit=all_twice))
+    else:
+        found += [
+            _named("diagnosis_late", [each for each in units if each.slow]),
+            _named("diagnosis_foreign", [each for each in units if each.foreign >= FEW]),
+        ]
     if echoes:
         found.append(Message("diagnosis_echo"))
     if noise_bytes >= MUCH_NOISE_BYTES:
@@ -148,10 +152,6 @@ def responds_for_all(units: Sequence[UnitSymptoms]) -> int:
     responding = [each for each in units if not each.unresponsive]
     alone = [each for each in responding if not each.twice]
     return alone[0].unit if len(alone) == 1 and len(responding) >= MANY and alone[0].responses else 0
-
-
-def _duplicated(units: Sequence[UnitSymptoms]) -> Message:
-    return Message.of("diagnosis_all_twice", unit=responds_for_all(units))
 
 
 def _in_another_name(units: Sequence[UnitSymptoms]) -> Message | None:
@@ -200,15 +200,9 @@ def _noise(units: Sequence[UnitSymptoms], *, named: bool) -> Message | None:
     return None if named else Message("diagnosis_stray_bytes")
 
 
-def _slow(units: Sequence[UnitSymptoms]) -> Message | None:
-    slow = [each for each in units if each.slow]
-    return Message.of("diagnosis_late", units=_addresses(slow)) if slow else None
+def _named(code: str, units: Sequence[UnitSymptoms]) -> Message | None:
+    return Message.of(code, units=_addresses(units)) if units else None
 
 
-def _foreign(units: Sequence[UnitSymptoms]) -> Message | None:
-    foreign = [each for each in units if each.foreign >= FEW]
-    return Message.of("diagnosis_foreign", units=_addresses(foreign)) if foreign else None
-
-
-def _addresses(units: Sequence[UnitSymptoms]) -> list[int | str | Message]:
+def _addresses(units: Sequence[UnitSymptoms]) -> list[int]:
     return [each.unit for each in units]

@@ -21,7 +21,6 @@ class WireCounts:
     busy_s: float = 0.0
     noise_bytes: int = 0
     echoes: int = 0
-    responses: int = 0
 
 
 class WireStatistics:
@@ -67,7 +66,6 @@ class WireStatistics:
             return
         self._last_response = exchange.frame
         statistics.counts.responses += 1
-        self.wire.responses += 1
         statistics.times.add(_begins(exchange, byte_s) - exchange.ends_sending)
         if isinstance(reply, Nak):
             statistics.refused(reply.code)

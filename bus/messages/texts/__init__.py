@@ -5,6 +5,8 @@ A text with a number of things is ``Plural``: ``n`` decides. A code is in one gr
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from bus.messages.texts import (
     accounts,
     alarms,
@@ -26,7 +28,7 @@ from bus.messages.texts import (
 from bus.messages.texts.plural import EnglishText
 from bus.messages.texts.plural import Plural as Plural
 
-GROUPS: tuple[dict[str, EnglishText], ...] = (
+GROUPS: tuple[Mapping[str, EnglishText], ...] = (
     accounts.TEXTS,
     alarms.TEXTS,
     audit.TEXTS,

@@ -1,10 +1,6 @@
 """Texts about users, tokens, passwords and PINs."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "holder_signed_out": "logged out, or rights changed",
     "unknown_name": "unknown name",
     "unknown_token": "unknown token",

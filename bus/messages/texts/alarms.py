@@ -1,10 +1,6 @@
 """Texts of alarms: name, cause, consequence and response of each, their states, and what people do."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "alarm_text": "{name}. {response}",
     "alarm_value_text": "{name}: {value}. {response}",
     "alarm_unit_offline": "No response",

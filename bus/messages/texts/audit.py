@@ -1,7 +1,5 @@
 """Texts about the audit log, its key and its anchor."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

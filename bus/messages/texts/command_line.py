@@ -1,7 +1,5 @@
 """Texts of the command line: options, files, the dashboard, and what a command reports of its work."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,10 +1,6 @@
 """Texts about commands, the values typed into them, and their reviews."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "setpoints_missing": "no setpoint was given: give one for at least one unit",
     "block_by": "{reason} ({who})",
     "unit_blocked": "commands to unit {unit} are blocked by {who}: {reason}",

@@ -1,7 +1,5 @@
 """Texts about lineside.toml, and what ``lineside check`` finds of it on this machine."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

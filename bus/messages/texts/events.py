@@ -1,7 +1,5 @@
 """Texts about events: what people and programs did."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,10 +1,6 @@
 """Shift hand-over: notes and sheets."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "shift_unknown": "No shift starts at {time}. The shift of that time starts at {start}.",
     "shift_not_begun": "That shift has not begun.",
     "shift_note_empty": "The note has no text. Nothing was stored. Write one.",

@@ -1,7 +1,5 @@
 """Texts about history, its queries, and the stores on disk."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,7 +1,5 @@
 """Texts of notification: what people are sent, why it was not delivered, and what is recorded."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,7 +1,5 @@
 """Texts about requests: what they address, how they are written, how large they are."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,7 +1,5 @@
 """What became of a command on the wire: sent, acknowledged, read back."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
@@ -15,7 +13,6 @@ TEXTS: dict[str, EnglishText] = {
     "canceled_before_sending": "canceled before it was sent; nothing was sent",
     "units_busy": "another change of these units took until its deadline; nothing was sent",
     "too_many_commands": "too many commands are in progress at the bus worker; nothing was sent",
-    "unknown_command": "this bus worker does not know such a command; nothing was sent",
     "worker_stopping": "the bus worker is stopping; nothing was sent",
     "request_out_of_range": "{field} {value} cannot be sent; it must be {lowest} to {highest}",
     "field_unit_address": "unit address",

@@ -1,7 +1,5 @@
 """Texts about parameter sets, batches, restores and recipes."""
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,10 +1,6 @@
 """Texts about unit replacement."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "swap_not_begun": "no swap of unit {unit} is started; start it first",
     "swap_under_way": ("{who} has already started a swap of unit {unit}; continue it or cancel it first"),
     "swap_without_set": (

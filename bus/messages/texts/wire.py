@@ -3,8 +3,6 @@
 The wording of frames and errors follows the manual's command pages.
 """
 
-from __future__ import annotations
-
 from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {

@@ -1,10 +1,6 @@
 """Texts about a bus worker, its port and its links, and about a command without a result."""
 
-from __future__ import annotations
-
-from bus.messages.texts.plural import EnglishText
-
-TEXTS: dict[str, EnglishText] = {
+TEXTS = {
     "no_response_yet": "no response yet",
     "response_overdue": "a response is overdue",
     "responses_missed": "no response to {count} requests in a row",
