@@ -67,12 +67,13 @@ class LineLoop:
         self, bus: BusSettings, clock: LineClock, report: Callable[[list[Update]], None], seed: int = 0
     ) -> None:
         self.bus = bus
+        self.dialect = bus.dialect
         self.clock = clock
         self.baud: int = bus.baud
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
         self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
-        self.link = Link(bus.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
+        self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
         self.state = self._port_is("closed", Message("port_not_opened"))
         self._send_report = report
         self._events: list[Update] = []
@@ -173,7 +174,7 @@ class LineLoop:
                 self.schedule.stopped_responding(request.unit, now)
             return
         assert result.responded_at is not None
-        is_probe = result.dialect not in (None, self.bus.dialect)
+        is_probe = result.dialect not in (None, self.dialect)
         self._events += self.roster.take_response(
             request, reply, result.responded_at, result.frame, is_probe=is_probe
         )
@@ -202,7 +203,7 @@ class LineLoop:
         """Every event since the last report, and the result of every command that has one."""
         at = self.clock.epoch(self.clock.now())
         for run in self.commands.take_finished():
-            self._events.append(run.report(at, self.bus.dialect))
+            self._events.append(run.report(at, self.dialect))
         if self._events:
             events, self._events = self._events, []
             self._send_report(events)

@@ -28,7 +28,7 @@ from bus.line.roster import UnitRecord
 def command_run_of(line: LineLoop, command_id: str, action: WireAction, deadline: Monotonic) -> CommandRun:
     """``action`` with its claim on the wire; its procedure is made in its turn. ``deadline``: line time."""
     command = CommandContext(
-        line.bus.dialect,
+        line.dialect,
         time_left_s=deadline - line.clock.now(),
         exchange_s=stage_s(line.baud),
     )
