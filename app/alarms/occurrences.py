@@ -19,7 +19,8 @@ _LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is."""
+    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. One during which the
+    clock was set back by more than it had lasted ends at its start."""
 
     alarm: str
     occurrence: int
@@ -83,4 +84,5 @@ def _next_end(connection: sqlite3.Connection, alarm: str, last: int) -> UnixTime
 
 
 def _occurrence(row: sqlite3.Row, end: UnixTime | None) -> Occurrence:
-    return Occurrence(end=end, **{name: row[name] for name in _COLUMNS})
+    ends = None if end is None else max(row["start"], end)
+    return Occurrence(end=ends, **{name: row[name] for name in _COLUMNS})

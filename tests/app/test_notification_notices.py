@@ -60,6 +60,15 @@ def followed(
     )
 
 
+def test_a_clock_that_was_set_back_does_not_put_off_an_escalation() -> None:
+    """By an hour, 100 s after the alarm: the chief is notified within the time of his rule from then on."""
+    opened = followed([RISE], 1100).open
+    set_back = followed([], 1100 - 3600, episodes=opened).open
+    assert followed([], 1100 - 3600 + 599, episodes=set_back).notices == []
+    found = followed([], 1100 - 3600 + 600, episodes=set_back).notices
+    assert [each.endpoint for each in found] == ["chief"]
+
+
 def to(done) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]
     return [(notice.endpoint, notice.after_s) for notice in done.notices]
 
