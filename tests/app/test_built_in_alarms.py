@@ -9,7 +9,7 @@ from random import Random
 
 import pytest
 
-from app.alarms.catalogue import BUILT_IN, BuiltIn, built_in
+from app.alarms.catalogue import BUILT_IN, built_in
 from app.alarms.conditions import wire_overloaded
 from app.alarms.control_watch import ControlWatch
 from app.alarms.expiry_watch import ExpiryWatch
@@ -18,6 +18,7 @@ from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
+from app.built_in_settings import BuiltIn
 from app.database import Database
 from app.history.status import Status
 from app.web.access import Role
