@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.messages.texts.plural import EnglishText
+from bus.messages.texts.plural import EnglishText, Plural
 
 TEXTS: dict[str, EnglishText] = {
     "alarm_text": "{name}. {response}",
@@ -172,6 +172,7 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_needs_reason": "a reason is missing; nothing was changed",
     "event_alarm_acknowledged": "Alarm acknowledged: {name}",
     "event_alarm_silenced": "Alarm silenced: {name}",
+    "event_alarms_silenced": Plural("{n} alarm silenced", "{n} alarms silenced"),
     "event_alarm_reset": "Alarm reset: {name}",
     "event_alarm_shelved": "Alarm shelved: {name}",
     "event_alarm_unshelved": "Alarm unshelved: {name}",
