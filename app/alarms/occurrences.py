@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 from heapq import merge
 from itertools import islice
 
-from app.alarms.rules.priority import AlarmPriority
-from app.alarms.store import AlarmStore
+from app.alarms.store import AlarmStore, RecordedAlarm
 from bus.instants import UnixTime
 
 MOST_OCCURRENCES = 500
@@ -19,26 +18,19 @@ _LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY
 
 
 @dataclass(frozen=True, slots=True)
-class Occurrence:
+class Occurrence(RecordedAlarm):
     """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. One during which the
     clock was set back by more than it had lasted ends at its start."""
 
-    alarm: str
-    occurrence: int
-    code: str
-    name: str
-    bus: str | None
-    unit: int | None
-    priority: AlarmPriority
     start: UnixTime
     end: UnixTime | None
 
 
-_COLUMNS = tuple(field.name for field in fields(Occurrence) if field.name != "end")
+_COLUMNS = tuple(field.name for field in fields(RecordedAlarm))
 _EDGE = f"((before IN {_ACTIVE}) <> (after IN {_ACTIVE}))"
 """An occurrence begins or ends; as the partial index ``alarm_journal_edges`` has it."""
 _BACKWARD = (
-    "SELECT *, at AS start FROM alarm_journal INDEXED BY alarm_journal_edges"
+    "SELECT * FROM alarm_journal INDEXED BY alarm_journal_edges"
     f" WHERE alarm = ? AND id < ? AND {_EDGE} ORDER BY id DESC LIMIT ?"
 )
 _NEXT = (
@@ -74,13 +66,13 @@ def _of_alarm(
     until, is_first = None, True
     for row in _edges(connection, alarm, last):
         if row["after"] not in _ACTIVE:
-            until = row["start"]
+            until = row["at"]
             if until <= start:
                 return
         else:
             if is_first:
                 until = _next_end(connection, alarm, last)
-            if row["start"] < end:
+            if row["at"] < end:
                 yield _occurrence(row, until)
         is_first = False
 
@@ -99,5 +91,5 @@ def _next_end(connection: sqlite3.Connection, alarm: str, last: int) -> UnixTime
 
 
 def _occurrence(row: sqlite3.Row, end: UnixTime | None) -> Occurrence:
-    ends = None if end is None else max(row["start"], end)
-    return Occurrence(end=ends, **{name: row[name] for name in _COLUMNS})
+    ends = None if end is None else max(row["at"], end)
+    return Occurrence(start=row["at"], end=ends, **{name: row[name] for name in _COLUMNS})

@@ -27,10 +27,9 @@ _OF_ALARM = ("first_out", "hidden_by", "reason")
 
 
 @dataclass(frozen=True, slots=True)
-class JournalEntry:
-    """One transition, with what it needs to be read without the configuration of its time."""
+class RecordedAlarm:
+    """An occurrence, with what it needs to be read without the configuration of its time."""
 
-    at: UnixTime
     alarm: str
     occurrence: int
     code: str
@@ -38,6 +37,13 @@ class JournalEntry:
     bus: str | None
     unit: int | None
     priority: AlarmPriority
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry(RecordedAlarm):
+    """One transition."""
+
+    at: UnixTime
     trigger: AlarmTrigger
     before: AlarmState
     after: AlarmState

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
-from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -20,12 +17,6 @@ from tests.app.alarm_bus import BUS, RUN, AlarmBus
 
 ANNA = Person("anna", Role.OPERATOR, "session")
 UNITS = 255
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    with closing(Database(tmp_path / "store.db")) as database:
-        yield database
 
 
 class StandingAlarms:

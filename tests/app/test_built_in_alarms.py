@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
@@ -36,13 +35,6 @@ CODES = (
 )
 """Those that programs rely on."""
 DAY = UnixTime(DAY_S)
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    database = Database(tmp_path / "store.db")
-    yield database
-    database.close()
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,12 +17,6 @@ from tests.app.configured import faults_of
 CONFIGURED = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n[[bus.unit]]\nid = 4\nname = "Dryer"\n'
 DEVIATION = '[[built_in_alarm]]\ncode = "deviation"\n'
 OF_UNIT = 'bus = "dry-end"\nunit = 4\n'
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    with closing(Database(tmp_path / "store.db")) as database:
-        yield database
 
 
 def tuned_bus(database: Database, *entries: dict[str, Any]) -> AlarmBus:

@@ -33,7 +33,7 @@ def entry(
     occurrence: int = 1,
 ) -> JournalEntry:
     return JournalEntry(
-        UnixTime(at), "b.1.x", occurrence, "x", "X", "b", 1, "high", trigger, before, after, id=id
+        "b.1.x", occurrence, "x", "X", "b", 1, "high", UnixTime(at), trigger, before, after, id=id
     )
 
 
