@@ -12,6 +12,7 @@ from app.alarms.bus_alarms import BusAlarms
 from app.alarms.notification.service import Notification
 from app.alarms.store import AlarmStore
 from app.audit.log import EventLog
+from app.built_in_settings import BuiltInAlarmSettings
 from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.safeguards.service import AccountLookup, Safeguards
 from app.commands.service.command_service import CommandService
@@ -46,6 +47,7 @@ class BusDependencies:
     sets: SetStore
     alarms: AlarmStore
     own_alarms: tuple[AlarmSettings, ...]
+    built_in_alarms: tuple[BuiltInAlarmSettings, ...]
     notification: Notification
     rights: Withdrawals
     sessions: SessionEnds
@@ -90,7 +92,13 @@ class BusService:
         self.drift = BusDrift(live, site.sets, site.events)
         self.sets = SetKeeper(live, self.reader, self.drift, site.sets, site.events, site.rights)
         own_alarms = [alarm for alarm in site.own_alarms if alarm.bus == name]
-        self.alarms = BusAlarms(live, own_alarms, site.alarms, lambda unit: bool(self.drift.of(unit)))
+        self.alarms = BusAlarms(
+            live,
+            own_alarms,
+            site.alarms,
+            lambda unit: bool(self.drift.of(unit)),
+            tuned=site.built_in_alarms,
+        )
         self.notifier = site.notification.notifier(name, self.alarms.list, self.alarms.place)
         self.set_schedule = SetSchedule(live, self.sets, site.events, site.local_time)
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)

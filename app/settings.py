@@ -20,6 +20,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from app.alarm_settings import AlarmSettings, refuse_misplaced
+from app.built_in_settings import BuiltInAlarmSettings, refuse_built_in
 from app.messages.languages import catalogs
 from app.notify_settings import ClockTime, NotifySettings, minute_of_day, refuse_unknown_names
 from app.time_zone import is_zone, machine_zone
@@ -185,6 +186,7 @@ class Settings(StrictModel):
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
     alarm: tuple[AlarmSettings, ...] = ()
+    built_in_alarm: tuple[BuiltInAlarmSettings, ...] = ()
     notify: NotifySettings = NotifySettings()
     shift: ShiftSettings = ShiftSettings()
     _file: Path | None = PrivateAttr(None)
@@ -222,6 +224,7 @@ class Settings(StrictModel):
     @model_validator(mode="after")
     def _alarms_have_their_units(self) -> Settings:
         refuse_misplaced(self.alarm, self.bus)
+        refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
         return self
 

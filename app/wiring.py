@@ -154,6 +154,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sets=sets,
         alarms=alarm_store,
         own_alarms=settings.alarm,
+        built_in_alarms=settings.built_in_alarm,
         notification=notification,
         local_time=local_time,
         record=CommandRecord(events, database, unix_now),
@@ -168,7 +169,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         expiry,
     )
     of_buses = {name: bus.alarms for name, bus in buses.items()}
-    site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store)
+    site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store, tuned=settings.built_in_alarm)
     alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
     pictures = PictureStore(settings.server.data)
     handover = Handover(settings, database, events, pictures)

@@ -46,7 +46,7 @@ def run() -> None:
         with viewer_page(served) as page, onlookers(served.url, served.tokens["viewer"], BROWSERS - 1):
             delays = _delays(served, page)
         served.stop()
-        _fill_journal(Path(folder) / "data" / "lineside.db")
+        fill_journal(Path(folder) / "data" / "lineside.db")
         served.start()
         served.wait_for_units()
         with viewer_page(served) as page:
@@ -108,7 +108,8 @@ def _acknowledged(served: Site) -> bool:
     return not alarms
 
 
-def _fill_journal(store: Path) -> None:
+def fill_journal(store: Path) -> None:
+    """A week of transitions of alarms that are no longer configured."""
     with sqlite3.connect(store) as connection:
         now = time.time()
         rows = (

@@ -2,7 +2,8 @@
 
 Every unit has a new speed ``RATE`` times a second, more than any one wire could bring, evenly spread as a
 wire would: one unit in a message, or several where a message each would be more than a hundred a second.
-Prints ``ready`` when the app has taken the first round.
+Prints ``ready`` when the app has taken the first pass. For a number on standard input, each of so many
+readings that follow changes the e-stop of its unit; then it prints ``flooded``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from bus.contract import (
     UnitLink,
     UnitState,
     Update,
+    Welcome,
+    decode_from_app,
     encode,
 )
 
@@ -33,43 +36,71 @@ MOST_MESSAGES_S = 100
 TOP = 20_000
 SHOWN = {1: 1750, 2: TOP, 3: 1, 8: 0, 12: 50, 22: 0, 23: 100, 28: 1, 29: 0, 30: 0}
 """The parameters that a speed needs to be shown right: span, one decimal, window."""
-AT_SPEED_REMOTE, RUN_HEALTHY = 0xC0, 0x03
+AT_SPEED_REMOTE, RUN, HEALTHY = 0xC0, 0x01, 0x02
 
 
-def reading(unit: int, turn: int) -> Reading:
+def reading(unit: int, turn: int, inputs: int) -> Reading:
     """Always within the window, never twice the same, so that all is well and all is new."""
     commanded = 10_000 + 10 * unit
     actual = commanded - 30 + (7 * turn + unit) % 61
-    return Reading(unit, time.time(), commanded, actual, turn % 256, AT_SPEED_REMOTE, RUN_HEALTHY)
+    return Reading(unit, time.time(), commanded, actual, turn % 256, AT_SPEED_REMOTE, inputs)
 
 
 def _state(unit: int) -> UnitState:
     now = time.time()
     parameters = [ParameterValue(unit, number, now, raw) for number, raw in SHOWN.items()]
-    return UnitState(unit, UnitLink(unit, now, "online"), reading(unit, 0), parameters)
+    return UnitState(unit, UnitLink(unit, now, "online"), reading(unit, 0, RUN | HEALTHY), parameters)
+
+
+class EstopFlood:
+    """Changes of e-stops, as many as were requested on standard input."""
+
+    def __init__(self) -> None:
+        self._left = 0
+        self._stopped: set[int] = set()
+
+    def request(self) -> None:
+        """A line can be read."""
+        self._left += int(sys.stdin.readline() or 0)
+
+    def inputs(self, unit: int) -> int:
+        """The inputs of the next reading of a unit."""
+        if self._left:
+            self._left -= 1
+            self._stopped ^= {unit}
+            if not self._left:
+                print("flooded", flush=True)
+        return RUN if unit in self._stopped else RUN | HEALTHY
 
 
 async def feed(url: str, token: str, units: int, rate: float) -> None:
     """Act as a worker until the server has ended. The server's real worker, which has no port, may connect
-    between the hello and the snapshot; then connect a second time.
+    between the hello and the snapshot; then connect a second time, under the same name: the app keeps a bus
+    for its worker. Raises RuntimeError where the app refuses it.
     """
     address = url.replace("http", "ws", 1) + "/feed"
     headers = {"Authorization": f"Bearer {token}"}
+    name = f"feeder-{time.time()}"
+    flood = EstopFlood()
+    asyncio.get_running_loop().add_reader(sys.stdin, flood.request)
     while True:
         async with connect(address, additional_headers=headers, compression=None) as socket:
             with suppress(ConnectionClosed):
-                await _introduce(socket, units)
+                seq = await _introduce(socket, units, name)
                 print("ready", flush=True)
-                await asyncio.gather(_listen(socket), _speak(socket, units, rate))
+                await asyncio.gather(_listen(socket), _speak(socket, units, rate, flood, seq))
 
 
-async def _introduce(socket: ClientConnection, units: int) -> None:
+async def _introduce(socket: ClientConnection, units: int, name: str) -> int:
+    """Send the first state; the number of the last batch that the app has."""
     now = time.time()
+    await socket.send(encode(Hello(CONTRACT_VERSION, "line", name, now, "feeder", "none", now)))
+    welcome = decode_from_app(await socket.recv(decode=False))
+    if not isinstance(welcome, Welcome) or welcome.refused:
+        raise RuntimeError(f"the app refused the feeder: {welcome}")
     states = [_state(unit) for unit in range(1, units + 1)]
-    snapshot = encode(Snapshot(0, now, BusLink(now, "open"), states))
-    await socket.send(encode(Hello(CONTRACT_VERSION, "line", f"feeder-{now}", now, "feeder", "none", now)))
-    await socket.recv()
-    await socket.send(snapshot)
+    await socket.send(encode(Snapshot(welcome.seq, time.time(), BusLink(now, "open"), states)))
+    return welcome.seq
 
 
 async def _listen(socket: ClientConnection) -> None:
@@ -78,13 +109,14 @@ async def _listen(socket: ClientConnection) -> None:
             pass
 
 
-async def _speak(socket: ClientConnection, units: int, rate: float) -> None:
+async def _speak(socket: ClientConnection, units: int, rate: float, flood: EstopFlood, last_seq: int) -> None:
     at_once = max(1, round(units * rate / MOST_MESSAGES_S))
     pause, due, sent = at_once / (units * rate), time.monotonic(), 0
-    for seq in range(1, sys.maxsize):
+    for seq in range(last_seq + 1, sys.maxsize):
         due += pause
         await asyncio.sleep(max(0.0, due - time.monotonic()))
-        updates: list[Update] = [reading(n % units + 1, n // units + 1) for n in range(sent, sent + at_once)]
+        turns = [(n % units + 1, n // units + 1) for n in range(sent, sent + at_once)]
+        updates: list[Update] = [reading(unit, turn, flood.inputs(unit)) for unit, turn in turns]
         sent += at_once
         await socket.send(encode(Batch(seq, time.time(), updates)))
 

@@ -11,11 +11,13 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.audit.store import prove
+from app.audit.keys import open_keys
+from app.audit.store import head_of, prove
 from app.database.connection import Database
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.writer import MIGRATIONS
+from benchmarks.history_victim import KEY_FILE
 from benchmarks.tables import median, show
 
 KILLS = 50
@@ -70,7 +72,8 @@ def _look(data: Path, last_event: int, newest: float) -> After:
     with sqlite3.connect(data / "lineside.db") as connection:
         connection.row_factory = sqlite3.Row
         there = connection.execute("SELECT count(*) FROM events WHERE id <= ?", (last_event,)).fetchone()[0]
-        intact = prove(connection).broken is None
+        keys = open_keys([data / KEY_FILE], data / "lineside.db", head_of(connection))
+        intact = prove(connection, keys.ring, {}).broken is None
     tail = Tail()
     database = Database(data / "history.db", MIGRATIONS)
     Recorder(database, tail, lambda _: None).replay()

@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import asyncio
 import sys
-import time
 from pathlib import Path
 
+from app.audit.keys import open_keys
 from app.audit.log import EventLog
+from app.audit.store import head_of
 from app.database.connection import Database
 from app.history.service import History
 from app.settings import ServerSettings, Settings
 from bus.contract import Reading
+from bus.instants import unix_now
 
+KEY_FILE = "audit.key"
+"""Beside the store: each victim goes on with the keys of the one before."""
 UNITS = 130
 A_SECOND = 5_000
 STEP_S = 0.02
@@ -25,11 +29,14 @@ EVENTS_FROM_STEP = 5
 
 async def _live(folder: Path) -> None:
     history = History(Settings(server=ServerSettings(data=folder / "flood")))
-    events = EventLog(Database(folder / "flood" / "lineside.db"))
+    store = folder / "flood" / "lineside.db"
+    database = Database(store)
+    keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(head_of))
+    events = EventLog(database, keys=keys)
     history.start()
     step = 0
     while True:
-        now = time.time()
+        now = unix_now()
         count = round(A_SECOND * STEP_S)
         batch = [
             Reading(1 + (step * count + i) % UNITS, now, 1000, 1000 + (step + i) % 9, 128, 0xC0, 3)
@@ -42,7 +49,7 @@ async def _live(folder: Path) -> None:
                 kind="mode", what="mode", bus="line", unit=1, old="LOCAL", new="REMOTE"
             )
             print(number, now, flush=True)
-        await asyncio.sleep(max(0.0, STEP_S - (time.time() - now)))
+        await asyncio.sleep(max(0.0, STEP_S - (unix_now() - now)))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
-from app.alarms.catalogue import BUS_ALARMS, UNIT_ALARMS, built_in
+from app.alarms.catalogue import built_in
 from app.alarms.conditions import bus_conditions, has_foreign
 from app.alarms.definition import AlarmDefinition, key_of, own_key
 from app.alarms.own import OwnCondition, own_definition
@@ -15,6 +15,7 @@ from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
+from app.built_in_settings import BUS_ALARMS, UNIT_ALARMS, BuiltInAlarmSettings, tuning_of
 from app.history.intake.clock_watch import ClockWatch
 from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import BusLive
@@ -28,7 +29,8 @@ _OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
 
 class BusAlarms:
     """Detects, suppresses and keeps the alarms of one bus. ``has_drift``: whether a unit differs from its
-    golden set. Call :meth:`load` before the first update."""
+    golden set; ``tuned``: limits and delays of the built-in ones. Call :meth:`load` before the first
+    update."""
 
     def __init__(
         self,
@@ -38,8 +40,10 @@ class BusAlarms:
         has_drift: Callable[[int], bool],
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
+        tuned: Sequence[BuiltInAlarmSettings] = (),
     ) -> None:
         self.bus = live.settings.name
+        self._tuned = tuned
         self._live = live
         self._clock, self._monotonic = clock, monotonic
         self._own = {own_key(each.bus, each.unit, each.name): OwnCondition(each) for each in own}
@@ -68,9 +72,11 @@ class BusAlarms:
         live.subscribe(self._see)
 
     def _definitions(self) -> Iterable[AlarmDefinition]:
-        yield from (built_in(code, self.bus) for code in BUS_ALARMS)
+        for bus_code in BUS_ALARMS:
+            yield built_in(bus_code, self.bus, None, tuning_of(self._tuned, bus_code, self.bus, None))
         for unit in self._live.units:
-            yield from (built_in(code, self.bus, unit) for code in UNIT_ALARMS)
+            for code in UNIT_ALARMS:
+                yield built_in(code, self.bus, unit, tuning_of(self._tuned, code, self.bus, unit))
         yield from (own_definition(own.settings) for own in self._own.values())
 
     def _monitor(self, unit: int, has_drift: Callable[[int], bool]) -> UnitMonitor:
@@ -81,7 +87,15 @@ class BusAlarms:
             if condition.settings.unit == unit
         ]
         live = self._live.units[unit]
-        return UnitMonitor(self._live, live, alarms, own, self._observe, has_drift)
+        return UnitMonitor(
+            self._live,
+            live,
+            alarms,
+            lambda code: tuning_of(self._tuned, code, self.bus, unit),
+            own,
+            self._observe,
+            has_drift,
+        )
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""

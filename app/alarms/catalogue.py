@@ -2,45 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, replace
 
 from app.alarms.definition import AlarmDefinition, Rationalization, key_of
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
 from app.alarms.rules.priority import Consequence, TimeToRespond
 from app.alarms.rules.suppression import SuppressionGroup
+from app.built_in_settings import BuiltIn, BuiltInTuning
 from bus.messages import Message
 
-UnitAlarm = Literal[
-    "unit_offline",
-    "link_degraded",
-    "estop_active",
-    "not_at_speed",
-    "running_without_run",
-    "ratio_out_of_limits",
-    "not_in_remote",
-    "parameter_drift",
-    "duplicate_address",
-    "staged_left",
-    "deviation",
-    "analog_out_of_limits",
-]
-BusAlarm = Literal[
-    "port_lost", "no_unit_responds", "worker_lost", "second_master", "wire_overloaded", "control_left"
-]
-SiteAlarm = Literal[
-    "history_degraded",
-    "audit_degraded",
-    "disk_low",
-    "notification_failed",
-    "clock_stepped",
-    "certificate_expiring",
-    "token_expiring",
-]
-BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
-UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
-BUS_ALARMS: tuple[BusAlarm, ...] = get_args(BusAlarm)
-SITE_ALARMS: tuple[SiteAlarm, ...] = get_args(SiteAlarm)
+NOT_TUNED = BuiltInTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +63,9 @@ BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
 }
 
 
-def built_in(code: BuiltIn, bus: str | None, unit: int | None = None) -> AlarmDefinition:
+def built_in(
+    code: BuiltIn, bus: str | None, unit: int | None = None, tuning: BuiltInTuning = NOT_TUNED
+) -> AlarmDefinition:
     """The definition of a built-in alarm at its place."""
     row = BUILT_IN[code]
     record = Rationalization(
@@ -110,6 +83,15 @@ def built_in(code: BuiltIn, bus: str | None, unit: int | None = None) -> AlarmDe
         unit=unit,
         priority=record.priority,
         record=record,
-        attributes=row.attributes,
+        attributes=_tuned(row.attributes, tuning),
         group=row.group,
+    )
+
+
+def _tuned(attributes: AlarmAttributes, tuning: BuiltInTuning) -> AlarmAttributes:
+    on_delay_s, off_delay_s = tuning.on_delay_s, tuning.off_delay_s
+    return replace(
+        attributes,
+        on_delay_s=attributes.on_delay_s if on_delay_s is None else on_delay_s,
+        off_delay_s=attributes.off_delay_s if off_delay_s is None else off_delay_s,
     )

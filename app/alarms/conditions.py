@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from decimal import Decimal
 from functools import cache
 
-from app.alarms.catalogue import BusAlarm, UnitAlarm
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.limits import LimitRule
+from app.built_in_settings import BuiltInTuning, BusAlarm, UnitAlarm
 from app.live.diagnosis.abnormal import suspicion
 from app.live.diagnosis.cause import bus_cause
 from app.live.state.age import offline_after_s, scan_s_of, unit_link_now
@@ -44,42 +45,56 @@ def ratio_out_of_limits(_: BusLive, unit: UnitLive) -> bool | None:
 
 RUNNING = frozenset(("at_speed", "off_speed", "ramping_up", "ramping_down"))
 SETTLED = frozenset(("at_speed", "off_speed"))
-DEVIATION_SHARE = 0.05
-"""Of the maximum display value (#2)."""
-_ANALOG_RANGE = LimitRule(above=254, below=1, deadband=3)
-"""In counts of 8 bits: at the ends, no transducer measures."""
+ANALOG_TOP = 255
+"""The analog input in counts of 8 bits."""
 ValueCondition = Callable[[BusLive, UnitLive, Reading, bool], bool | None]
 
 
-def deviates(bus: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool | None:
+def deviation(tuning: BuiltInTuning) -> ValueCondition:
     """Whether the speed of a unit that does not ramp is away from the commanded one, also where the unit
-    itself reports AT SPEED; not known while #2 is not."""
-    if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
-        return False
-    full_scale = unit.parameter_raw(MAX_DISPLAY)
-    if full_scale is None:
-        return None
-    return _deviation_rule(full_scale).holds(abs(reading.commanded - reading.actual), active)
+    itself reports AT SPEED; not known while #2 is not. Limits are of #2."""
+
+    @cache
+    def rule(full_scale: int) -> LimitRule:
+        found = _rule_of(tuning, full_scale)
+        return LimitRule(max(1, found.above or 0), None, found.deadband)
+
+    def holds(bus: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool | None:
+        if unit.motion.state not in SETTLED or reads_ratio(bus, unit):
+            return False
+        full_scale = unit.parameter_raw(MAX_DISPLAY)
+        if full_scale is None:
+            return None
+        return rule(full_scale).holds(abs(reading.commanded - reading.actual), active)
+
+    return holds
 
 
-@cache
-def _deviation_rule(full_scale: int) -> LimitRule:
-    limit = max(1, round(DEVIATION_SHARE * full_scale))
-    return LimitRule(limit, None, limit // 5)
+def analog_out_of_limits(tuning: BuiltInTuning) -> ValueCondition:
+    """Whether an analog input that is wired is outside its limits while the unit runs."""
+    rule = _rule_of(tuning, ANALOG_TOP)
+
+    def holds(_: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool:
+        if not unit.settings.labels.analog or unit.motion.state not in RUNNING:
+            return False
+        return rule.holds(reading.analog, active)
+
+    return holds
 
 
-def analog_out_of_limits(_: BusLive, unit: UnitLive, reading: Reading, active: bool) -> bool:
-    """Whether an analog input that is wired is at an end of its range while the unit runs."""
-    if not unit.settings.labels.analog or unit.motion.state not in RUNNING:
-        return False
-    return _ANALOG_RANGE.holds(reading.analog, active)
+def _rule_of(tuning: BuiltInTuning, top: int) -> LimitRule:
+    def raw(percent: Decimal | None) -> int | None:
+        return None if percent is None else round(percent * top / 100)
+
+    above, below = raw(tuning.above_percent), raw(tuning.below_percent)
+    return LimitRule(above, below, raw(tuning.deadband_percent) or 0)
 
 
-BY_VALUE: dict[UnitAlarm, ValueCondition] = {
-    "deviation": deviates,
+BY_VALUE: dict[UnitAlarm, Callable[[BuiltInTuning], ValueCondition]] = {
+    "deviation": deviation,
     "analog_out_of_limits": analog_out_of_limits,
 }
-"""Conditions of every reading that is live; the last argument: whether the alarm is active."""
+"""Conditions of every reading that is live, by their limits; the last argument: whether it is active."""
 
 BY_PARAMETER: dict[UnitAlarm, UnitCondition] = {
     "ratio_out_of_limits": ratio_out_of_limits,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+import asyncio
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AsyncExitStack, suppress
 from heapq import nsmallest
 from typing import NamedTuple
 
@@ -16,14 +18,16 @@ from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.priority import PRIORITIES
 from app.alarms.site_alarms import SiteAlarms
-from app.alarms.store import AlarmStore, JournalWriting
-from app.audit.log import EventLog
+from app.alarms.store import AlarmStore, JournalEntry, JournalWriting
+from app.audit.log import Also, EventLog
 from app.errors import Problem, StoreError
 from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 MINUTE_S = 60
+PAUSE_EVERY = 100
+"""Alarms, in a change of many: what else the server does comes between."""
 Act = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
 
 
@@ -150,6 +154,63 @@ class LineAlarms:
         """End the sound of this occurrence."""
         return await self._act(person, alarm_id, changes.silence, "event_alarm_silenced", comment)
 
+    async def silence_sounding(self, person: Person, until: UnixTime) -> None:
+        """End the sound of every alarm that began to sound by ``until``: of all or, where that cannot be
+        recorded, of none. Raises StoreError."""
+        async with AsyncExitStack() as writing:
+            for each in self._lists:
+                await writing.enter_async_context(each.writing)
+            await self._silence_now(person, until)
+
+    async def _silence_now(self, person: Person, until: UnixTime) -> None:
+        silenced: list[tuple[FoundAlarm, AlarmFacts, AlarmFacts]] = []
+        for found in self._sounding_until(until):
+            alarm, before = found.alarm, found.alarm.facts
+            with suppress(NoTransitionError):
+                changed = changes.silence(before, alarm.definition.attributes, self._clock())
+                found.list.change(alarm, changed, person.name, "")
+                silenced.append((found, before, alarm.facts))
+            if len(silenced) % PAUSE_EVERY == 0:
+                await asyncio.sleep(0)
+        if not silenced:
+            return
+        taken = [(each, *each.take_unwritten()) for each in self._lists]
+        try:
+            await self._record_silenced(
+                person, [found.alarm for found, _, _ in silenced], _written_together(taken)
+            )
+        except StoreError:
+            for each, entries, alarms in taken:
+                each.give_back([entry for entry in entries if entry.who != person.name], alarms)
+            for found, before, after in silenced:
+                if found.alarm.facts is after:
+                    found.list.restore(found.alarm, before)
+            raise
+
+    def _sounding_until(self, until: UnixTime) -> list[FoundAlarm]:
+        return [
+            FoundAlarm(alarm, self.list_of(alarm.definition.bus or ""))
+            for alarm in self.sounding()
+            if (alarm.facts.since or UnixTime(0.0)) <= until
+        ]
+
+    async def _record_silenced(self, person: Person, silenced: list[Alarm], also: Also) -> None:
+        """One event; the journal has each alarm."""
+        first = silenced[0].definition
+        what = Message.of("event_alarms_silenced", n=len(silenced))
+        if len(silenced) == 1:
+            what = Message.of("event_alarm_silenced", name=first.name)
+        buses = {alarm.definition.bus for alarm in silenced}
+        await self._events.record(
+            kind="alarm",
+            who=person.name,
+            origin=person.via,
+            bus=first.bus if len(buses) == 1 else None,
+            unit=first.unit if len(silenced) == 1 else None,
+            what=what,
+            also=also,
+        )
+
     async def reset(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
         """End a latch."""
         return await self._act(person, alarm_id, changes.reset, "event_alarm_reset", comment)
@@ -219,6 +280,16 @@ class LineAlarms:
                 of.restore(alarm, facts)
             raise
         return alarm
+
+
+def _written_together(taken: Iterable[tuple[AlarmList, list[JournalEntry], list[Alarm]]]) -> Also:
+    parts = [JournalWriting(entries, alarms) for _, entries, alarms in taken]
+
+    def write(connection: sqlite3.Connection) -> None:
+        for part in parts:
+            part(connection)
+
+    return write
 
 
 def _not_in_state(alarm: Alarm) -> Problem:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
-from heapq import nlargest
+from heapq import merge
+from itertools import islice
 
-from app.alarms.rules.priority import AlarmPriority
-from app.alarms.store import AlarmStore
+from app.alarms.store import AlarmStore, RecordedAlarm
 from bus.instants import UnixTime
 
 MOST_OCCURRENCES = 500
@@ -18,25 +18,27 @@ _LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY
 
 
 @dataclass(frozen=True, slots=True)
-class Occurrence:
-    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is."""
+class Occurrence(RecordedAlarm):
+    """An alarm was annunciated at ``start`` and active until ``end``; None: it still is. One during which the
+    clock was set back by more than it had lasted ends at its start."""
 
-    alarm: str
-    occurrence: int
-    code: str
-    name: str
-    bus: str | None
-    unit: int | None
-    priority: AlarmPriority
     start: UnixTime
     end: UnixTime | None
 
 
-_COLUMNS = tuple(field.name for field in fields(Occurrence) if field.name != "end")
-_BACKWARD = "SELECT *, at AS start FROM alarm_journal WHERE alarm = ? AND id <= ? ORDER BY id DESC"
-_NEXT_END = (
-    f"SELECT at FROM alarm_journal WHERE alarm = ? AND id > ? AND after NOT IN {_ACTIVE} ORDER BY id LIMIT 1"
+_COLUMNS = tuple(field.name for field in fields(RecordedAlarm))
+_EDGE = f"((before IN {_ACTIVE}) <> (after IN {_ACTIVE}))"
+"""An occurrence begins or ends; as the partial index ``alarm_journal_edges`` has it."""
+_BACKWARD = (
+    "SELECT * FROM alarm_journal INDEXED BY alarm_journal_edges"
+    f" WHERE alarm = ? AND id < ? AND {_EDGE} ORDER BY id DESC LIMIT ?"
 )
+_NEXT = (
+    "SELECT at FROM alarm_journal INDEXED BY alarm_journal_edges"
+    f" WHERE alarm = ? AND id > ? AND {_EDGE} ORDER BY id LIMIT 1"
+)
+_FEW, _MANY = 2, 100
+"""Of most alarms of a long list only the newest occurrence is looked at."""
 
 
 async def occurrences(
@@ -52,35 +54,42 @@ def _found(
     connection: sqlite3.Connection, alarms: list[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
     last: int = connection.execute(_LAST, (end,)).fetchone()[0] or 0
-    every = (each for alarm in alarms for each in _of_alarm(connection, alarm, last, start, end))
-    return nlargest(MOST_OCCURRENCES + 1, every, key=lambda each: each.start)[::-1]
+    each_alarm = (_of_alarm(connection, alarm, last, start, end) for alarm in alarms)
+    newest_first = merge(*each_alarm, key=lambda each: each.start, reverse=True)
+    return sorted(islice(newest_first, MOST_OCCURRENCES + 1), key=lambda each: each.start)
 
 
 def _of_alarm(
     connection: sqlite3.Connection, alarm: str, last: int, start: UnixTime, end: UnixTime
 ) -> Iterator[Occurrence]:
     """From the newest back to the one at the start of the span."""
-    found, opened, until = 0, None, None
-    for row in connection.execute(_BACKWARD, (alarm, last)):
-        if row["after"] in _ACTIVE:
-            if opened is None and until is None:
+    until, is_first = None, True
+    for row in _edges(connection, alarm, last):
+        if row["after"] not in _ACTIVE:
+            until = row["at"]
+            if until <= start:
+                return
+        else:
+            if is_first:
                 until = _next_end(connection, alarm, last)
-            opened = row if row["start"] < end else None
-            continue
-        if opened is not None:
-            found += 1
-            yield _occurrence(opened, until)
-        opened, until = None, row["start"]
-        if until <= start or found > MOST_OCCURRENCES:
-            return
-    if opened is not None:
-        yield _occurrence(opened, until)
+            if row["at"] < end:
+                yield _occurrence(row, until)
+        is_first = False
+
+
+def _edges(connection: sqlite3.Connection, alarm: str, last: int) -> Iterator[sqlite3.Row]:
+    """Where occurrences begin and end, from an entry of the journal back. None is kept open between two."""
+    before, limit = last + 1, _FEW
+    while rows := connection.execute(_BACKWARD, (alarm, before, limit)).fetchall():
+        yield from rows
+        before, limit = rows[-1]["id"], _MANY
 
 
 def _next_end(connection: sqlite3.Connection, alarm: str, last: int) -> UnixTime | None:
-    row = connection.execute(_NEXT_END, (alarm, last)).fetchone()
+    row = connection.execute(_NEXT, (alarm, last)).fetchone()
     return None if row is None else row[0]
 
 
 def _occurrence(row: sqlite3.Row, end: UnixTime | None) -> Occurrence:
-    return Occurrence(end=end, **{name: row[name] for name in _COLUMNS})
+    ends = None if end is None else max(row["at"], end)
+    return Occurrence(start=row["at"], end=ends, **{name: row[name] for name in _COLUMNS})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
@@ -222,11 +221,8 @@ async def acknowledge_shown(
 async def silence_sounding(
     person: Operator, alarms: Alarms, until: Annotated[float, Form(allow_inf_nan=False)]
 ) -> Response:
-    """Those that sounded at the press: not one that came since, and of very many the most important."""
-    sounding = [alarm.id for alarm in alarms.sounding() if float(alarm.facts.since or UnixTime(0.0)) <= until]
-    for alarm_id in sounding[:MOST_ROWS]:
-        with suppress(Problem):
-            await alarms.silence(person, alarm_id)
+    """Those that sounded at the press: not one that came since."""
+    await alarms.silence_sounding(person, UnixTime(until))
     return Response(status_code=204)
 
 

@@ -30,13 +30,16 @@ _FREQUENT = (
     "SELECT alarm, code, name, bus, unit, COUNT(*) AS times FROM alarm_journal"
     f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MOST_FREQUENT}"
 )
+# Entries are in order by their ids. The time between two is not known where the clock was set back meanwhile.
 _CHATTERING = (
-    "SELECT COUNT(DISTINCT alarm) FROM (SELECT alarm, at - LAG(at, 2) OVER (PARTITION BY alarm ORDER BY at)"
-    f" AS within FROM alarm_journal WHERE {_IN_SPAN}) WHERE within <= {CHATTERS_S}"
+    "SELECT COUNT(DISTINCT alarm) FROM (SELECT alarm, at, LAG(at) OVER former AS second,"
+    f" LAG(at, 2) OVER former AS first FROM alarm_journal WHERE {_IN_SPAN}"
+    " WINDOW former AS (PARTITION BY alarm ORDER BY id))"
+    f" WHERE first <= second AND second <= at AND at - first <= {CHATTERS_S}"
 )
 _FLEETING = (
     f"SELECT COUNT(*) FROM alarm_journal AS risen WHERE {_IN_SPAN} AND trigger = 'rise'"
-    f" AND (SELECT trigger = 'clear' AND at <= risen.at + {FLEETING_S}"
+    f" AND (SELECT trigger = 'clear' AND at BETWEEN risen.at AND risen.at + {FLEETING_S}"
     " FROM alarm_journal INDEXED BY alarm_journal_by_alarm"
     " WHERE alarm = risen.alarm AND id > risen.id ORDER BY id LIMIT 1)"
 )
@@ -47,7 +50,7 @@ _ACKNOWLEDGED = (
 )
 _MEDIAN = (
     f"SELECT AVG(after_s) FROM (SELECT after_s, ROW_NUMBER() OVER (ORDER BY after_s) AS place,"
-    f" COUNT(*) OVER () AS every FROM ({_ACKNOWLEDGED}) WHERE after_s IS NOT NULL)"
+    f" COUNT(*) OVER () AS every FROM ({_ACKNOWLEDGED}) WHERE after_s >= 0)"
     " WHERE place IN ((every + 1) / 2, (every + 2) / 2)"
 )
 

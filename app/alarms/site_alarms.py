@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
-from app.alarms.catalogue import SITE_ALARMS, SiteAlarm, built_in
+from app.alarms.catalogue import built_in
 from app.alarms.definition import key_of
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.audit.anchoring import AnchorStatus
+from app.built_in_settings import SITE_ALARMS, BuiltInAlarmSettings, SiteAlarm, tuning_of
 from app.history.intake.clock_watch import ClockWatch
 from app.history.status import Status
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -55,13 +56,16 @@ class SiteAlarms:
         store: AlarmStore,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
+        tuned: Sequence[BuiltInAlarmSettings] = (),
     ) -> None:
         self._conditions = conditions
         self._values = {key_of(None, None, code): value for code, value in values.items()}
         self._clock, self._monotonic = clock, monotonic
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._step: Message | None = None
-        self.list = AlarmList((built_in(code, None) for code in SITE_ALARMS), store)
+        self.list = AlarmList(
+            (built_in(code, None, None, tuning_of(tuned, code, None, None)) for code in SITE_ALARMS), store
+        )
         self._clock_stepped = self.list.alarms[key_of(None, None, "clock_stepped")]
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import TypeVar
 
 from app.alarms.alarm import Alarm
@@ -26,10 +27,9 @@ _OF_ALARM = ("first_out", "hidden_by", "reason")
 
 
 @dataclass(frozen=True, slots=True)
-class JournalEntry:
-    """One transition, with what it needs to be read without the configuration of its time."""
+class RecordedAlarm:
+    """An occurrence, with what it needs to be read without the configuration of its time."""
 
-    at: UnixTime
     alarm: str
     occurrence: int
     code: str
@@ -37,6 +37,13 @@ class JournalEntry:
     bus: str | None
     unit: int | None
     priority: AlarmPriority
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry(RecordedAlarm):
+    """One transition."""
+
+    at: UnixTime
     trigger: AlarmTrigger
     before: AlarmState
     after: AlarmState
@@ -77,6 +84,7 @@ class StoredAlarm:
 
 
 _COLUMNS = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+_values_of, _facts_of, _marks_of = attrgetter(*_COLUMNS), attrgetter(*_STORED_FACTS), attrgetter(*_OF_ALARM)
 
 
 class AlarmStore:
@@ -125,7 +133,7 @@ class JournalWriting:
     """The rows of one transaction, made on the event loop, where the facts cannot change meanwhile."""
 
     def __init__(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
-        self._entries = [astuple(entry)[:-1] for entry in entries]
+        self._entries = [_values_of(entry) for entry in entries]
         self._facts = [_row_of(alarm) for alarm in alarms]
 
     def __call__(self, connection: sqlite3.Connection) -> None:
@@ -141,12 +149,7 @@ class JournalWriting:
 
 
 def _row_of(alarm: Alarm) -> tuple[object, ...]:
-    facts = asdict(alarm.facts)
-    return (
-        alarm.definition.key,
-        *(facts[name] for name in _STORED_FACTS),
-        *(getattr(alarm, name) for name in _OF_ALARM),
-    )
+    return (alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm))
 
 
 def _load(connection: sqlite3.Connection) -> dict[str, StoredAlarm]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from app.alarms.alarm import Alarm
-from app.alarms.catalogue import UnitAlarm
 from app.alarms.conditions import BY_PARAMETER, BY_READING, BY_VALUE, is_degraded, unit_offline
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
+from app.built_in_settings import BuiltInTuning, UnitAlarm
 from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.contract import Reading, UnitFigures
@@ -21,13 +21,15 @@ _NEVER = UnixTime(0.0)
 
 
 class UnitMonitor:
-    """Of one unit. ``alarms``: the built-in ones by code; ``own``: those of the configuration."""
+    """Of one unit. ``alarms``: the built-in ones by code, ``tuning`` their limits; ``own``: those of the
+    configuration."""
 
     def __init__(
         self,
         bus: BusLive,
         unit: UnitLive,
         alarms: dict[UnitAlarm, Alarm],
+        tuning: Callable[[UnitAlarm], BuiltInTuning],
         own: OwnAlarms,
         observe: Observe,
         has_drift: Callable[[int], bool],
@@ -41,7 +43,7 @@ class UnitMonitor:
         self._observe = observe
         self._has_drift = has_drift
         self._by_reading = [(alarms[code], holds) for code, holds in BY_READING.items()]
-        self._by_value = [(alarms[code], holds) for code, holds in BY_VALUE.items()]
+        self._by_value = [(alarms[code], limited(tuning(code))) for code, limited in BY_VALUE.items()]
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""

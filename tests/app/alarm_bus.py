@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.store import AlarmStore
+from app.built_in_settings import BuiltInAlarmSettings
 from app.database import Database
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
@@ -21,7 +23,13 @@ BUS = "dry-end"
 class AlarmBus:
     """``now`` is the clock of all. Every unit is online, in REMOTE, running at 1000 with one decimal."""
 
-    def __init__(self, database: Database, *own: dict[str, Any], units: int = 3) -> None:
+    def __init__(
+        self,
+        database: Database,
+        *own: dict[str, Any],
+        units: int = 3,
+        tuned: Sequence[BuiltInAlarmSettings] = (),
+    ) -> None:
         self.now = 1000.0
         self.step_s = 0.0
         self.drifted: set[int] = set()
@@ -45,6 +53,7 @@ class AlarmBus:
             lambda unit: unit in self.drifted,
             clock=lambda: self.now + self.step_s,
             monotonic=lambda: self.now,
+            tuned=tuned,
         )
 
     def connect(self) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from app.database import Database
 from tests.app.stage import PlayedWorker, Stage, staged
 
 
@@ -19,3 +21,10 @@ async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
 @pytest.fixture
 async def worker(stage: Stage) -> PlayedWorker:
     return await stage.worker()
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    """An empty one of the site."""
+    with closing(Database(tmp_path / "store.db")) as database:
+        yield database

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from dataclasses import dataclass, field
 
 import msgspec
@@ -97,15 +97,17 @@ def _value(unit: int, number: int, raw: int) -> ParameterValue:
     return ParameterValue(unit=unit, number=number, at=time.time(), raw=raw, frame=b"\x10")
 
 
-async def played_line(services: Services) -> PlayedLine:
-    """Both units of ``settings_in`` are online, in REMOTE, and stand still."""
+async def played_line(services: Services, stopped: Collection[int] = ()) -> PlayedLine:
+    """Both units of ``settings_in`` are online, in REMOTE, and stand still. ``stopped``: by an e-stop."""
     line = PlayedLine(services.buses[BUS].channel, services.live)
     now = time.time()
     services.live.buses[BUS].worker_lost = None
     services.live.buses[BUS].apply([BusLink(at=now, link="open")])
     for unit in line.memory:
         services.live.buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
-        services.live.buses[BUS].apply([Reading(unit, now, 0, 0, 0, REMOTE, HEALTHY)])
+        services.live.buses[BUS].apply(
+            [Reading(unit, now, 0, 0, 0, REMOTE, 0 if unit in stopped else HEALTHY)]
+        )
     await line.channel.opened(line, "w1")
     line.keep_responding()
     return line

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import sqlite3
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from app.alarms.occurrences import MOST_OCCURRENCES, occurrences
+from app.alarms.store import AlarmStore
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
 
@@ -56,3 +59,45 @@ async def test_of_very_many_the_newest_are_marked(journal: Journal) -> None:
     found = await spans(journal, 0, 5000)
     assert len(found) == MOST_OCCURRENCES + 1, "one more than fit tells that there are more"
     assert found[-1][1] == 2 * MOST_OCCURRENCES - 1
+
+
+class CountingStore:
+    """Counts the hundreds of steps that SQLite takes for a read."""
+
+    def __init__(self, store: AlarmStore) -> None:
+        self._store = store
+        self.steps = 0
+
+    async def read_costly(self, work: Callable[[sqlite3.Connection], Any]) -> Any:
+        def counted(connection: sqlite3.Connection) -> Any:
+            connection.set_progress_handler(self._step, 100)
+            return work(connection)
+
+        return await self._store.read_costly(counted)
+
+    def _step(self) -> None:
+        self.steps += 1
+
+
+async def steps_for(journal: Journal, end: float, *alarms: str) -> tuple[int, int]:
+    """How many occurrences from T on, and what they cost."""
+    store = CountingStore(journal.store)
+    found = await occurrences(store, alarms, UnixTime(T), UnixTime(T + end))  # type: ignore[arg-type]
+    return len(found), store.steps
+
+
+async def test_what_happened_while_an_alarm_was_hidden_costs_nothing(journal: Journal) -> None:
+    hidden = ("shelved", "shelved")
+    journal.write("a", *((at, ("rise", "clear")[at % 2], *hidden) for at in range(10_000)))
+    found, steps = await steps_for(journal, 10_000, "a")
+    assert found == 0
+    assert steps < 200, "of which the search for the end of the time takes a thousand entries"
+
+
+async def test_of_many_alarms_that_came_often_only_the_newest_cost(journal: Journal) -> None:
+    alarms = [str(number) for number in range(50)]
+    for offset, alarm in enumerate(alarms):
+        journal.rise(alarm, *(offset / 100 + at for at in range(400)))
+    found, steps = await steps_for(journal, 400, *alarms)
+    assert found == MOST_OCCURRENCES + 1
+    assert steps < 3000, "and 20,000 occurrences were not looked at"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -112,16 +113,22 @@ def tick(bus: AlarmBus) -> None:
     bus.alarms.tick()
 
 
-def simulated(shelf: Shelf, bus: AlarmBus, rule: Rule, minutes: int) -> Replay:
+def simulated(
+    shelf: Shelf, bus: AlarmBus, rule: Rule, minutes: int, start: float = NOON, end: float = inf
+) -> Replay:
     settings = AlarmSettings(**{"name": "Own 0", "bus": BUS, "unit": 1, **rule})
+
+    end = min(end, NOON + minutes * 60)
 
     def feed(connection: tables.StoreConnection) -> Replay:
         key = tables.find_unit(connection, BUS, 1)
         assert key is not None
-        replay = Replay(bus.settings, settings, tables.parameter_steps(connection, key), UnixTime(NOON))
-        for start in range(START, START + minutes * MINUTE, HOUR):
-            end = min(start + HOUR, START + minutes * MINUTE)
-            StoredHour(connection, shelf.tail, bus.settings, start, end).feed(replay, settings)
+        steps = tables.parameter_steps(connection, key)
+        replay = Replay(bus.settings, settings, steps, UnixTime(start), UnixTime(end))
+        first, last = micros(UnixTime(start)) // MINUTE * MINUTE, -(-micros(UnixTime(end)) // MINUTE) * MINUTE
+        for begin in range(first, last, HOUR):
+            hour = StoredHour(connection, shelf.tail, bus.settings, begin, min(begin + HOUR, last))
+            hour.feed(replay, settings)
         return replay
 
     return shelf.database.read_now(feed)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
 import pytest
 
-from app.alarms.catalogue import BUILT_IN, BuiltIn, built_in
+from app.alarms.catalogue import BUILT_IN, built_in
 from app.alarms.conditions import wire_overloaded
 from app.alarms.control_watch import ControlWatch
 from app.alarms.expiry_watch import ExpiryWatch
@@ -18,6 +17,7 @@ from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
+from app.built_in_settings import BuiltIn
 from app.database import Database
 from app.history.status import Status
 from app.web.access import Role
@@ -35,13 +35,6 @@ CODES = (
 )
 """Those that programs rely on."""
 DAY = UnixTime(DAY_S)
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    database = Database(tmp_path / "store.db")
-    yield database
-    database.close()
 
 
 @pytest.fixture

@@ -4,21 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
-
-
-@pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
-    database = Database(tmp_path / "store.db")
-    yield database
-    database.close()
 
 
 @pytest.fixture

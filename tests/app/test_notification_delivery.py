@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.alarms.notification.rules.delivery import (
+    GATHER_S,
     GIVE_UP_S,
     LONGEST_RETRY_S,
     TRANSITIONS,
@@ -35,6 +36,15 @@ def test_nothing_waits_for_something_new() -> None:
 
 def test_a_new_item_is_a_message_at_once() -> None:
     assert turn(EndpointLoad([(1, at(0)), (2, at(0))], [], [at(60)])) == DeliveryTurn(items=(1,))
+
+
+def test_what_stood_at_a_start_is_gathered_and_holds_up_nothing() -> None:
+    standing = [(1, at(2)), (2, at(0))]
+    assert turn(EndpointLoad([], [], [], standing=standing)) == DeliveryTurn(wait_s=GATHER_S - 2)
+    assert turn(EndpointLoad([(3, at(0))], [], [], standing=standing)) == DeliveryTurn(items=(3,))
+    standing = [(1, at(GATHER_S)), (2, at(0))]
+    assert turn(EndpointLoad([], [], [], standing=standing)) == DeliveryTurn(items=(1, 2))
+    assert turn(EndpointLoad([], [], [], standing=[(1, at(-60))])) == DeliveryTurn(items=(1,))
 
 
 def test_a_flood_is_collected() -> None:

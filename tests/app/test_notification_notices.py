@@ -33,7 +33,7 @@ def entry(
     occurrence: int = 1,
 ) -> JournalEntry:
     return JournalEntry(
-        UnixTime(at), "b.1.x", occurrence, "x", "X", "b", 1, "high", trigger, before, after, id=id
+        "b.1.x", occurrence, "x", "X", "b", 1, "high", UnixTime(at), trigger, before, after, id=id
     )
 
 
@@ -58,6 +58,15 @@ def followed(
         UnixTime(now),
         LOCAL,  # type: ignore[arg-type]
     )
+
+
+def test_a_clock_that_was_set_back_does_not_put_off_an_escalation() -> None:
+    """By an hour, 100 s after the alarm: the chief is notified within the time of his rule from then on."""
+    opened = followed([RISE], 1100).open
+    set_back = followed([], 1100 - 3600, episodes=opened).open
+    assert followed([], 1100 - 3600 + 599, episodes=set_back).notices == []
+    found = followed([], 1100 - 3600 + 600, episodes=set_back).notices
+    assert [each.endpoint for each in found] == ["chief"]
 
 
 def to(done) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]

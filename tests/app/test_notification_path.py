@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.store import NotificationStore
 from app.errors import StoreError
 from app.notify_settings import NotifySettings
-from app.web.access import Role
+from app.web.access import Person, Role
 from bus.contract import Reading
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -328,3 +328,75 @@ async def test_no_secret_is_in_the_events_or_the_store(path: Path_) -> None:
     viewer = await path.house.program(Role.VIEWER)
     events = (await viewer.get("/api/v1/events", params={"limit": 100})).text
     assert "s3cret" not in events
+
+
+async def stand(folder: Path, *, settled: bool = False, **notified: NotifySettings) -> None:
+    """Two e-stops stand when the server ends; ``settled``: one is acknowledged, the other has cleared."""
+    async with complete_app(folder, **notified) as house:
+        await played_line(house.services)
+        alarms, live = house.services.alarms, house.services.live.buses[BUS]
+        live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0) for unit in (1, 2)])
+        if settled:
+            await alarms.acknowledge(Person("anna", Role.OPERATOR, "session"), f"{BUS}.1.estop_active.1")
+            live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
+        await alarms.write()
+        await house.services.buses[BUS].notifier.load()
+        await house.services.buses[BUS].notifier.advance()
+
+
+@asynccontextmanager
+async def started(
+    folder: Path, settings: NotifySettings, stopped: Collection[int] = (1, 2)
+) -> AsyncIterator[House]:
+    """The server is started on what stands, and has seen to it."""
+    async with complete_app(folder, notify=settings) as house:
+        await played_line(house.services, stopped)
+        notifier = house.services.buses[BUS].notifier
+        await notifier.load()
+        await notifier.advance()
+        await notifier.notify_standing()
+        yield house
+
+
+async def test_what_stood_before_notification_was_configured_is_one_message(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    mail, hooks = servers
+    await stand(tmp_path)
+    settings = notify(mail, hooks, tmp_path)
+    async with started(tmp_path, settings) as house:
+        digest = (await mail.mail()).get_content()
+        assert [name in digest for name in ("Unwind", "Nip")] == [True, True]
+        assert digest.count("Emergency stop active") >= 2
+        alarms = [(await hooks.body(count))["alarm"]["id"] for count in (1, 2)]
+        assert alarms == [f"{BUS}.1.estop_active.1", f"{BUS}.2.estop_active.1"]
+        await Path_(house, mail, hooks).ended("delivered", 3)
+    async with started(tmp_path, settings) as house:
+        outbox = house.services.notification.outbox
+        assert await outbox.waiting() == {}, "each address is notified once"
+        assert len(await outbox.deliveries(100, None)) == 3
+
+
+async def test_a_settled_alarm_is_not_notified_at_a_start(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    await stand(tmp_path, settled=True)
+    async with started(tmp_path, notify(*servers, tmp_path), (1,)) as house:
+        assert await house.services.notification.outbox.waiting() == {}
+        assert await house.services.notification.outbox.deliveries(100, None) == []
+
+
+async def test_an_address_that_was_corrected_is_notified_of_what_stands(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    mail, hooks = servers
+    smtp = {"host": "127.0.0.1", "port": mail.port, "security": "none", "sender": "lineside@plant"}
+    wrong, right = (
+        notify(mail, hooks, tmp_path, webhook=[], smtp={**smtp, "to": [to]})
+        for to in ("dutty@plant", "duty@plant")
+    )
+    await stand(tmp_path, notify=wrong)
+    async with started(tmp_path, right) as house:
+        (delivery,) = await Path_(house, mail, hooks).ended("delivered")
+        assert delivery.endpoint == "mail:duty@plant"
+        assert [item.alarm for item in delivery.items] == [f"{BUS}.{unit}.estop_active" for unit in (1, 2)]

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
+from itertools import count
 
 from app.alarms.alarm_list import AlarmList
 from app.alarms.definition import SITE
 from app.alarms.notification.endpoints import NotificationPlan
 from app.alarms.notification.maintenance import Maintenance
 from app.alarms.notification.notice import OutboxItem, notice_of
-from app.alarms.notification.rules.notices import Episode, Followed, PlannedNotice, follow
+from app.alarms.notification.outbox import STANDING
+from app.alarms.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
 from app.alarms.notification.store import NotificationStore
 from app.alarms.store import JournalEntry
 from bus.instants import Clock, UnixTime, unix_now
 
 TICK_S = 1.0
+STANDING_AFTER_PASSES = 10
+"""By then the condition of each alarm was observed again, where its unit responds."""
 
 
 class AlarmNotifier:
@@ -53,8 +58,10 @@ class AlarmNotifier:
         alarm that rises before it would be passed over."""
         if not self._plan.endpoints:
             await asyncio.Event().wait()
-        while True:
+        for passes in count():
             await self.advance()
+            if passes == STANDING_AFTER_PASSES:
+                await self.notify_standing()
             await asyncio.sleep(TICK_S)
 
     async def load(self) -> None:
@@ -71,6 +78,31 @@ class AlarmNotifier:
         if known or done.notices or done.open != self._open:
             await self._save(done, cursor, {entry.id: entry for entry in known}, now)
         self._cursor, self._open = cursor, done.open
+
+    async def notify_standing(self) -> None:
+        """Once after a start: each address that a rule notifies by now learns of the alarms that wait for
+        their acknowledgement, but for those that it was notified of. It may be new in the configuration."""
+        waiting = [
+            key
+            for key, alarm in self._alarms.items()
+            if alarm.is_unacknowledged and (alarm.facts.active or alarm.facts.latched)
+        ]
+        episodes = {**await self._store.opened(waiting, self._cursor), **self._open}
+        now, local, quiet = self._clock(), self._local_time(), self._maintenance.spans()
+        followed, items = dict(self._open), []
+        for episode in (episodes[key] for key in waiting if key in episodes):
+            if episode.occurrence != self._alarms[episode.alarm].facts.occurrence:
+                # The journal does not have the present one yet.
+                continue
+            found, planned = due(replace(episode, notified_after_s=-1.0), self._plan.rules, quiet, now, local)
+            notified_after_s = max(episode.notified_after_s, found.notified_after_s)
+            followed[episode.alarm] = replace(found, notified_after_s=notified_after_s)
+            items += [
+                replace(self._item(each, None, now), key=f"{STANDING}{episode.entry}") for each in planned
+            ]
+        await self._store.save(self._source, self._cursor, followed, (), (), items)
+        self._open = followed
+        self._wake()
 
     async def _save(
         self, done: Followed, cursor: int, entries: dict[int, JournalEntry], now: UnixTime

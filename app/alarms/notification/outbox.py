@@ -18,6 +18,8 @@ from bus.messages import Message
 MOST_ITEMS = 200
 """In one message."""
 KEPT_S = 90 * 86_400.0
+STANDING = "standing:"
+"""Begins the key of an item of an alarm that stood at a start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +93,13 @@ class NotificationOutbox:
         """What there is for one address."""
 
         def read(connection: sqlite3.Connection) -> EndpointLoad:
-            items = connection.execute(
-                "SELECT id, created_at FROM notification_item WHERE delivery IS NULL AND endpoint = ? "
-                "ORDER BY id LIMIT ?",
-                (endpoint, MOST_ITEMS),
+            waiting = "SELECT id, created_at FROM notification_item WHERE delivery IS NULL AND endpoint = ?"
+            standing = "substr(key, 1, ?) = ?", (len(STANDING), STANDING)
+            items, at_start = (
+                connection.execute(
+                    f"{waiting} AND {where} ORDER BY id LIMIT ?", (endpoint, *values, MOST_ITEMS)
+                ).fetchall()
+                for where, values in ((f"NOT ({standing[0]} AND ?)", (*standing[1], collects)), standing)
             )
             retries = connection.execute(
                 "SELECT id, attempts, due FROM notification_delivery "
@@ -111,6 +116,7 @@ class NotificationOutbox:
                 [Retry(*row) for row in retries],
                 [row["tried_at"] for row in sent],
                 collects,
+                [tuple(row) for row in at_start] if collects else (),
             )
 
         return await self._database.read(read)
@@ -230,6 +236,18 @@ def insert_items(connection: sqlite3.Connection, items: Iterable[OutboxItem]) ->
             for item in items
         ],
     )
+
+
+_IS_NOTIFIED = """
+SELECT 1 FROM notification_item
+WHERE alarm = ? AND occurrence = ? AND endpoint = ? AND kind = 'alarm'"""
+
+
+def insert_standing(connection: sqlite3.Connection, items: Iterable[OutboxItem]) -> None:
+    """Put items into the outbox for those addresses that were not notified of the occurrence yet."""
+    for item in items:
+        if connection.execute(_IS_NOTIFIED, (item.alarm, item.occurrence, item.endpoint)).fetchone() is None:
+            insert_items(connection, [item])
 
 
 def to_notified(connection: sqlite3.Connection, item: OutboxItem) -> list[OutboxItem]:

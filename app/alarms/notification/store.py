@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import secrets
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 
 from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import KEPT_S, insert_items, to_notified
-from app.alarms.notification.rules.notices import Episode, QuietSpan
+from app.alarms.notification.outbox import KEPT_S, insert_items, insert_standing, to_notified
+from app.alarms.notification.rules.notices import Episode, QuietSpan, opened_by
 from app.alarms.store import JournalEntry
 from app.database import Database
 from bus.instants import UnixTime
@@ -71,6 +71,22 @@ class NotificationStore:
 
         return await self._database.read(read)
 
+    async def opened(self, alarms: Iterable[str], cursor: int) -> dict[str, Episode]:
+        """The newest episode of each alarm, by its key, that began up to an entry of the journal."""
+        keys = list(alarms)
+        query = (
+            f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE alarm = ? AND id <= ? "
+            "AND after IN ('unack_active', 'latched_unack') AND trigger NOT IN ('clear', 'silence') "
+            "ORDER BY id DESC LIMIT 1"
+        )
+
+        def read(connection: sqlite3.Connection) -> list[JournalEntry]:
+            rows = (connection.execute(query, (key, cursor)).fetchone() for key in keys)
+            return [JournalEntry(*row) for row in rows if row is not None]
+
+        entries = await self._database.read(read)
+        return {entry.alarm: episode for entry in entries if (episode := opened_by(entry)) is not None}
+
     async def save(
         self,
         source: str,
@@ -78,9 +94,10 @@ class NotificationStore:
         episodes: Mapping[str, Episode],
         items: Sequence[OutboxItem],
         cleared: Sequence[OutboxItem],
+        standing: Sequence[OutboxItem] = (),
     ) -> None:
         """Everything that one pass has led to, in one transaction. ``cleared``: for each address that was
-        notified of the occurrence."""
+        notified of the occurrence; ``standing``: for each that was not."""
         rows = [(*astuple(episode), source) for episode in episodes.values()]
         marks = ", ".join("?" * (len(_EPISODE) + 1))
 
@@ -93,6 +110,7 @@ class NotificationStore:
                 f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
             )
             insert_items(connection, items)
+            insert_standing(connection, standing)
             for each in cleared:
                 insert_items(connection, to_notified(connection, each))
 

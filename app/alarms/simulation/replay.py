@@ -17,7 +17,7 @@ from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.rest import AtRest
 from app.history.series.rollup import Rollup
-from app.history.series.runs import MINUTE, SECOND, Run
+from app.history.series.runs import MINUTE, SECOND, Run, micros
 from app.history.series.scaling import ParameterStep
 from app.live.state.age import scan_s_of, stale_after_s
 from app.live.state.bus_live import never_seen
@@ -32,10 +32,16 @@ USUAL_SHARE = 0.9
 
 
 class Replay:
-    """Feed it minutes in order of time, from ``start``. ``steps``: the values of parameters that scale."""
+    """Feed it minutes in order of time. What they have before ``start`` or after ``end`` is left out.
+    ``steps``: the values of parameters that scale."""
 
     def __init__(
-        self, bus: BusSettings, settings: AlarmSettings, steps: Sequence[ParameterStep], start: UnixTime
+        self,
+        bus: BusSettings,
+        settings: AlarmSettings,
+        steps: Sequence[ParameterStep],
+        start: UnixTime,
+        end: UnixTime,
     ) -> None:
         self.found = Annunciations()
         self.unknown_s = 0.0
@@ -49,7 +55,8 @@ class Replay:
         self._stale_s = stale_after_s(scan_s_of(self._live))
         self._facts = AlarmFacts()
         self._holds: bool | None = None
-        self._unknown_since: UnixTime | None = start
+        self._start, self._end = micros(start), micros(end)
+        self._unknown_since: UnixTime | None = UnixTime(self._start / SECOND)
         self._read_at: UnixTime | None = None
         self._at_rest = self._estop = False
         self._readings = 0
@@ -83,35 +90,40 @@ class Replay:
 
     def see_run(self, run: Run, at_rest: AtRest) -> None:
         """Equal readings; for a rate of change also the one after the shortest time for a rate."""
-        self._set_parameters(run.at)
-        times = [run.at, run.until]
+        begins, ends = max(run.at, self._start), min(run.until, self._end)
+        if begins > ends:
+            return
+        self._set_parameters(begins)
+        times = [begins, ends]
         if self._settings.change_per_s is not None:
-            times.insert(1, min(run.until, run.at + round(ChangeRate.SPAN_S * SECOND)))
+            times.insert(1, min(ends, begins + round(ChangeRate.SPAN_S * SECOND)))
         for at in dict.fromkeys(times):
             reading = _reading(self._settings.unit, run, at)
             # The readings in between were received, too: there is no gap in a run.
-            inside = at != run.at
+            inside = at != begins
             self._see(reading, self._rests(at, run.commanded, at_rest), inside=inside)
 
     def see_minute(self, row: Rollup, at_rest: AtRest) -> None:
         """A minute whose readings are not stored: what is certain, and that at the least."""
         self._set_parameters(row.start)
         ends = least, greatest = extremes(self._settings.unit, self._settings.value, row)
-        self._pass_gap(least.at)
+        begins = UnixTime(max(row.start, self._start) / SECOND)
+        ends_at = UnixTime(min(row.start + MINUTE, self._end) / SECOND)
+        self._pass_gap(begins)
         estops = {self._has_estop(least), self._has_estop(greatest)}
         rests = self._rests(row.start, row.commanded_max, at_rest)
         may_rest = self._definition.group == "speed" and not row.commanded_min
         hidden = rests or estops == {True}
         if hidden:
             self._estop = True in estops
-            self._see_rest(least.at, rests)
+            self._see_rest(begins, rests)
         may_be_hidden = not hidden and (may_rest or True in estops)
-        self._observe(self._least(ends, may_be_hidden=may_be_hidden), least.at)
+        self._observe(self._least(ends, may_be_hidden=may_be_hidden), begins)
         if not hidden and not may_be_hidden:
             self._estop = False
-            self._see_rest(least.at, at_rest=False)
+            self._see_rest(begins, at_rest=False)
         self._cover(row)
-        self._apply(changes.advance(self._facts, self._definition.attributes, least.at + MINUTE / SECOND))
+        self._apply(changes.advance(self._facts, self._definition.attributes, ends_at))
 
     def _least(self, ends: tuple[Reading, Reading], *, may_be_hidden: bool) -> bool | None:
         """Whether the condition holds in a minute, so that the alarm comes no oftener than is certain."""

@@ -54,7 +54,7 @@ class Simulator:
         since = max(micros(start), begins)
         covered_from = UnixTime(since / SECOND)
         since -= since % MINUTE
-        replay, spent = Replay(bus, settings, steps, covered_from), 0.0
+        replay, spent = Replay(bus, settings, steps, covered_from, end), 0.0
         while since < micros(end) and spent < self._work_s:
             until = min(since - since % HOUR + HOUR, micros(end) + MINUTE - micros(end) % MINUTE)
             took = await self._history.read(

@@ -1,6 +1,8 @@
 """Texts of alarms: name, cause, consequence and response of each, their states, and what people do."""
 
-TEXTS = {
+from bus.messages.texts.plural import EnglishText, Plural
+
+TEXTS: dict[str, EnglishText] = {
     "alarm_text": "{name}. {response}",
     "alarm_value_text": "{name}: {value}. {response}",
     "alarm_unit_offline": "No response",
@@ -168,6 +170,7 @@ TEXTS = {
     "alarm_needs_reason": "a reason is missing; nothing was changed",
     "event_alarm_acknowledged": "Alarm acknowledged: {name}",
     "event_alarm_silenced": "Alarm silenced: {name}",
+    "event_alarms_silenced": Plural("{n} alarm silenced", "{n} alarms silenced"),
     "event_alarm_reset": "Alarm reset: {name}",
     "event_alarm_shelved": "Alarm shelved: {name}",
     "event_alarm_unshelved": "Alarm unshelved: {name}",

@@ -26,6 +26,8 @@ FIRST_RETRY_S = 5.0
 LONGEST_RETRY_S = 900.0
 GIVE_UP_S = 86_400.0
 FLOOD_WINDOW_S = 600.0
+GATHER_S = 3.0
+"""For which the alarms that stood at a start are gathered, those of all buses in one message."""
 FAILING_ATTEMPTS = 2
 """So many failures without a success between are no chance: the address is failing."""
 
@@ -57,13 +59,14 @@ class Retry:
 @dataclass(frozen=True, slots=True)
 class EndpointLoad:
     """What there is for one address. ``items``: not in any message yet, oldest first, and since when;
-    ``sent``: when the last messages left."""
+    ``sent``: when the last messages left; ``standing``: as ``items``, those that stood at a start."""
 
     items: Sequence[tuple[int, UnixTime]]
     retries: Sequence[Retry]
     sent: Sequence[UnixTime]
     collects: bool = True
     """Whether several items may be one message: people read a digest, programs want each."""
+    standing: Sequence[tuple[int, UnixTime]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,11 @@ def next_turn(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) ->
         if wait_s <= 0:
             return DeliveryTurn(items=_first_items(load, flood, now))
         waits.append(wait_s)
+    if load.standing:
+        wait_s = _wait_s(GATHER_S, load.standing[0][1], now)
+        if wait_s <= 0:
+            return DeliveryTurn(items=tuple(item for item, _ in load.standing))
+        waits.append(wait_s)
     due = [retry for retry in load.retries if not retry.wait_s(now)]
     if due:
         return DeliveryTurn(retry=min(due, key=lambda retry: (retry.attempts, retry.id)).id)
@@ -100,8 +108,12 @@ def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
 def _digest_wait_s(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> float:
     if not is_flooded(load, flood, now):
         return 0.0
-    since_s = now - load.items[0][1]
-    return digest_s - since_s if since_s >= 0 else 0.0
+    return _wait_s(digest_s, load.items[0][1], now)
+
+
+def _wait_s(wait_s: float, since: UnixTime, now: UnixTime) -> float:
+    """The rest of a wait. Where the clock was set back since it began, it is over."""
+    return wait_s - (now - since) if now >= since else 0.0
 
 
 def _first_items(load: EndpointLoad, flood: int, now: UnixTime) -> tuple[int, ...]:

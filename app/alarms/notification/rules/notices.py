@@ -132,8 +132,9 @@ def follow(
     now: UnixTime,
     local: datetime,
 ) -> Followed:
-    """Take in transitions, in order, and then what is due by ``now``."""
-    done = Followed(dict(episodes))
+    """Take in transitions, in order, and then what is due by ``now``. Where the clock was set back since an
+    episode began, its time counts from ``now`` on."""
+    done = Followed({key: replace(each, at=min(each.at, now)) for key, each in episodes.items()})
     for entry in entries:
         if is_ended_by(entry):
             done.open.pop(entry.alarm, None)
