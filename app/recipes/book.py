@@ -69,9 +69,7 @@ class RecipeBook:
             raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, unix_now(), rows))
-        await self._record(
-            person, recipe, Message.of("event_recipe_saved", name=recipe.name, version=recipe.version)
-        )
+        await self._record(person, recipe, "event_recipe_saved")
         return recipe
 
     async def retire(self, person: Person, bus: str, name: str) -> None:
@@ -80,11 +78,7 @@ class RecipeBook:
         if not versions:
             raise Problem(404, "unknown_recipe", Message.of("no_such_recipe", name=name, bus=bus))
         await self.store.retire(bus, name)
-        await self._record(
-            person,
-            versions[0],
-            Message.of("event_recipe_retired", name=versions[0].name, version=versions[0].version),
-        )
+        await self._record(person, versions[0], "event_recipe_retired")
 
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
@@ -132,19 +126,11 @@ class RecipeBook:
         now = unix_now()
         await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
         self._loaded[recipe.bus] = Loaded(recipe, person.name, now)
-        await self._record(
-            person, recipe, Message.of("event_recipe_loaded", name=recipe.name, version=recipe.version)
-        )
+        await self._record(person, recipe, "event_recipe_loaded")
 
-    async def _record(self, person: Person, recipe: Recipe, what: Message) -> None:
-        await self._events.record(
-            kind="recipe",
-            who=person.name,
-            origin=person.via,
-            bus=recipe.bus,
-            unit=None,
-            what=what,
-        )
+    async def _record(self, person: Person, recipe: Recipe, code: str) -> None:
+        what = Message.of(code, name=recipe.name, version=recipe.version)
+        await self._events.record(kind="recipe", **person.author, bus=recipe.bus, what=what)
 
     def _bus(self, recipe: Recipe) -> BusLive:
         bus = self._state.buses.get(recipe.bus)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
+from starlette.responses import RedirectResponse
 
 from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
@@ -65,7 +66,7 @@ async def save(
     if not setpoints:
         raise Problem(422, "invalid", Message("recipe_without_setpoint"))
     saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
-    return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
+    return RedirectResponse(f"/recipes/{saved.id}", 303)
 
 
 @router.get("/recipes/{recipe_id}")
@@ -137,7 +138,7 @@ async def retire(
 ) -> Response:
     """Take a recipe out of the list."""
     await book.retire(person, bus, name)
-    return Response(status_code=303, headers={"Location": "/recipes"})
+    return RedirectResponse("/recipes", 303)
 
 
 def _present(bus: BusLive) -> dict[int, str]:

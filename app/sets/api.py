@@ -182,4 +182,4 @@ async def _record_secret_access(person: Person, events: EventLog, stored: Parame
     if not person.role.includes(Role.ENGINEER):
         raise Problem(403, "forbidden", Message("secret_for_engineer"))
     what = Message.of("event_secret_exported", set=stored.id)
-    await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)
+    await events.record(kind="secret", **person.author, bus=stored.bus, what=what)

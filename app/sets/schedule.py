@@ -116,20 +116,13 @@ class SetSchedule:
         """Reported once; tried again as long as it is overdue."""
         first, overdue.why = not overdue.why, why
         if first:
-            what = Message.of("event_set_not_taken", unit=unit)
-            await self._record(person, what, unit, why)
+            await self._record(person, Message.of("event_set_not_taken", unit=unit), unit, why)
 
     async def _record(
         self, person: Person, what: Message, unit: int | None = None, message: Message | str = ""
     ) -> None:
         await self._events.record(
-            kind="parameter_set",
-            who=person.name,
-            origin=person.via,
-            bus=self._bus,
-            unit=unit,
-            what=what,
-            message=message,
+            kind="parameter_set", **person.author, bus=self._bus, unit=unit, what=what, message=message
         )
 
 

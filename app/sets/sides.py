@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
 from app.sets.lookup import set_or_404, unit_rows_or_404
@@ -94,9 +94,7 @@ async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
     golden = (await store.golden(of)).get(unit)
-    if golden is None:
-        raise Problem(404, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
-    return golden
+    return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
 
 
 @dataclass(frozen=True, slots=True)

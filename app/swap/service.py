@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from app.audit.log import EventLog
 from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.live.state.bus_live import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
@@ -67,10 +67,7 @@ class SwapService:
 
     def of_or_404(self, bus: str, unit: int) -> Swap:
         """The same. Raises Problem 404."""
-        swap = self.of(bus, unit)
-        if swap is None:
-            raise Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
-        return swap
+        return or_404(self.of(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
         """Begin the swap of a section's unit; ``source`` is what the spare shall become.
