@@ -62,13 +62,18 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
-    bus = tables.find_unit(source.connection, query.bus.name, BUS)
-    keys = [source.unit] if bus is None else [source.unit, bus]
-    marks = tables.link_marks(source.connection, keys, query.start - MARGIN, query.end)
+    marks = marks_of(source, query, query.start - MARGIN, query.end)
     resolution, points = _points(source, query, marks)
     scales = scale_of(source, query)
     decimals = scales.at(query.end).decimals
     return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
+
+
+def marks_of(source: unit_history.StoredUnit, query: SeriesQuery, start: int, end: int) -> Marks:
+    """When the unit or its bus was lost and found within a span, µs."""
+    bus = tables.find_unit(source.connection, query.bus.name, BUS)
+    keys = [source.unit] if bus is None else [source.unit, bus]
+    return tables.link_marks(source.connection, keys, start, end)
 
 
 def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:

@@ -11,6 +11,7 @@ from itertools import chain, pairwise
 from statistics import median_low
 from typing import TypeVar
 
+from app.database.words import primary_code
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.gaps import usual_interval
@@ -19,7 +20,7 @@ from app.history.series.rollup import FIELDS, Rollup, rollup
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
-from app.history.store.damage import BlockKey, StoredTier, torn
+from app.history.store.damage import BlockKey, StoredTier
 
 T = TypeVar("T")
 RawRow = tuple[int, int, int, int]
@@ -52,7 +53,7 @@ class StoredUnit:
             try:
                 row = self.connection.execute(query, (self.unit, begin)).fetchone()
             except sqlite3.DatabaseError as error:
-                if not torn(error):
+                if primary_code(error) != sqlite3.SQLITE_CORRUPT:
                     raise
                 row = None
             if row is None:
