@@ -19,7 +19,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
-from app.recipes.rules import RecipeSetpoint, present_raw, setpoint_kind, setpoint_text
+from app.recipes.rules import setpoint_kind, setpoint_text, setpoints_now
 from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
@@ -89,9 +89,8 @@ async def review(
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
     bus = page.bus(recipe.bus)
-    await know_ramps(
-        page, person, recipe.bus, [one.unit for one in recipe.setpoints if one.unit in bus.units]
-    )
+    units = [one.unit for one in recipe.setpoints if one.unit in bus.units]
+    await know_ramps(page, person, recipe.bus, units)
     run = book.try_out(person, recipe)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
     left_out, unchanged = keep_their_setpoint(page, recipe.bus, [step.unit for step in run.steps])
@@ -143,13 +142,8 @@ async def retire(
 
 def _present(bus: BusLive) -> dict[int, str]:
     """The present setpoint of each unit as it shows it; empty where it is not known."""
-    shown: dict[int, str] = {}
-    for number, unit in bus.units.items():
-        kind = setpoint_kind(unit)
-        raw = None if kind is None else present_raw(unit, kind)
-        known = kind is not None and raw is not None
-        shown[number] = setpoint_text(unit, RecipeSetpoint(number, raw or 0, kind)) if known and kind else ""
-    return shown
+    known = {one.unit: setpoint_text(bus.units[one.unit], one) for one in setpoints_now(bus.units.values())}
+    return dict.fromkeys(bus.units, "") | known
 
 
 def _raw(bus: BusLive, number: int, text: str) -> int:
@@ -160,6 +154,5 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        raise Problem(
-            422, "invalid", Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
-        ) from error
+        reason = Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
+        raise Problem(422, "invalid", reason) from error

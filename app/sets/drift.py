@@ -217,13 +217,7 @@ async def _older(events: EventLog, bus: str, unit: int, row: Compared) -> Event 
     """A command of a version that stored no parameter number: the one from the left value to the right."""
     if row.left is None or row.right is None or row.left.raw is None or row.right.raw is None:
         return None
-    wanted = Filter(
-        kind="command",
-        bus=bus,
-        unit=unit,
-        since=row.left.read_at,
-        old_raw=row.left.raw,
-        new_raw=row.right.raw,
-    )
+    since, old, new = row.left.read_at, row.left.raw, row.right.raw
+    wanted = Filter(kind="command", bus=bus, unit=unit, since=since, old_raw=old, new_raw=new)
     found, _ = await events.page(wanted, _LOOK_BACK)
     return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

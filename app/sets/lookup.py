@@ -56,9 +56,8 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     try:
         return await document_rows(content.decode("utf-8-sig"), name, unit)
     except UnicodeDecodeError as error:
-        raise Problem(
-            422, "invalid", Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
-        ) from error
+        wrong = Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
+        raise Problem(422, "invalid", wrong) from error
 
 
 async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
@@ -85,11 +84,6 @@ class FormSource:
 
     text: str
     file: UploadFile | None
-
-    @property
-    def file_name(self) -> str:
-        """As the browser named the file; empty without one."""
-        return (self.file.filename or "") if self.file is not None else ""
 
     async def uploaded(self, unit: int) -> UnitRows | None:
         """The rows of the file for ``unit``, None without one. Raises Problem 422."""

@@ -102,11 +102,6 @@ class Restore:
         never = {left.number for left in self.left_out if not left.later}
         return [row for row in differences(self.wanted, self.proven) if row.number not in never]
 
-    def adopt(self, plan: RestorePlan, selection: Selection) -> None:
-        """Take over the plan for another selection of rows."""
-        self.plan, self.selection = plan, selection
-        self.rows = [RowResult(write) for write in plan.writes]
-
     def stop(self, code: str, cause: Message) -> None:
         """End it before its time: every row without an outcome was not sent."""
         self.state, self.cause_code, self.cause = "stopped", code, cause

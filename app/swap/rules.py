@@ -56,26 +56,21 @@ PROVEN = Advice("proven", Message("swap_proven"), at_panel=False)
 
 def advice(state: SwapState) -> Advice:
     """What to do now."""
-    if state.at_target in ("garbled", "foreign", "late"):
-        return _at_target_wrong(state)
+    if state.at_target == "late":
+        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
+    if state.at_target in ("garbled", "foreign"):
+        code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
+        return Advice("address", Message.of(code, target=state.target), at_panel=True)
     if state.at_target == "silent":
         return _nothing_at_target(state)
     if not state.is_new:
-        return Advice(
-            "find", Message.of("swap_old_or_new", target=state.target), at_panel=True, confirms_spare=True
-        )
+        text = Message.of("swap_old_or_new", target=state.target)
+        return Advice("find", text, at_panel=True, confirms_spare=True)
     if state.remote is not True:
         return Advice("remote", Message("swap_set_remote"), at_panel=True)
     if state.equal is not True:
         return Advice("restore", Message("swap_restore_now"), at_panel=False)
     return PROVEN
-
-
-def _at_target_wrong(state: SwapState) -> Advice:
-    if state.at_target == "late":
-        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
-    code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
-    return Advice("address", Message.of(code, target=state.target), at_panel=True)
 
 
 def _nothing_at_target(state: SwapState) -> Advice:

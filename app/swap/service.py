@@ -18,6 +18,7 @@ from app.live.state.bus_live import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
+from app.sets.reading import status_of
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
 from app.sets.sides import side
@@ -26,7 +27,6 @@ from app.swap.record import Swap, SwapSource
 from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
-from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
 from bus.instants import Clock
 from bus.messages import Message, joined, listed
@@ -76,9 +76,8 @@ class SwapService:
         """
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
-            raise Problem(
-                409, "busy", Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
-            )
+            other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
+            raise Problem(409, "busy", other)
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
@@ -219,10 +218,8 @@ async def _probe(commands: CommandService, person: Person, address: int) -> Prob
 def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
     """REMOTE as the unit reported since it came back; None until then."""
     known = live.buses[bus].units[unit]
-    if known.reading is None or known.link.link != "online":
-        return None
-    settings = live.buses[bus].settings
-    return status_bits(known.reading.outputs, known.reading.inputs, settings.estop_healthy).remote
+    status = status_of(live.buses[bus], known) if known.link.link == "online" else None
+    return None if status is None else status.remote
 
 
 SHEET = "sheet"
@@ -242,8 +239,9 @@ async def source_of(
 
     ``keepers``: by bus. Raises Problem 404, 422 or 504.
     """
-    if rows := await form.uploaded(unit):
-        kept = await keepers(bus).keep(person, [rows], form.file_name[:80], "", "from a file")
+    if form.file and (rows := await form.uploaded(unit)):
+        name = (form.file.filename or "")[:80]
+        kept = await keepers(bus).keep(person, [rows], name, "", "from a file")
         return SwapSource(kept.id, rows.unit)
     if form.text == SHEET:
         return None
