@@ -332,7 +332,7 @@ async def _end(services: Services) -> None:
     for bus in services.buses.values():
         await bus.close()
     await services.restores.background.close()
-    await services.events.repeated.record_rest()
+    await services.events.repeated.record_due(everything=True)
     await services.events.record(kind="server", what=Message("event_server_ended"))
     if services.anchoring is not None:
         with suppress(TimeoutError):
