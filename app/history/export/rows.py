@@ -57,16 +57,13 @@ class Table:
     def columns(self) -> list[str]:
         """A name for each column: what, then in what it is measured."""
         parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
-        return [f"{_name(q)}{part}{_measure(q)}" for q in self.queries for part in parts]
+        return [_column(query, part) for query in self.queries for part in parts]
 
 
-def _name(query: SeriesQuery) -> str:
-    return f"{query.bus.name}/{query.unit} {query.value.name}"
-
-
-def _measure(query: SeriesQuery) -> str:
+def _column(query: SeriesQuery, part: str) -> str:
     measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
-    return f" [{measure}]" if measure else ""
+    name = f"{query.bus.name}/{query.unit} {query.value.name}{part}"
+    return f"{name} [{measure}]" if measure else name
 
 
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
