@@ -31,10 +31,6 @@ class DriftedParameter:
     traced: bool = False
 
     @property
-    def _target(self) -> tuple[int, int | None]:
-        return self.row.number, None if self.row.right is None else self.row.right.raw
-
-    @property
     def key(self) -> str:
         """A text that changes with the displayed drift."""
         left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
@@ -42,7 +38,8 @@ class DriftedParameter:
 
     def same(self, other: DriftedParameter) -> bool:
         """Return whether both state the same difference, regardless of its cause."""
-        return self._target == other._target
+        mine, theirs = self.row.right, other.row.right
+        return self.row.number == other.row.number and (mine and mine.raw) == (theirs and theirs.raw)
 
 
 class BusDrift:
