@@ -48,11 +48,8 @@ class Recipe:
 @dataclass(frozen=True, slots=True)
 class LoadStep:
     """What loading does to one unit. ``old`` and ``new`` are in ``measure``; ``old`` is empty and ``ramp_s``
-    None where not known.
-
-    ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
-    change, None for a unit that is not configured.
-    """
+    None where not known. ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
+    change, None for a unit that is not configured."""
 
     unit: int
     name: str | Message
@@ -208,10 +205,8 @@ def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: UnixTime) -> bool
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
     """The present setpoints of units that have reported theirs, to begin a recipe from."""
-    found: list[RecipeSetpoint] = []
-    for unit in units:
-        kind = setpoint_kind(unit)
-        raw = present_raw(unit, kind) if kind is not None else None
-        if kind is not None and raw is not None:
-            found.append(RecipeSetpoint(unit.settings.id, raw, kind))
-    return tuple(found)
+    return tuple(
+        RecipeSetpoint(unit.settings.id, raw, kind)
+        for unit in units
+        if (kind := setpoint_kind(unit)) and (raw := present_raw(unit, kind)) is not None
+    )

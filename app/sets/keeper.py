@@ -70,14 +70,13 @@ class SetKeeper:
         while True:
             await asyncio.sleep(_LEARN_EVERY_S)
             for unit in self._drift.marked():
-                if self._live.units[unit].link.link == "online" and self._drift.unread(unit):
-                    await self._learn(person, unit)
-
-    async def _learn(self, person: Person, unit: int) -> None:
-        try:
-            await self.reader.read_unit(person, unit)
-        except Problem as problem:
-            _log.info("a unit with a golden set was not read", bus=self.bus, unit=unit, why=problem.detail)
+                if self._live.units[unit].link.link != "online" or not self._drift.unread(unit):
+                    continue
+                try:
+                    await self.reader.read_unit(person, unit)
+                except Problem as problem:
+                    why = problem.detail
+                    _log.info("a unit with a golden set was not read", bus=self.bus, unit=unit, why=why)
 
     async def keep(
         self, person: Person, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin

@@ -112,9 +112,7 @@ def _insert_values(
 
 
 def _stored_values(write: Write) -> tuple[int, int]:
-    if PARAMETERS[write.number].secret:
-        return NOT_KEPT, NOT_KEPT
-    return write.present, write.wanted
+    return (NOT_KEPT, NOT_KEPT) if PARAMETERS[write.number].secret else (write.present, write.wanted)
 
 
 def _unless_secret(number: int, raw: int | None) -> int | None:

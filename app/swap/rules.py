@@ -20,13 +20,9 @@ STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 @dataclass(frozen=True, slots=True)
 class SwapState:
-    """Findings on the wire for a swap. ``remote`` and ``equal`` None: not known yet.
-
-    ``at_target``: the unit at the section's address; ``at_factory``: at address 1.
-    ``is_new``: that unit is the spare, not the old unit that is still on the cable.
-    ``equal``: whether the unit equals the set, by the last full read.
-    ``baud``: the rate of the line.
-    """
+    """Findings on the wire for a swap. ``at_target``: the unit at the section's address; ``at_factory``: at
+    address 1. ``is_new``: that unit is the spare, not the old unit that is still on the cable. ``equal``:
+    whether it equals the set, by the last full read. ``remote`` and ``equal`` None: not known yet."""
 
     target: int
     at_target: ProbeFinding
@@ -40,10 +36,8 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and what to do now.
-
-    ``at_panel``: only a person at the unit can do it. ``confirms_spare``: to confirm that it is the spare.
-    """
+    """The step at hand, and what to do now. ``at_panel``: only a person at the unit can do it;
+    ``confirms_spare``: to confirm that it is the spare."""
 
     step: StepName
     text: Message

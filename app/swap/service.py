@@ -184,15 +184,19 @@ async def look(commands: CommandService, live: LiveState, person: Person, swap: 
     at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _probe(commands, person, FACTORY_ADDRESS)
+    line, unit = live.buses[bus], live.buses[bus].units[target]
+    # REMOTE counts as the unit reported it since it came back.
+    is_back = at_target == "digimax" and unit.link.link == "online"
+    status = status_of(line, unit) if is_back else None
     return SwapState(
         target=target,
         at_target=at_target,
         at_factory=at_factory,
-        remote=_remote(live, bus, target) if at_target == "digimax" else None,
+        remote=None if status is None else status.remote,
         equal=swap.equal,
         is_new=swap.is_new,
-        configured=frozenset(live.buses[bus].units),
-        baud=live.buses[bus].baud,
+        configured=frozenset(line.units),
+        baud=line.baud,
     )
 
 
@@ -213,13 +217,6 @@ async def _probe(commands: CommandService, person: Person, address: int) -> Prob
     if result.outcome != "verified":
         raise Problem(503, "not_looked", outcome_message(result))
     return next((found.kind for found in result.found if found.unit == address), "silent")
-
-
-def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
-    """REMOTE as the unit reported since it came back; None until then."""
-    known = live.buses[bus].units[unit]
-    status = status_of(live.buses[bus], known) if known.link.link == "online" else None
-    return None if status is None else status.remote
 
 
 SHEET = "sheet"
