@@ -114,16 +114,11 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 
 def shown(event: Event) -> dict[str, Any]:
     """An event as the API gives it."""
-    members = {name: event[name] for name in COLUMNS}
-    time = iso(event["time"]) if is_moment(event["time"]) else None
-    frames = json.loads(event["frames"])
     return {
-        **members,
-        "time": time,
+        **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
+        "time": iso(event["time"]) if is_moment(event["time"]) else None,
         "count": event["count"] or 1,
-        "frames": frames,
-        "unreadable": event["unreadable"],
-        "messages": event["messages"],
+        "frames": json.loads(event["frames"]),
     }
 
 
