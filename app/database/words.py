@@ -11,8 +11,6 @@ from app.errors import DamagedStoreError, StoreError, TooCostlyError, system_err
 from bus.errors import CallerError
 from bus.messages import Message
 
-__all__ = ["StoreError", "in_words"]
-
 _MEANINGS: dict[int, Message] = {
     sqlite3.SQLITE_FULL: Message("store_disk_full"),
     sqlite3.SQLITE_READONLY: Message("store_read_only"),
