@@ -25,7 +25,7 @@ _log = structlog.get_logger(__name__)
 _LEARN_EVERY_S = 5.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SetKeeper:
     """Takes and keeps the sets of one bus."""
 

@@ -39,7 +39,7 @@ def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
     return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ParameterReader:
     """Reads units of one bus now; an unread or partly read unit is reported as such."""
 

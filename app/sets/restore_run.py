@@ -21,7 +21,7 @@ _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
 """Outcomes of a row after which the others cannot be expected to do better."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RestoreRun:
     """Carries out what was reviewed, for ``person``. Raises Problem for whatever stops it."""
 

@@ -21,7 +21,7 @@ from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Space, Upkeep, prepare
+from app.history.intake.upkeep import Retention, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables
@@ -81,7 +81,7 @@ class Writer:
         self._open: _Open | None = None
         self._writable = False
         self._status = Status(since=unix_now())
-        self._space: Space = "enough"
+        self._space: StoreState = "ok"
         self._clock = ClockWatch(unix_now(), monotonic_now())
         self._retry_at = self._look_at = self._give_up_at = Monotonic(0.0)
         self._ending = threading.Event()
@@ -164,7 +164,7 @@ class Writer:
             if monotonic_now() < self._retry_at:
                 return
             self._open_store()
-        if self._space != "none":
+        if self._space != "paused":
             self._store()
         self._watch_disk()
 
@@ -269,13 +269,12 @@ class Writer:
             return
         self._look_at = monotonic_now() + LOOK_EVERY_S
         free, self._space = opened.upkeep.look()
-        if self._space in ("scarce", "none"):
+        if self._space in ("scarce", "paused"):
             opened.upkeep.trim(micros(unix_now()))
         oldest = opened.database.read_now(tables.oldest_raw)
         lately = micros(unix_now()) - SHOWN_FOR
         damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
-        state: dict[Space, StoreState] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
-        self._set_state(state[self._space])
+        self._set_state(self._space)
         self._status = replace(
             self._status,
             free_bytes=free,
