@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -65,6 +65,7 @@ ProblemCode = Literal[
     "wrong_host",
 ]
 """Every ``code`` of a problem and every ``outcome`` of a command: published in the API's OpenAPI document."""
+T = TypeVar("T")
 CODES: frozenset[str] = frozenset(get_args(ProblemCode))
 
 
@@ -104,3 +105,10 @@ class Problem(LinesideError):
         """The same refusal with response headers; an underscore in a name becomes a hyphen."""
         self.headers.update({name.replace("_", "-"): value for name, value in headers.items()})
         return self
+
+
+def or_404(found: T | None, code: ProblemCode, message: Message) -> T:
+    """What a request names. Raises Problem 404 where it is not there."""
+    if found is None:
+        raise Problem(404, code, message)
+    return found

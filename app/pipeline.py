@@ -5,7 +5,7 @@ The live state comes first, and with it the browsers; history and events never h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 from app.live.change_recorder import ChangeRecorder
@@ -25,16 +25,6 @@ class HistoryIntake(Protocol):
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """Take in what a worker reported."""
-
-
-class HistoryFaults(Protocol):
-    """What goes wrong while readings are kept."""
-
-    def on_clock_step(self, subscriber: Callable[[float, UnixTime], None]) -> None:
-        """Call ``subscriber`` when the app's own clock was stepped: by how many seconds, and when."""
-
-    def on_damage(self, subscriber: Callable[[Message, UnixTime], None]) -> None:
-        """Call ``subscriber`` when something stored cannot be read: what, and when that was found."""
 
 
 class Pipeline:
@@ -92,25 +82,14 @@ class Pipeline:
         self._recorder.note(LineEvent("worker", None, at, cause, term("connected"), term("gone")))
 
     def clock_stepped(self, step_s: float, at: UnixTime) -> None:
-        self._recorder.note(_clock_step("event_worker_clock_stepped", step_s, at))
+        what = Message.of("event_worker_clock_stepped", step=number(f"{step_s:+.3f}"))
+        self._recorder.note(LineEvent("clock", None, at, what, "", ""))
 
     def _append(self, updates: Sequence[Update]) -> None:
         self._history.append(self._live.settings.name, updates)
-
-
-def record_history_faults(history: HistoryFaults, recorder: ChangeRecorder) -> None:
-    """From now on record when the app's own clock was stepped, and what of the history cannot be read."""
-    history.on_clock_step(
-        lambda step_s, at: recorder.note(_clock_step("event_app_clock_stepped", step_s, at))
-    )
-    history.on_damage(lambda what, at: recorder.note(LineEvent("server", None, at, what, "", "")))
 
 
 def refusal_of_worker(at: UnixTime, holder: str, refused: str, reason: Message) -> LineEvent:
     """The event of a worker whose hello was refused."""
     what = Message("event_worker_refused")
     return LineEvent("worker", None, at, what, holder, refused, reason, series=what.code)
-
-
-def _clock_step(code: str, step_s: float, at: UnixTime) -> LineEvent:
-    return LineEvent("clock", None, at, Message.of(code, step=number(f"{step_s:+.3f}")), "", "")

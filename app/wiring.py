@@ -50,13 +50,13 @@ from app.history.status import store_notice
 from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
+from app.live.changes import LineEvent
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.metrics.api import Counts, MetricSources
-from app.pipeline import record_history_faults
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
 from app.sets.restore import RestoreService
@@ -139,7 +139,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
     sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
     live, history = LiveState(settings.bus, unix_now()), History(settings)
     recorder = ChangeRecorder(events)
-    record_history_faults(history, recorder)
+    history.on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     sets, alarm_store = SetStore(database), AlarmStore(database)
     local_time = partial(datetime.now, ZoneInfo(site.zone))
     notification = Notification(settings, database, events, templates.languages, local_time)
@@ -334,7 +334,7 @@ async def _end(services: Services) -> None:
     for bus in services.buses.values():
         await bus.close()
     await services.restores.background.close()
-    await services.events.repeated.record_rest()
+    await services.events.repeated.record_due(everything=True)
     await services.events.record(kind="server", what=Message("event_server_ended"))
     if services.anchoring is not None:
         with suppress(TimeoutError):

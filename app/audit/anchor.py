@@ -33,7 +33,9 @@ class AnchorError(StoreError):
     """The anchor cannot be read or written; ``reason`` in short."""
 
     def __init__(self, path: Path, cause: OSError | Message) -> None:
-        self.reason = cause if isinstance(cause, Message) else _reason(cause)
+        is_link = isinstance(cause, OSError) and cause.errno == errno.ELOOP
+        reason = Message("anchor_is_link") if is_link else cause
+        self.reason = reason if isinstance(reason, Message) else system_error(reason)
         super().__init__(Message.of("anchor_failed", path=str(path), reason=self.reason))
 
 
@@ -43,10 +45,6 @@ class _AnchorLine(msgspec.Struct):
     time: str
     key: str
     seal: str
-
-
-def _reason(error: OSError) -> Message:
-    return Message("anchor_is_link") if error.errno == errno.ELOOP else system_error(error)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import csv
-import io
 import json
 import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
-import msgspec
 from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, BaseModel, Field
 from starlette.responses import Response, StreamingResponse
@@ -22,7 +19,7 @@ from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import MaybeMessage, iso, maybe_shown
+from app.web.shape import MaybeMessage, csv_text, iso, json_response, maybe_shown
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 from bus.messages import in_english
@@ -117,16 +114,11 @@ Wanted = Annotated[Filter, Depends(wanted_events)]
 
 def shown(event: Event) -> dict[str, Any]:
     """An event as the API gives it."""
-    members = {name: event[name] for name in COLUMNS}
-    time = iso(event["time"]) if is_moment(event["time"]) else None
-    frames = json.loads(event["frames"])
     return {
-        **members,
-        "time": time,
+        **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
+        "time": iso(event["time"]) if is_moment(event["time"]) else None,
         "count": event["count"] or 1,
-        "frames": frames,
-        "unreadable": event["unreadable"],
-        "messages": event["messages"],
+        "frames": json.loads(event["frames"]),
     }
 
 
@@ -136,12 +128,7 @@ async def list_events(
 ) -> Response:
     """Events newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with zone."""
     found, after = await events.page(wanted, limit)
-    body = await asyncio.to_thread(_page_json, found, after)
-    return Response(body, media_type="application/json")
-
-
-def _page_json(found: list[Event], after: int | None) -> bytes:
-    return msgspec.json.encode({"events": [shown(event) for event in found], "next": after})
+    return await json_response(lambda: {"events": [shown(event) for event in found], "next": after})
 
 
 class AuditVerification(BaseModel):
@@ -171,23 +158,17 @@ async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingR
 
 
 async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
-    yield _lines([list(COLUMNS)])
+    yield csv_text([COLUMNS])
     async for chunk in events.every(wanted):
         yield await asyncio.to_thread(_chunk_text, chunk)
 
 
 def _chunk_text(chunk: list[Event]) -> str:
     rows = (shown(event) for event in chunk)
-    return _lines([[_cell(row[name]) for name in COLUMNS] for row in rows])
+    return csv_text([_cell(row[name]) for name in COLUMNS] for row in rows)
 
 
 def _cell(value: object) -> str:
     """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
     text = "" if value is None else str(value)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
-
-
-def _lines(rows: list[list[str]]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer).writerows(rows)
-    return buffer.getvalue()

@@ -59,7 +59,7 @@ class EventBudget(Generic[T]):
         is kept for a summary."""
         series = self._series.setdefault(key, _Series(Bucket(1 / FORGIVEN_EVERY_S, burst)))
         series.last_at = now
-        if not series.count and self._has_room(series, now):
+        if not series.count and series.bucket.has_room(now) and self._all.has_room(now):
             return series.bucket.take(now) and self._all.take(now)
         if not series.count:
             series.first_at, series.due_at = now, now + series.pause_s
@@ -73,11 +73,8 @@ class EventBudget(Generic[T]):
             for series in self._series.values()
             if series.count and (everything or self._is_due(series, now))
         ]
-        self._series = {key: series for key, series in self._series.items() if not self._is_over(series, now)}
+        self._series = {key: one for key, one in self._series.items() if one.count or one.bucket.level(now)}
         return found
-
-    def _has_room(self, series: _Series[T], now: Monotonic) -> bool:
-        return series.bucket.has_room(now) and self._all.has_room(now)
 
     def _is_due(self, series: _Series[T], now: Monotonic) -> bool:
         return now >= series.due_at or now - series.last_at >= QUIET_S
@@ -92,6 +89,3 @@ class EventBudget(Generic[T]):
             series.pause_s = min(2 * series.pause_s, LONGEST_PAUSE_S)
             series.bucket.fill(now)
         return summary
-
-    def _is_over(self, series: _Series[T], now: Monotonic) -> bool:
-        return not series.count and not series.bucket.level(now)

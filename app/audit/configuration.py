@@ -26,11 +26,8 @@ def flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _name(element: Any, index: int) -> str:
-    if isinstance(element, Mapping):
-        for key in ("id", "name"):
-            if key in element:
-                return str(element[key])
-    return str(index)
+    named = element if isinstance(element, Mapping) else {}
+    return str(named.get("id", named.get("name", index)))
 
 
 def differences(before: Any, now: Any) -> list[str]:

@@ -7,7 +7,6 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
@@ -40,22 +39,16 @@ async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Event
     """Rows newest first, at most ``limit``, and the number to continue from (None at the end). A part is a
     row where the filter leaves its group out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
-    groups = [event["id"] for event in found]
+    groups = sorted(event["id"] for event in found)
     parts, more = await events.page(Filter(parts_of=tuple(groups)), MOST_PARTS)
-    by_group = _by_group(parts, groups)
+    by_group: dict[int, list[Event]] = {}
+    for part in reversed(parts):
+        by_group.setdefault(_group_of(part, groups), []).append(part)
     if more is not None:
         # Newest first: the change of the last part may have more than were read; newer ones have all.
-        cut = _group_of(parts[-1], sorted(groups))
+        cut = _group_of(parts[-1], groups)
         found, after = [event for event in found if event["id"] > cut], cut + 1
     return [EventRow(event, by_group.get(event["id"], [])) for event in found], after
-
-
-def _by_group(parts: Sequence[Event], groups: Sequence[int]) -> dict[int, list[Event]]:
-    ordered = sorted(groups)
-    found: dict[int, list[Any]] = {}
-    for part in reversed(parts):
-        found.setdefault(_group_of(part, ordered), []).append(part)
-    return found
 
 
 def _group_of(part: Event, ordered: Sequence[int]) -> int:

@@ -21,7 +21,6 @@ EventKind = Literal[
     "login_refused",
     "logout",
     "mode",
-    "notification",
     "parameter_set",
     "recipe",
     "restore",

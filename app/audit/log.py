@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
@@ -34,6 +34,22 @@ CHUNK = 1000
 INDEX_PAUSE_S = 0.05
 """Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = Message("server_stopped")
+
+
+class EventFields(TypedDict, total=False):
+    """What an event may state."""
+
+    what: Required[str | Message]
+    who: str | Message
+    origin: str | Message
+    bus: str | None
+    unit: int | None
+    old: str | Message | None
+    new: str | Message | None
+    old_raw: int | None
+    new_raw: int | None
+    outcome: str | None
+    message: str | Message
 
 
 class EventLog:
@@ -86,39 +102,15 @@ class EventLog:
         self,
         *,
         kind: EventKind,
-        what: str | Message,
-        who: str | Message = "",
-        origin: str | Message = "",
-        bus: str | None = None,
-        unit: int | None = None,
-        old: str | Message | None = None,
-        new: str | Message | None = None,
-        old_raw: int | None = None,
-        new_raw: int | None = None,
-        outcome: str | None = None,
-        message: str | Message = "",
         at: UnixTime | None = None,
         count: int = 1,
         also: Also | None = None,
+        **fields: Unpack[EventFields],
     ) -> int:
         """Store a complete event; ``at``: when, if not just now, ``count``: how often, and ``also`` what
         belongs to it, in the same transaction. Returns the event's number."""
-        entry = self._entry(
-            kind,
-            who=who,
-            origin=origin,
-            bus=bus,
-            unit=unit,
-            what=what,
-            old=old,
-            new=new,
-            old_raw=old_raw,
-            new_raw=new_raw,
-            outcome=outcome,
-            message=message,
-            count=count if count > 1 else None,
-            **({} if at is None or not is_moment(at) else {"time": at}),
-        )
+        time = {} if at is None or not is_moment(at) else {"time": at}
+        entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
         return (await self._append_all([entry], also))[0]
 
     async def close_open_intents(self) -> int:

@@ -55,23 +55,18 @@ async def events_page(
         search=formats.typed_number(search),
     )
     rows, after = await groups.page(events, wanted, ON_A_PAGE)
+    settings = service_of(request, Settings)
     return render(
         request,
         "events/page.html",
         rows=rows,
-        names=_names(request),
+        names={(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit},
         kinds=await events.kinds(),
         chosen=chosen,
         older=_link(chosen, before=after) if after else "",
         newest=_link(chosen) if before else "",
         csv=_csv_link(wanted, site_zone),
     )
-
-
-def _names(request: Request) -> dict[tuple[str, int], str]:
-    """What the configuration calls the units, by bus and address."""
-    settings = service_of(request, Settings)
-    return {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
 
 
 def _number(text: str) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Hashable, Iterator
+from collections.abc import Awaitable, Callable, Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -55,25 +55,19 @@ class Tally(Generic[Item]):
         window.count += 1
         return None
 
-    def due(self, now: UnixTime) -> list[Counted[Item]]:
-        """What was counted in windows that are over. A window in which nothing was is forgotten; one that
-        began later than ``now`` is over too, for the clock was set back."""
-        return list(self._take(lambda window: not 0 <= now - window.began < WINDOW_S, now))
-
-    def rest(self, now: UnixTime) -> list[Counted[Item]]:
-        """Everything counted and not recorded yet."""
-        return list(self._take(lambda _: True, now))
-
-    def _take(self, is_over: Callable[[_Window[Item]], bool], now: UnixTime) -> Iterator[Counted[Item]]:
+    def due(self, now: UnixTime, *, everything: bool = False) -> list[Counted[Item]]:
+        """What was counted in windows that are over, or in all. A window in which nothing was is forgotten;
+        one that began later than ``now`` is over too, for the clock was set back."""
+        found: list[Counted[Item]] = []
         for windows in self._groups.values():
             for key, window in list(windows.items()):
-                if not is_over(window):
+                if not everything and 0 <= now - window.began < WINDOW_S:
                     continue
+                del windows[key]
                 if window.count:
-                    yield Counted(window.item, window.count, window.last, key is None)
+                    found.append(Counted(window.item, window.count, window.last, key is None))
                     windows[key] = _Window(window.item, now)
-                else:
-                    del windows[key]
+        return found
 
 
 MANY = Message("many_addresses")
@@ -108,26 +102,14 @@ class RepeatedEvents:
             await asyncio.sleep(WINDOW_S / 4)
             await self.record_due()
 
-    async def record_due(self) -> None:
-        """Record what was counted in minutes that are over."""
-        for counted in self._tally.due(self._clock()):
-            await self._record_counted(counted)
-
-    async def record_rest(self) -> None:
-        """Record everything that was counted: the server ends."""
-        for counted in self._tally.rest(self._clock()):
+    async def record_due(self, *, everything: bool = False) -> None:
+        """Record what was counted in minutes that are over; when the server ends, ``everything``."""
+        for counted in self._tally.due(self._clock(), everything=everything):
             await self._record_counted(counted)
 
     async def _record_counted(self, counted: Counted[_RepeatedEvent]) -> None:
         kind, what, who, origin, message = counted.item
         if counted.is_many:
             origin, message = MANY, ""
-        await self._record(
-            kind=kind,
-            what=what,
-            who=who,
-            origin=origin,
-            message=message,
-            at=counted.last,
-            count=counted.count,
-        )
+        at, count = counted.last, counted.count
+        await self._record(kind=kind, what=what, who=who, origin=origin, message=message, at=at, count=count)

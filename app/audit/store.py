@@ -118,13 +118,8 @@ def _pattern(text: str) -> str:
 
 def head_of(connection: sqlite3.Connection) -> Head:
     """The newest entry as noted apart."""
-    row = connection.execute("SELECT * FROM events_head").fetchone()
-    return _head(dict(row)) if row else Head()
-
-
-def _head(row: Mapping[str, Any]) -> Head:
-    """A store of an earlier version has no key and no seal."""
-    return Head(row["id"], row["hash"], row.get("key", ""), row.get("seal", ""))
+    head, _ = extent(connection)
+    return head
 
 
 def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys) -> int:
@@ -139,11 +134,8 @@ def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys)
 
 def _end_of(connection: sqlite3.Connection) -> Head:
     """The newest entry as noted apart, or one that is there behind it and cannot have been written so."""
-    head = head_of(connection)
-    row = connection.execute(
-        "SELECT id, hash, key FROM events WHERE id > ? ORDER BY id DESC", (head.id,)
-    ).fetchone()
-    return Head(*row) if row else head
+    head, last = extent(connection)
+    return (link_of(connection, last) if last > head.id else None) or head
 
 
 def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
@@ -219,8 +211,9 @@ def extent(connection: sqlite3.Connection) -> tuple[Head, int]:
     row = connection.execute(
         "SELECT head.*, (SELECT max(id) FROM events) AS last FROM (SELECT 1) LEFT JOIN events_head AS head"
     ).fetchone()
-    head = Head() if row["id"] is None else _head(dict(row))
-    return head, row["last"] or 0
+    _, number, *rest, last = row
+    # A store of an earlier version has no key and no seal.
+    return Head() if number is None else Head(number, *rest), last or 0
 
 
 def link_of(connection: sqlite3.Connection, number: int) -> Head | None:

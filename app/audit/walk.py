@@ -111,15 +111,3 @@ class Walk:
 def not_anchored(number: int) -> Message:
     """The fault of an entry that has another hash than the anchor names."""
     return Message.of("audit_entry_not_anchored", entry=number)
-
-
-def verify(
-    entries: Iterable[Mapping[str, Any]],
-    head: Head | None,
-    ring: KeyRing,
-    anchors: Mapping[int, str] | None = None,
-) -> Verdict:
-    """Walk a log from its beginning and compare its end with what was noted apart."""
-    walk = Walk(ring, anchors)
-    walk.follow(entries)
-    return walk.end(head)

@@ -3,6 +3,5 @@
 from __future__ import annotations
 
 from app.database.connection import Database
-from app.database.words import StoreError
 
-__all__ = ["Database", "StoreError"]
+__all__ = ["Database"]

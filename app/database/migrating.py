@@ -59,13 +59,10 @@ def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -
     autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
     known = migrations_in(folder)
     applied = _applied(connection)
-    newer = sorted(set(applied) - {migration.number for migration in known})
+    newer = set(applied) - {migration.number for migration in known}
     if newer:
-        raise StoreError(
-            Message.of(
-                "store_of_newer_version", path=str(path), step=f"{newer[-1]:04d}", called=applied[newer[-1]]
-            )
-        )
+        step, called = f"{max(newer):04d}", applied[max(newer)]
+        raise StoreError(Message.of("store_of_newer_version", path=str(path), step=step, called=called))
     missing = [migration for migration in known if migration.number not in applied]
     if missing and applied:
         _copy(connection, path, missing[0])
@@ -101,12 +98,6 @@ def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
     except sqlite3.OperationalError as error:
         if connection.in_transaction:
             connection.rollback()
-        raise StoreError(
-            Message.of(
-                "store_step_failed",
-                path=str(path),
-                step=f"{step.number:04d}",
-                called=step.name,
-                error=str(error),
-            )
-        ) from error
+        number, why = f"{step.number:04d}", str(error)
+        failed = Message.of("store_step_failed", path=str(path), step=number, called=step.name, error=why)
+        raise StoreError(failed) from error

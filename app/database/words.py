@@ -11,8 +11,6 @@ from app.errors import DamagedStoreError, StoreError, TooCostlyError, system_err
 from bus.errors import CallerError
 from bus.messages import Message
 
-__all__ = ["StoreError", "in_words"]
-
 _MEANINGS: dict[int, Message] = {
     sqlite3.SQLITE_FULL: Message("store_disk_full"),
     sqlite3.SQLITE_READONLY: Message("store_read_only"),
@@ -23,8 +21,11 @@ _MEANINGS: dict[int, Message] = {
     sqlite3.SQLITE_BUSY: Message("store_locked"),
     sqlite3.SQLITE_PERM: Message("store_access_refused"),
 }
-_PRIMARY = 0xFF
-"""An extended result code holds the primary one in its low byte."""
+
+
+def primary_code(error: sqlite3.Error) -> int:
+    """The primary result code, which is the low byte of an extended one; 0: the error has none."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
 @contextmanager
@@ -41,15 +42,12 @@ def in_words(path: Path) -> Iterator[None]:
     except OverflowError as error:
         raise CallerError(Message("number_too_large")) from error
     except sqlite3.Error as error:
-        code = getattr(error, "sqlite_errorcode", None)
+        code = primary_code(error)
         if code == sqlite3.SQLITE_INTERRUPT:
             raise TooCostlyError(Message("search_too_costly")) from error
-        meaning = _MEANINGS.get(code & _PRIMARY) if isinstance(code, int) else None
-        damaged = isinstance(code, int) and code & _PRIMARY == sqlite3.SQLITE_CORRUPT
-        kind = DamagedStoreError if damaged else StoreError
-        raise kind(
-            Message.of("store_failed", path=str(path), reason=meaning or system_error(error))
-        ) from error
+        reason = _MEANINGS.get(code) or system_error(error)
+        kind = DamagedStoreError if code == sqlite3.SQLITE_CORRUPT else StoreError
+        raise kind(Message.of("store_failed", path=str(path), reason=reason)) from error
     except OSError as error:
         failed = Message.of("store_folder_failed", path=str(path), error=system_error(error))
         raise StoreError(failed) from error

@@ -7,7 +7,7 @@ are those of ``static/js/trends-view.js``; where they differ, the script request
 from __future__ import annotations
 
 import asyncio
-from itertools import islice
+from contextlib import suppress
 from typing import Any
 from urllib.parse import urlencode
 
@@ -17,16 +17,16 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem, StoreError
-from app.history.api.routes import iso
 from app.history.api.spans import MOST_SERIES, HistoryOf, Span, moment, series_queries
 from app.history.export import parquet_file
 from app.history.series import values
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.series.values import VALUES
-from app.history.service import History
+from app.history.service import History, seconds
 from app.history.status import store_notice
 from app.web.access import Viewer
 from app.web.assets import Assets
+from app.web.shape import iso
 from app.web.templating import Templates, render, templates_of
 from bus.instants import unix_now
 
@@ -77,7 +77,7 @@ def preload_address(history: History, params: QueryParams, now: int) -> str:
     names = _names(history, params)[:MOST_SERIES]
     if not names or span.start >= span.end:
         return ""
-    query = [("from", iso(span.start)), ("to", iso(span.end)), ("format", "epoch")]
+    query = [("from", iso(seconds(span.start))), ("to", iso(seconds(span.end))), ("format", "epoch")]
     return "/api/v1/history/series?" + urlencode([*query, *(("series", name) for name in names)])
 
 
@@ -87,17 +87,19 @@ def _span(params: QueryParams, now: int) -> Span:
     return Span(moment(params["from"], "from") if "from" in params else end - length, end)
 
 
+def _units(history: History) -> list[str]:
+    return [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
+
+
 def usual_series(history: History) -> list[str]:
     """What the page shows while its address names nothing."""
-    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
-    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
+    return [f"{unit}/actual" for unit in _units(history)[:DEFAULT_VALUES]]
 
 
 def _names(history: History, params: QueryParams) -> list[str]:
     if "s" not in params:
         return usual_series(history)
-    units = [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
-    known = {f"{unit}/{value}" for unit in units for value in VALUES}
+    known = {f"{unit}/{value}" for unit in _units(history) for value in VALUES}
     return [name for name in params.getlist("s") if name in known]
 
 
@@ -118,13 +120,6 @@ async def warm(history: History, templates: Templates, assets: Assets, language:
     environment = templates.environment(language)
     for name in environment.list_templates(filter_func=lambda name: name.startswith(_SHELL)):
         await asyncio.to_thread(environment.get_template, name)
-    await _query_a_day(history)
-
-
-async def _query_a_day(history: History) -> None:
     now = micros(unix_now())
-    names = usual_series(history)
-    try:
-        await history.query(series_queries(history, names, Span(now - DAY, now), POINTS))
-    except (Problem, StoreError):
-        return
+    with suppress(Problem, StoreError):
+        await history.query(series_queries(history, usual_series(history), Span(now - DAY, now), POINTS))

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import structlog
 
+from app.audit.kinds import EventKind
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import Retention
@@ -31,10 +32,8 @@ T = TypeVar("T")
 log = structlog.get_logger()
 
 
-ClockStepSubscriber = Callable[[float, UnixTime], None]
-"""Called with the seconds by which the clock was stepped, and the Unix time."""
-DamageSubscriber = Callable[[Message, UnixTime], None]
-"""Called with what was damaged, in words, and the Unix time."""
+FaultSubscriber = Callable[[EventKind, Message, UnixTime], None]
+"""Called with the kind of event, what happened, and the Unix time."""
 
 
 class History:
@@ -46,27 +45,17 @@ class History:
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
         retention = Retention(settings.history.raw_days, settings.history.years)
-        self._clock_step_subscribers: list[ClockStepSubscriber] = []
-        self._damage_subscribers: list[DamageSubscriber] = []
-        self._writer = Writer(self.path, retention, self._publish_clock_step, self._publish_damage)
+        self._fault_subscribers: list[FaultSubscriber] = []
+        self._writer = Writer(self.path, retention, self._publish_fault)
 
-    def on_clock_step(self, subscriber: ClockStepSubscriber) -> None:
-        """Call ``subscriber`` when the clock of this machine was stepped."""
-        self._clock_step_subscribers.append(subscriber)
+    def on_fault(self, subscriber: FaultSubscriber) -> None:
+        """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""
+        self._fault_subscribers.append(subscriber)
 
-    def on_damage(self, subscriber: DamageSubscriber) -> None:
-        """Call ``subscriber`` when something stored cannot be read."""
-        self._damage_subscribers.append(subscriber)
-
-    def _publish_clock_step(self, step_s: float, at: UnixTime) -> None:
+    def _publish_fault(self, kind: EventKind, what: Message) -> None:
         """Called on the writer's thread."""
-        for subscriber in self._clock_step_subscribers:
-            self._loop.call_soon_threadsafe(subscriber, step_s, at)
-
-    def _publish_damage(self, what: Message) -> None:
-        """Called on the writer's thread."""
-        for subscriber in self._damage_subscribers:
-            self._loop.call_soon_threadsafe(subscriber, what, unix_now())
+        for subscriber in self._fault_subscribers:
+            self._loop.call_soon_threadsafe(subscriber, kind, what, unix_now())
 
     def start(self) -> None:
         """Open the store and begin to write."""

@@ -139,10 +139,8 @@ def catalogs(folder: Path = FOLDER) -> dict[str, Path]:
     return {path.stem.split("_")[0]: path for path in sorted(folder.glob("*.po"))}
 
 
-@cache
-def _language(path: Path, kept_in: Path | None) -> Language:
-    """One for each file, so that a catalog is read once in a process."""
-    return Language(path, kept_in)
+_language = cache(Language)
+"""One for each file, so that a catalog is read once in a process."""
 
 
 def _by_preference(accept_language: str) -> list[str]:

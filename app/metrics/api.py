@@ -49,6 +49,8 @@ router = APIRouter(include_in_schema=False)
 @router.get("/metrics")
 async def metrics(_: Viewer, measured: Annotated[MetricSources, service(MetricSources)]) -> Response:
     """Prometheus text."""
-    from app.metrics.families import CONTENT_TYPE, text
+    from prometheus_client import CONTENT_TYPE_LATEST
 
-    return Response(text(measured), media_type=CONTENT_TYPE)
+    from app.metrics.families import text
+
+    return Response(text(measured), media_type=CONTENT_TYPE_LATEST)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 
-from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -16,9 +16,7 @@ from app.alarms.rules.priority import PRIORITIES
 from app.alarms.rules.states import PRESENT_STATES
 from app.live.state.bus_live import BusLive
 from app.metrics.api import MetricSources
-from bus.contract import UnitFigures
 
-CONTENT_TYPE = CONTENT_TYPE_LATEST
 _COUNTED = {
     "polls": "Status requests sent to a unit",
     "timeouts": "Requests that got no response in time",
@@ -87,12 +85,8 @@ def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
         yield family
 
 
-def _figures(bus: BusLive) -> Iterable[UnitFigures]:
-    return bus.figures.units if bus.figures else ()
-
-
 def _of_units(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
-    each = [(name, unit) for name, bus in buses for unit in _figures(bus)]
+    each = [(name, unit) for name, bus in buses if bus.figures for unit in bus.figures.units]
     for field, words in _COUNTED.items():
         family = CounterMetricFamily(f"lineside_{field}", words, labels=["bus", "unit"])
         for name, unit in each:

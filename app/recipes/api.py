@@ -11,7 +11,7 @@ from app.commands.api.commands import RESULT_RESPONSES
 from app.commands.api.responses import command_response
 from app.commands.catalogue import SET_LINE
 from app.commands.service.writer import permitted_writer
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
@@ -118,7 +118,5 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
 
 
 async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:
-    recipe = await book.store.load(recipe_id)
-    if recipe is None:
-        raise Problem(404, "unknown_recipe", Message.of("no_recipe_with_id", recipe=recipe_id))
-    return recipe
+    missing = Message.of("no_recipe_with_id", recipe=recipe_id)
+    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)

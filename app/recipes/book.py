@@ -10,15 +10,8 @@ from app.commands.catalogue import SET_LINE
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
-from app.recipes.rules import (
-    DryRun,
-    Recipe,
-    RecipeDeparture,
-    RecipeSetpoint,
-    departures,
-    dry_run,
-    setpoint_kind,
-)
+from app.recipes import rules
+from app.recipes.rules import DryRun, Recipe, RecipeDeparture, RecipeSetpoint
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.arrival import Deadline
@@ -53,7 +46,9 @@ class RecipeBook:
     def departed(self, bus: str) -> list[RecipeDeparture]:
         """What has left the loaded recipe since."""
         loaded = self._loaded.get(bus)
-        return departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
+        return (
+            rules.departures(loaded.recipe, self._state.buses[bus], loaded.at) if loaded is not None else []
+        )
 
     def loaded_words(self, bus: str) -> tuple[str, list[str | Message]] | None:
         """Name of the loaded recipe and of the units that have departed from it; None without one."""
@@ -69,9 +64,7 @@ class RecipeBook:
             raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, unix_now(), rows))
-        await self._record(
-            person, recipe, Message.of("event_recipe_saved", name=recipe.name, version=recipe.version)
-        )
+        await self._record(person, recipe, "event_recipe_saved")
         return recipe
 
     async def retire(self, person: Person, bus: str, name: str) -> None:
@@ -80,17 +73,12 @@ class RecipeBook:
         if not versions:
             raise Problem(404, "unknown_recipe", Message.of("no_such_recipe", name=name, bus=bus))
         await self.store.retire(bus, name)
-        await self._record(
-            person,
-            versions[0],
-            Message.of("event_recipe_retired", name=versions[0].name, version=versions[0].version),
-        )
+        await self._record(person, versions[0], "event_recipe_retired")
 
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
-        bus = self._bus(recipe)
         refusal = partial(self._refusal, person, recipe.bus)
-        return dry_run(recipe, bus, refusal, unix_now())
+        return rules.dry_run(recipe, self._bus(recipe), refusal, unix_now())
 
     async def load(
         self, person: Person, recipe: Recipe, made_at: Monotonic, *, confirm: bool, command_id: str | None
@@ -115,7 +103,9 @@ class RecipeBook:
             origin=Message.of("origin_recipe", name=recipe.name),
         )
         if result.outcome == "verified":
-            await self._mark(person, recipe)
+            loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
+            await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
+            await self._record(person, recipe, "event_recipe_loaded")
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
@@ -128,23 +118,9 @@ class RecipeBook:
             return reason if isinstance(reason, Message) else problem.message
         return None
 
-    async def _mark(self, person: Person, recipe: Recipe) -> None:
-        now = unix_now()
-        await self.store.mark_loaded(recipe.bus, recipe.id, person.name, now)
-        self._loaded[recipe.bus] = Loaded(recipe, person.name, now)
-        await self._record(
-            person, recipe, Message.of("event_recipe_loaded", name=recipe.name, version=recipe.version)
-        )
-
-    async def _record(self, person: Person, recipe: Recipe, what: Message) -> None:
-        await self._events.record(
-            kind="recipe",
-            who=person.name,
-            origin=person.via,
-            bus=recipe.bus,
-            unit=None,
-            what=what,
-        )
+    async def _record(self, person: Person, recipe: Recipe, code: str) -> None:
+        what = Message.of(code, name=recipe.name, version=recipe.version)
+        await self._events.record(kind="recipe", **person.author, bus=recipe.bus, what=what)
 
     def _bus(self, recipe: Recipe) -> BusLive:
         bus = self._state.buses.get(recipe.bus)
@@ -157,7 +133,7 @@ def _setpoint(bus: BusLive, unit: int, raw: int) -> RecipeSetpoint:
     live = bus.units.get(unit)
     if live is None:
         raise Problem(422, "invalid", Message.of("recipe_unit_missing", bus=bus.settings.name, unit=unit))
-    kind = setpoint_kind(live)
+    kind = rules.setpoint_kind(live)
     if kind is None:
         raise Problem(422, "invalid", Message.of("unit_mode_unknown", unit=unit))
     return RecipeSetpoint(unit, raw, kind)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
+from starlette.responses import RedirectResponse
 
 from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
@@ -18,7 +19,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
 from app.recipes.api import Book, recipe_or_404
-from app.recipes.rules import RecipeSetpoint, present_raw, setpoint_kind, setpoint_text
+from app.recipes.rules import setpoint_kind, setpoint_text, setpoints_now
 from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
@@ -65,7 +66,7 @@ async def save(
     if not setpoints:
         raise Problem(422, "invalid", Message("recipe_without_setpoint"))
     saved = await book.save(person, bus.settings.name, name, comment[:1000], setpoints)
-    return Response(status_code=303, headers={"Location": f"/recipes/{saved.id}"})
+    return RedirectResponse(f"/recipes/{saved.id}", 303)
 
 
 @router.get("/recipes/{recipe_id}")
@@ -88,9 +89,8 @@ async def review(
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
     bus = page.bus(recipe.bus)
-    await know_ramps(
-        page, person, recipe.bus, [one.unit for one in recipe.setpoints if one.unit in bus.units]
-    )
+    units = [one.unit for one in recipe.setpoints if one.unit in bus.units]
+    await know_ramps(page, person, recipe.bus, units)
     run = book.try_out(person, recipe)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
     left_out, unchanged = keep_their_setpoint(page, recipe.bus, [step.unit for step in run.steps])
@@ -137,18 +137,13 @@ async def retire(
 ) -> Response:
     """Take a recipe out of the list."""
     await book.retire(person, bus, name)
-    return Response(status_code=303, headers={"Location": "/recipes"})
+    return RedirectResponse("/recipes", 303)
 
 
 def _present(bus: BusLive) -> dict[int, str]:
     """The present setpoint of each unit as it shows it; empty where it is not known."""
-    shown: dict[int, str] = {}
-    for number, unit in bus.units.items():
-        kind = setpoint_kind(unit)
-        raw = None if kind is None else present_raw(unit, kind)
-        known = kind is not None and raw is not None
-        shown[number] = setpoint_text(unit, RecipeSetpoint(number, raw or 0, kind)) if known and kind else ""
-    return shown
+    known = {one.unit: setpoint_text(bus.units[one.unit], one) for one in setpoints_now(bus.units.values())}
+    return dict.fromkeys(bus.units, "") | known
 
 
 def _raw(bus: BusLive, number: int, text: str) -> int:
@@ -159,6 +154,5 @@ def _raw(bus: BusLive, number: int, text: str) -> int:
     try:
         return ratio_raw(text) if kind == "ratio" else speed_raw(text, decimals)
     except CallerError as error:
-        raise Problem(
-            422, "invalid", Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
-        ) from error
+        reason = Message.of("nothing_saved", name=unit.settings.name, reason=error.message)
+        raise Problem(422, "invalid", reason) from error

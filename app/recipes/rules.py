@@ -48,11 +48,8 @@ class Recipe:
 @dataclass(frozen=True, slots=True)
 class LoadStep:
     """What loading does to one unit. ``old`` and ``new`` are in ``measure``; ``old`` is empty and ``ramp_s``
-    None where not known.
-
-    ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
-    change, None for a unit that is not configured.
-    """
+    None where not known. ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
+    change, None for a unit that is not configured."""
 
     unit: int
     name: str | Message
@@ -129,7 +126,9 @@ def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now:
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
-    old = "" if unit.reading is None or present is None else _shown(unit, setpoint, present)
+    old = (
+        "" if unit.reading is None or present is None else setpoint_text(unit, replace(setpoint, raw=present))
+    )
     new, measure = setpoint_text(unit, setpoint), measure_of_setpoint(unit)
     return LoadStep(
         unit=setpoint.unit,
@@ -176,11 +175,6 @@ def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> Me
     return None
 
 
-def _shown(unit: UnitLive, setpoint: RecipeSetpoint, raw: int) -> str:
-    """Another value in the place of the setpoint, as the unit would show it."""
-    return setpoint_text(unit, replace(setpoint, raw=raw))
-
-
 def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
     """The present command of the unit: CS of its last response, or #37 for a ratio."""
     if kind == "ratio":
@@ -197,7 +191,7 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime)
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
         return None
-    shown = number(_shown(unit, setpoint, now))
+    shown = number(setpoint_text(unit, replace(setpoint, raw=now)))
     return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
 
 
@@ -211,10 +205,8 @@ def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: UnixTime) -> bool
 
 def setpoints_now(units: Iterable[UnitLive]) -> tuple[RecipeSetpoint, ...]:
     """The present setpoints of units that have reported theirs, to begin a recipe from."""
-    found: list[RecipeSetpoint] = []
-    for unit in units:
-        kind = setpoint_kind(unit)
-        raw = present_raw(unit, kind) if kind is not None else None
-        if kind is not None and raw is not None:
-            found.append(RecipeSetpoint(unit.settings.id, raw, kind))
-    return tuple(found)
+    return tuple(
+        RecipeSetpoint(unit.settings.id, raw, kind)
+        for unit in units
+        if (kind := setpoint_kind(unit)) and (raw := present_raw(unit, kind)) is not None
+    )

@@ -8,32 +8,18 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from app.audit.api import Events
-from app.audit.log import EventLog
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
+from app.sets import view
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
-from app.sets.model import ParameterSet
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
-from app.sets.view import (
-    ComparedShown,
-    DriftShown,
-    GoldenShown,
-    OverdueShown,
-    ScheduleShown,
-    SetShown,
-    SummaryShown,
-    compared_json,
-    departure_json,
-    set_json,
-    summary_json,
-)
-from app.web.access import Engineer, Person, Role, Viewer
+from app.web.access import Engineer, Role, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
@@ -83,28 +69,28 @@ async def list_sets(
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[SummaryShown]:
+) -> list[view.SummaryShown]:
     """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
     found = await sets.summaries(bus, unit, before=before, most=limit)
-    return [summary_json(summary) for summary in found]
+    return [view.summary_json(summary) for summary in found]
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
 async def take_set(
     person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
-) -> SetShown:
+) -> view.SetShown:
     """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
     for unit in units:
         unit_or_404(live, bus, unit)
-    return set_json(await keeper.take(person, units, wanted.name, wanted.comment))
+    return view.set_json(await keeper.take(person, units, wanted.name, wanted.comment))
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, sets: Sets, set_id: int) -> SetShown:
+async def one_set(_: Viewer, sets: Sets, set_id: int) -> view.SetShown:
     """A set with the evidence of each value; #21 is masked."""
-    return set_json(await set_or_404(sets, set_id))
+    return view.set_json(await set_or_404(sets, set_id))
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
@@ -114,7 +100,10 @@ async def set_document(
     """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
-        await _record_secret_access(person, events, stored)
+        if not person.role.includes(Role.ENGINEER):
+            raise Problem(403, "forbidden", Message("secret_for_engineer"))
+        what = Message.of("event_secret_exported", set=stored.id)
+        await events.record(kind="secret", **person.author, bus=stored.bus, what=what)
     headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
     return Response(
         write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
@@ -124,7 +113,7 @@ async def set_document(
 @router.post("/sets/{set_id}/golden")
 async def mark_golden(
     request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
-) -> GoldenShown:
+) -> view.GoldenShown:
     """Make this set the golden set of the unit."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
@@ -140,29 +129,29 @@ async def compare_sets(
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[ComparedShown]:
+) -> list[view.ComparedShown]:
     """Set with set, row by row."""
     left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
-    return [compared_json(row) for row in compare(left, right, tolerance)]
+    return [view.compared_json(row) for row in compare(left, right, tolerance)]
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
+async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> view.DriftShown:
     """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
     change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
         "unread": drift.unread(unit),
-        "rows": [departure_json(one) for one in await drift.traced(unit)],
+        "rows": [view.departure_json(one) for one in await drift.traced(unit)],
     }
 
 
 @router.get("/buses/{bus}/set-schedule")
-async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> ScheduleShown:
+async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.ScheduleShown:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
-    overdue: list[OverdueShown] = [
+    overdue: list[view.OverdueShown] = [
         {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
         for unit, each in schedule.overdue().items()
     ]
@@ -172,14 +161,7 @@ async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str
 @router.put("/buses/{bus}/set-schedule")
 async def write_schedule(
     person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
-) -> ScheduleShown:
+) -> view.ScheduleShown:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "overdue": []}
-
-
-async def _record_secret_access(person: Person, events: EventLog, stored: ParameterSet) -> None:
-    if not person.role.includes(Role.ENGINEER):
-        raise Problem(403, "forbidden", Message("secret_for_engineer"))
-    what = Message.of("event_secret_exported", set=stored.id)
-    await events.record(kind="secret", who=person.name, origin=person.via, bus=stored.bus, what=what)

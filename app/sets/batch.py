@@ -120,12 +120,8 @@ def _row(unit: UnitLive, parameter: Parameter, typed: str, status: StatusBits | 
     if not typed:
         return row
     try:
-        wanted = parameter_raw(
-            parameter,
-            typed,
-            unit.parameter_raw(DECIMALS),
-            follower=is_follower(unit.parameter_raw(FOLLOWER_MODE)),
-        )
+        follower = is_follower(unit.parameter_raw(FOLLOWER_MODE))
+        wanted = parameter_raw(parameter, typed, unit.parameter_raw(DECIMALS), follower=follower)
         check_writable_value(parameter, wanted)
     except CallerError as error:
         return replace(row, fault=error.message)

@@ -29,8 +29,9 @@ async def batch_page(
     parameter = _writable_or_404(number)
     await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})
+    writable = [each for each in PARAMETERS.values() if not each.never_writable]
     return render(
-        request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=_choices(), results=[]
+        request, "sets/batch.html", bus=bus, parameter=parameter, rows=rows, parameters=writable, results=[]
     )
 
 
@@ -73,10 +74,6 @@ def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
         for key, value in form.items()
         if key.startswith(prefix) and (unit := parse_integer(key.removeprefix(prefix))) is not None
     }
-
-
-def _choices() -> list[Parameter]:
-    return [parameter for parameter in PARAMETERS.values() if not parameter.never_writable]
 
 
 def _writable_or_404(number: int) -> Parameter:

@@ -67,13 +67,10 @@ def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, toleranc
     before, after = left.rows.get(number), right.rows.get(number)
     kind = _kind(before, after, tolerance)
     old, new = row_message(parameter, left), row_message(parameter, right)
-    return Compared(number, before, after, kind, old, new, _meaning(number, kind, old, new))
-
-
-def _meaning(number: int, kind: Comparison, old: Message, new: Message) -> Message | None:
-    if kind == "differs":
-        return meaning(number, old, new)
-    return Message.of("differs", old=old, new=new) if kind == "unavailable" else None
+    means = None
+    if kind in ("differs", "unavailable"):
+        means = meaning(number, old, new) if kind == "differs" else Message.of("differs", old=old, new=new)
+    return Compared(number, before, after, kind, old, new, means)
 
 
 def meaning(number: int, old: Message, new: Message) -> Message:
@@ -109,9 +106,6 @@ def with_unit(parameter: Parameter, raw: int, rows: UnitRows) -> Message:
     """``50`` of #6 → ``5.0 s``, by the decimals (#3) and the mode (#8) that ``rows`` hold."""
     if raw in parameter.choices:
         return term(parameter.choices[raw])
-    follower = is_follower(rows.raw(FOLLOWER_MODE))
-    value, unit = (
-        parameter_message(parameter, raw, rows.raw(DECIMALS), follower=follower),
-        parameter_unit(parameter),
-    )
+    follower, unit = is_follower(rows.raw(FOLLOWER_MODE)), parameter_unit(parameter)
+    value = parameter_message(parameter, raw, rows.raw(DECIMALS), follower=follower)
     return in_measure(value, term(unit) if unit else "")

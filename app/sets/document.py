@@ -124,9 +124,8 @@ def read_document(text: str, source: str | Message = THE_FILE) -> ParameterSet:
 def _parse(text: str, source: str | Message) -> _Document:
     content = _content(text, source)
     if content.get("format") != DOCUMENT_FORMAT:
-        raise DocumentError(
-            Message.of("source_no_parameter_set", source=source, format=_quoted(DOCUMENT_FORMAT))
-        )
+        wanted = _quoted(DOCUMENT_FORMAT)
+        raise DocumentError(Message.of("source_no_parameter_set", source=source, format=wanted))
     version = content.get("version")
     if isinstance(version, int) and version > DOCUMENT_VERSION:
         raise DocumentError(Message.of("source_of_newer_version", source=source, version=version))
@@ -134,10 +133,8 @@ def _parse(text: str, source: str | Message) -> _Document:
         return _Document.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise DocumentError(
-            Message.of("source_fault", source=source, where=where, fault=fault_message(first))
-        ) from error
+        where, fault = ".".join(map(str, first["loc"])), fault_message(first)
+        raise DocumentError(Message.of("source_fault", source=source, where=where, fault=fault)) from error
 
 
 def _content(text: str, source: str | Message) -> dict[str, Any]:
@@ -149,7 +146,10 @@ def _content(text: str, source: str | Message) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise _unreadable(source, error) from error
+        why = Message("nested_too_deeply") if isinstance(error, RecursionError) else str(error)
+        cut_off = "end of document" in str(error)
+        code = "source_cut_off" if cut_off else "source_not_toml"
+        raise DocumentError(Message.of(code, source=source, why=why)) from error
 
 
 def _key_steps(text: str) -> int:
@@ -164,21 +164,13 @@ def _key_steps(text: str) -> int:
     return steps
 
 
-def _unreadable(source: str | Message, error: Exception) -> DocumentError:
-    why = Message("nested_too_deeply") if isinstance(error, RecursionError) else str(error)
-    if "end of document" in str(error):
-        return DocumentError(Message.of("source_cut_off", source=source, why=why))
-    return DocumentError(Message.of("source_not_toml", source=source, why=why))
-
-
 def _seconds(moment: datetime, source: str | Message) -> UnixTime:
     """Seconds since the epoch. Raises DocumentError for a year that this machine cannot count."""
     try:
         return UnixTime(moment.timestamp())
     except (ValueError, OverflowError, OSError) as error:
-        raise DocumentError(
-            Message.of("source_time_unknown", source=source, time=moment.isoformat())
-        ) from error
+        unknown = Message.of("source_time_unknown", source=source, time=moment.isoformat())
+        raise DocumentError(unknown) from error
 
 
 def _unit_rows(unit: _Unit, source: str | Message) -> UnitRows:
@@ -197,19 +189,17 @@ def _check_range(number: int, raw: int | None, unit: int, source: str | Message)
     parameter = PARAMETERS[number]
     if raw is None or parameter.minimum <= raw <= parameter.maximum:
         return
-    shown: int | Message = term("hidden") if parameter.secret else raw
-    raise DocumentError(
-        Message.of(
-            "source_value_outside",
-            source=source,
-            unit=unit,
-            number=number,
-            name=parameter.name,
-            raw=shown,
-            lowest=parameter.minimum,
-            highest=parameter.maximum,
-        )
+    outside = Message.of(
+        "source_value_outside",
+        source=source,
+        unit=unit,
+        number=number,
+        name=parameter.name,
+        raw=term("hidden") if parameter.secret else raw,
+        lowest=parameter.minimum,
+        highest=parameter.maximum,
     )
+    raise DocumentError(outside)
 
 
 def _quoted(text: str) -> str:

@@ -31,10 +31,6 @@ class DriftedParameter:
     traced: bool = False
 
     @property
-    def _target(self) -> tuple[int, int | None]:
-        return self.row.number, None if self.row.right is None else self.row.right.raw
-
-    @property
     def key(self) -> str:
         """A text that changes with the displayed drift."""
         left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
@@ -42,7 +38,8 @@ class DriftedParameter:
 
     def same(self, other: DriftedParameter) -> bool:
         """Return whether both state the same difference, regardless of its cause."""
-        return self._target == other._target
+        mine, theirs = self.row.right, other.row.right
+        return self.row.number == other.row.number and (mine and mine.raw) == (theirs and theirs.raw)
 
 
 class BusDrift:
@@ -217,13 +214,7 @@ async def _older(events: EventLog, bus: str, unit: int, row: Compared) -> Event 
     """A command of a version that stored no parameter number: the one from the left value to the right."""
     if row.left is None or row.right is None or row.left.raw is None or row.right.raw is None:
         return None
-    wanted = Filter(
-        kind="command",
-        bus=bus,
-        unit=unit,
-        since=row.left.read_at,
-        old_raw=row.left.raw,
-        new_raw=row.right.raw,
-    )
+    since, old, new = row.left.read_at, row.left.raw, row.right.raw
+    wanted = Filter(kind="command", bus=bus, unit=unit, since=since, old_raw=old, new_raw=new)
     found, _ = await events.page(wanted, _LOOK_BACK)
     return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

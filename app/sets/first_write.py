@@ -14,7 +14,7 @@ from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
-from app.sets.model import SetOrigin, UnitRows
+from app.sets.model import UnitRows
 from app.sets.reading import known_rows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
@@ -74,8 +74,7 @@ class FirstWrites:
         for rows in fresh:
             self._kept[rows.unit] = now.date()
         try:
-            origin: SetOrigin = "before the first write of the day"
-            await self._keeper.keep(person, fresh, "", "", origin)
+            await self._keeper.keep(person, fresh, "", "", "before the first write of the day")
         except (Problem, StoreError):
             for rows in fresh:
                 del self._kept[rows.unit]
@@ -97,6 +96,6 @@ class FirstWrites:
     async def _complete(self, person: Person, unit: int) -> None:
         """Values that were not known before the write follow in a separate set, in the gaps of the scan."""
         try:
-            await self._keeper.take(person, [unit], "", "", "after the first write of the day")
+            await self._keeper.take(person, [unit], origin="after the first write of the day")
         except (Problem, StoreError) as error:
             _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))

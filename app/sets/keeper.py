@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import structlog
 
@@ -24,44 +25,35 @@ _log = structlog.get_logger(__name__)
 _LEARN_EVERY_S = 5.0
 
 
+@dataclass(frozen=True, eq=False)
 class SetKeeper:
     """Takes and keeps the sets of one bus."""
 
-    def __init__(
-        self,
-        live: BusLive,
-        reader: ParameterReader,
-        drift: BusDrift,
-        store: SetStore,
-        events: EventLog,
-        rights: Authority,
-    ) -> None:
-        self.bus = live.settings.name
-        self._live = live
-        self._rights = rights
-        self._reader = reader
-        self._drift = drift
-        self.store = store
-        self._events = events
+    _live: BusLive
+    reader: ParameterReader
+    _drift: BusDrift
+    store: SetStore
+    _events: EventLog
+    _rights: Authority
+
+    @property
+    def bus(self) -> str:
+        return self._live.settings.name
 
     async def take(
         self,
         person: Person,
         units: Sequence[int],
-        name: str,
-        comment: str,
+        name: str = "",
+        comment: str = "",
         origin: SetOrigin = "by hand",
     ) -> ParameterSet:
         """Read the units now, one after another, and save their values.
 
         Raises Problem 504 or 503 when one does not respond; nothing is saved then.
         """
-        rows = [await self.read(person, unit) for unit in units]
+        rows = [await self.reader.read_unit(person, unit) for unit in units]
         return await self.keep(person, rows, name, comment, origin)
-
-    async def read(self, person: Person, unit: int) -> UnitRows:
-        """All parameters of a unit, read in the gaps of the scan. Raises Problem 504 or 503."""
-        return await self._reader.read_unit(person, unit)
 
     async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
         """Make this set the golden set of the unit. Raises Problem 404 where it does not hold it."""
@@ -69,14 +61,8 @@ class SetKeeper:
             raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
         await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
         await self._drift.load()
-        await self._events.record(
-            kind="parameter_set",
-            who=person.name,
-            origin=person.via,
-            bus=self.bus,
-            unit=unit,
-            what=Message.of("event_set_golden", set=stored.id, unit=unit),
-        )
+        what = Message.of("event_set_golden", set=stored.id, unit=unit)
+        await self._events.record(kind="parameter_set", **person.author, bus=self.bus, unit=unit, what=what)
 
     async def learn_marked(self, person: Person) -> None:
         """Run indefinitely: read completely, in the gaps of the scan, the units whose golden set could not be
@@ -84,14 +70,13 @@ class SetKeeper:
         while True:
             await asyncio.sleep(_LEARN_EVERY_S)
             for unit in self._drift.marked():
-                if self._live.units[unit].link.link == "online" and self._drift.unread(unit):
-                    await self._learn(person, unit)
-
-    async def _learn(self, person: Person, unit: int) -> None:
-        try:
-            await self.read(person, unit)
-        except Problem as problem:
-            _log.info("a unit with a golden set was not read", bus=self.bus, unit=unit, why=problem.detail)
+                if self._live.units[unit].link.link != "online" or not self._drift.unread(unit):
+                    continue
+                try:
+                    await self.reader.read_unit(person, unit)
+                except Problem as problem:
+                    why = problem.detail
+                    _log.info("a unit with a golden set was not read", bus=self.bus, unit=unit, why=why)
 
     async def keep(
         self, person: Person, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin
@@ -102,14 +87,8 @@ class SetKeeper:
         kept = await self.store.save(
             ParameterSet(self.bus, unix_now(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
-        await self._events.record(
-            kind="parameter_set",
-            who=person.name,
-            origin=person.via,
-            bus=self.bus,
-            unit=rows[0].unit if len(rows) == 1 else None,
-            what=Message.of(
-                "event_set_taken", set=kept.id, units=[unit.unit for unit in rows], origin=term(origin)
-            ),
-        )
+        units: list[int | str | Message] = [unit.unit for unit in rows]
+        what = Message.of("event_set_taken", set=kept.id, units=units, origin=term(origin))
+        alone = rows[0].unit if len(rows) == 1 else None
+        await self._events.record(kind="parameter_set", **person.author, bus=self.bus, unit=alone, what=what)
         return kept

@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Depends, Form, UploadFile
 
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.sets.document import LONGEST_DOCUMENT, THE_FILE, DocumentError, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
@@ -56,32 +56,23 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     try:
         return await document_rows(content.decode("utf-8-sig"), name, unit)
     except UnicodeDecodeError as error:
-        raise Problem(
-            422, "invalid", Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
-        ) from error
+        wrong = Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
+        raise Problem(422, "invalid", wrong) from error
 
 
 async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
-    stored = await store.load(set_id)
-    if stored is None:
-        raise Problem(404, "unknown_set", Message.of("no_such_set", set=set_id))
-    return stored
+    return or_404(await store.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
     """The rows of one unit of a set."""
-    rows = stored.unit(unit)
-    if rows is None:
-        raise Problem(404, "unknown_unit", Message.of("set_lacks_unit", set=stored.id, unit=unit))
-    return rows
+    lacks = Message.of("set_lacks_unit", set=stored.id, unit=unit)
+    return or_404(stored.unit(unit), "unknown_unit", lacks)
 
 
 async def restore_or_404(restores: RestoreService, restore_id: str) -> Restore:
     """A restore that was begun, or a plan of this run of the server."""
-    restore = await restores.find(restore_id)
-    if restore is None:
-        raise Problem(404, "unknown_restore", Message("no_such_restore"))
-    return restore
+    return or_404(await restores.find(restore_id), "unknown_restore", Message("no_such_restore"))
 
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
@@ -93,11 +84,6 @@ class FormSource:
 
     text: str
     file: UploadFile | None
-
-    @property
-    def file_name(self) -> str:
-        """As the browser named the file; empty without one."""
-        return (self.file.filename or "") if self.file is not None else ""
 
     async def uploaded(self, unit: int) -> UnitRows | None:
         """The rows of the file for ``unit``, None without one. Raises Problem 422."""

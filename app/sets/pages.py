@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
+from starlette.responses import RedirectResponse
 
-from app.errors import Problem
+from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.api import Drift, Sets
@@ -15,7 +16,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
-from app.sets.taking import Taking, Takings
+from app.sets.taking import Takings
 from app.web.access import Engineer, Viewer
 from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
@@ -74,13 +75,13 @@ async def take(
     for number in units:
         unit_or_404(live, bus, number)
     taking = readings.begin(person, bus_service_of(request, bus, SetKeeper), units, name, comment)
-    return go_to(f"/sets/taking/{taking.id}")
+    return RedirectResponse(f"/sets/taking/{taking.id}", 303)
 
 
 @router.get("/sets/taking/{taking_id}")
 async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id: str) -> Response:
     """How far a reading is."""
-    taking = _taking_or_404(readings, taking_id)
+    taking = or_404(readings.get(taking_id), "unknown_taking", Message("no_such_taking"))
     template = "sets/_taking.html" if request.headers.get("hx-request") else "sets/taking.html"
     return render(request, template, taking=taking)
 
@@ -96,7 +97,7 @@ async def set_schedule(
     hour, _, minute = at.partition(":")
     schedule = bus_service_of(request, bus, SetSchedule)
     await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
-    return go_to("/sets")
+    return RedirectResponse("/sets", 303)
 
 
 @router.get("/sets/compare")
@@ -153,7 +154,7 @@ async def golden(
     """Mark it as what the unit ought to be."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, unit)
-    return go_to(f"/sets/{set_id}")
+    return RedirectResponse(f"/sets/{set_id}", 303)
 
 
 @router.get("/units/{bus}/{unit}/drift")
@@ -172,15 +173,3 @@ async def drift_fragment(
         unread=drift.unread(unit),
         PARAMETERS=PARAMETERS,
     )
-
-
-def _taking_or_404(readings: Takings, taking_id: str) -> Taking:
-    taking = readings.get(taking_id)
-    if taking is None:
-        raise Problem(404, "unknown_taking", Message("no_such_taking"))
-    return taking
-
-
-def go_to(path: str) -> Response:
-    """The page to go on with after a form."""
-    return Response(status_code=303, headers={"Location": path})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
@@ -11,7 +12,7 @@ from app.sets.model import ParameterRow, UnitRows
 from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
-from bus.contract import ParameterValue, ReadParameters, Result
+from bus.contract import ParameterValue, ReadParameters
 from bus.messages import Message
 
 READ_TIMEOUT_S = 300.0
@@ -38,16 +39,17 @@ def status_of(bus: BusLive, unit: UnitLive) -> StatusBits | None:
     return status_bits(unit.reading.outputs, unit.reading.inputs, bus.settings.estop_healthy)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class ParameterReader:
     """Reads units of one bus now; an unread or partly read unit is reported as such."""
 
-    def __init__(self, live: BusLive, commands: CommandService) -> None:
-        self._live = live
-        self._commands = commands
+    _live: BusLive
+    _commands: CommandService
 
-    def status(self, unit: int) -> StatusBits | None:
-        """As :func:`status_of`, by the address of the unit."""
-        return status_of(self._live, self._live.units[unit])
+    def motion(self, unit: int) -> tuple[bool | None, bool | None]:
+        """The Run input and REMOTE of a unit as last read; None for one that does not respond."""
+        status = status_of(self._live, self._live.units[unit])
+        return (None, None) if status is None else (status.run, status.remote)
 
     async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
         """All 40 parameters as the unit reports them now.
@@ -57,11 +59,6 @@ class ParameterReader:
         action = ReadParameters(unit=unit, numbers=list(PARAMETERS), urgent=urgent)
         result = await self._commands.send(person, action, timeout_s=READ_TIMEOUT_S)
         if len(result.values) < len(PARAMETERS):
-            raise _unread(result, unit)
-        settings = self._live.units[unit].settings
-        return UnitRows(unit, settings.name, rows_of(result.values))
-
-
-def _unread(result: Result, unit: int) -> Problem:
-    detail = result.message or Message.of("unit_did_not_answer", unit=unit)
-    return Problem(504, "unverified", detail, unit=unit, read=len(result.values))
+            detail = result.message or Message.of("unit_did_not_answer", unit=unit)
+            raise Problem(504, "unverified", detail, unit=unit, read=len(result.values))
+        return UnitRows(unit, self._live.units[unit].settings.name, rows_of(result.values))

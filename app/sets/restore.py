@@ -85,8 +85,7 @@ class RestoreService:
         """
         reader = self._readers[bus]
         before = await reader.read_unit(person, unit, urgent=True)
-        status = reader.status(unit)
-        running, remote = (None, None) if status is None else (status.run, status.remote)
+        running, remote = reader.motion(unit)
         plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
         refuse_unwritable(plan, selection)
         restore = Restore(
@@ -109,20 +108,17 @@ class RestoreService:
     def select(self, restore: Restore, selection: Selection) -> None:
         """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
         _refuse_begun(restore)
-        plan = plan_restore(
-            restore.wanted,
-            restore.before,
-            running=restore.running,
-            remote=restore.remote,
-            selection=selection,
-        )
+        wanted, before, running, remote = restore.wanted, restore.before, restore.running, restore.remote
+        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
         refuse_unwritable(plan, selection)
-        restore.adopt(plan, selection)
+        restore.plan, restore.selection = plan, selection
+        restore.rows = [RowResult(write) for write in plan.writes]
 
     def start(self, person: Person, restore: Restore) -> None:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
         _refuse_begun(restore)
-        if any(other.state in UNDER_WAY and _same_unit(other, restore) for other in self._restores.values()):
+        place, others = (restore.bus, restore.unit), self._restores.values()
+        if any((other.bus, other.unit) == place and other.state in UNDER_WAY for other in others):
             raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
         self.background.begin(self._run(person, restore), f"restore {restore.id}")
@@ -175,7 +171,3 @@ class RestoreService:
 def _refuse_begun(restore: Restore) -> None:
     if restore.state != "planned":
         raise Problem(409, "already_started", Message.of("restore_has_begun", state=term(restore.state)))
-
-
-def _same_unit(one: Restore, other: Restore) -> bool:
-    return one is not other and (one.bus, one.unit) == (other.bus, other.unit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Request, Response
+from starlette.responses import RedirectResponse
 
 from app.errors import Problem
 from app.live.api.routes import Live
@@ -15,7 +16,6 @@ from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
 from app.sets.lookup import Chosen, FormSource, post_source, restore_or_404
 from app.sets.model import UnitRows
-from app.sets.pages import go_to
 from app.sets.plan import Selection
 from app.sets.restore_api import Restores
 from app.sets.restore_record import Restore
@@ -58,7 +58,7 @@ async def plan_page(
     unit_or_404(live, bus, unit)
     rows = await chosen.uploaded(unit) or await _stored(sets, live, chosen)
     restore = await restores.plan(person, bus, unit, rows)
-    return go_to(f"/restores/{restore.id}")
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.get("/restores/{restore_id}")
@@ -95,7 +95,7 @@ async def confirm_dangerous(
     unit_or_404(live, old.bus, old.unit)
     selection = Selection(confirmed=old.selection.confirmed | frozenset(tick or ()))
     fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
-    return go_to(f"/restores/{fresh.id}")
+    return RedirectResponse(f"/restores/{fresh.id}", 303)
 
 
 @router.post("/restores/{restore_id}/again")
@@ -105,7 +105,7 @@ async def plan_again(person: Engineer, restores: Restores, live: Live, restore_i
     unit_or_404(live, old.bus, old.unit)
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
     fresh = await restores.plan(person, old.bus, old.unit, old.wanted, Selection(exclude=deselected))
-    return go_to(f"/restores/{fresh.id}")
+    return RedirectResponse(f"/restores/{fresh.id}", 303)
 
 
 @router.post("/restores/{restore_id}/start")
@@ -114,14 +114,14 @@ async def start(person: Engineer, restores: Restores, restore_id: str, row: Tick
     restore = await restore_or_404(restores, restore_id)
     restores.select(restore, _ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
-    return go_to(f"/restores/{restore_id}")
+    return RedirectResponse(f"/restores/{restore_id}", 303)
 
 
 @router.post("/restores/{restore_id}/cancel")
 async def cancel(person: Engineer, restores: Restores, restore_id: str) -> Response:
     """Stop after the current row."""
     (await restore_or_404(restores, restore_id)).cancel(person.name)
-    return go_to(f"/restores/{restore_id}")
+    return RedirectResponse(f"/restores/{restore_id}", 303)
 
 
 async def _stored(sets: SetStore, live: LiveState, chosen: FormSource) -> UnitRows:

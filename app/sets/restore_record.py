@@ -102,11 +102,6 @@ class Restore:
         never = {left.number for left in self.left_out if not left.later}
         return [row for row in differences(self.wanted, self.proven) if row.number not in never]
 
-    def adopt(self, plan: RestorePlan, selection: Selection) -> None:
-        """Take over the plan for another selection of rows."""
-        self.plan, self.selection = plan, selection
-        self.rows = [RowResult(write) for write in plan.writes]
-
     def stop(self, code: str, cause: Message) -> None:
         """End it before its time: every row without an outcome was not sent."""
         self.state, self.cause_code, self.cause = "stopped", code, cause
@@ -133,23 +128,12 @@ def remarks(
 ) -> list[Message]:
     """Whether the machine runs, whose set it is, and of what kind. ``running``: the Run input of the unit,
     None where not known."""
-    return [*_motion(running, writes), *_origin(wanted, present), *_kind(wanted, present)]
-
-
-def _motion(running: bool | None, writes: Iterable[Write]) -> list[Message]:
-    if not any(warning_of(write.number, write.wanted, running=running) for write in writes):
-        return []
-    return [] if running is False else [MAY_RUN if running is None else RUNS]
-
-
-def _origin(wanted: UnitRows, present: UnitRows) -> list[Message]:
-    if wanted.unit == present.unit:
-        return []
-    return [Message.of("restore_of_other_unit", unit=wanted.unit, present=present.unit)]
-
-
-def _kind(wanted: UnitRows, present: UnitRows) -> list[Message]:
     found: list[Message] = []
+    warnings = (warning_of(write.number, write.wanted, running=running) for write in writes)
+    if running is not False and any(warnings):
+        found.append(MAY_RUN if running is None else RUNS)
+    if wanted.unit != present.unit:
+        found.append(Message.of("restore_of_other_unit", unit=wanted.unit, present=present.unit))
     kinds = [rows.raw(FOLLOWER_MODE) for rows in (wanted, present)]
     if None not in kinds and (kinds[0] == 0) != (kinds[1] == 0):
         found.append(Message("restore_of_master" if kinds[0] == 0 else "restore_of_follower"))

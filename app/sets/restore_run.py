@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
@@ -17,28 +17,19 @@ from bus.contract import WriteParameter
 from bus.errors import unit_error
 from bus.messages import Message
 
-_OF_ITS_ROW = frozenset({"invalid"})
-"""Refusals that concern one row only."""
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
 """Outcomes of a row after which the others cannot be expected to do better."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class RestoreRun:
     """Carries out what was reviewed, for ``person``. Raises Problem for whatever stops it."""
 
-    def __init__(
-        self,
-        reader: ParameterReader,
-        commands: CommandService,
-        store: RestoreStore,
-        person: Person,
-        restore: Restore,
-    ) -> None:
-        self._reader = reader
-        self._commands = commands
-        self._store = store
-        self._person = person
-        self._restore = restore
+    _reader: ParameterReader
+    _commands: CommandService
+    _store: RestoreStore
+    _person: Person
+    _restore: Restore
 
     async def run(self) -> None:
         """Leaves the restore ``equal`` or ``different``."""
@@ -53,8 +44,7 @@ class RestoreRun:
         if not restore.rows:
             return
         before = await self._reader.read_unit(self._person, restore.unit, urgent=True)
-        status = self._reader.status(restore.unit)
-        running, remote = (None, None) if status is None else (status.run, status.remote)
+        running, remote = self._reader.motion(restore.unit)
         now = plan_restore(
             restore.wanted, before, running=running, remote=remote, selection=restore.selection
         )
@@ -65,7 +55,8 @@ class RestoreRun:
         restore = self._restore
         for place, row in enumerate(restore.rows):
             if restore.cancelled_by:
-                raise _cancelled(restore)
+                who, done, n = restore.cancelled_by, restore.done, len(restore.rows)
+                raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=n))
             if self._would_surprise(row):
                 raise Problem(409, "moved", Message("unit_started_since_review"))
             await self._store.sending(restore, place)
@@ -87,7 +78,8 @@ class RestoreRun:
         try:
             result = await self._commands.send(self._person, action, confirm=True, origin="restore")
         except Problem as problem:
-            if problem.code not in _OF_ITS_ROW:
+            # Any other refusal concerns the other rows too.
+            if problem.code != "invalid":
                 raise
             return replace(row, outcome="invalid", message=problem.message)
         message = result.message
@@ -103,17 +95,10 @@ class RestoreRun:
 
     def _would_surprise(self, row: RowResult) -> bool:
         """Whether this row changes what a unit does that runs now and did not when it was reviewed."""
-        restore = self._restore
-        status = self._reader.status(restore.unit)
-        runs = status is not None and status.run
-        if not runs or restore.running is not False:
+        runs, _ = self._reader.motion(self._restore.unit)
+        if not runs or self._restore.running is not False:
             return False
         return warning_of(row.write.number, row.write.wanted, running=True) is not None
-
-
-def _cancelled(restore: Restore) -> Problem:
-    who, done, rows = restore.cancelled_by, restore.done, len(restore.rows)
-    return Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=rows))
 
 
 def _go_on_or_raise(row: RowResult) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 
-from app.database import Database
 from app.database.messages import UNREADABLE, message_of, stored_message
+from app.database.queries import Tables, reading, writing
 from app.sets.model import ParameterRow, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
@@ -17,90 +17,86 @@ from bus.messages import Message
 NOT_KEPT = -1
 """Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
 ENDED_MEANWHILE = Message("row_in_doubt")
+MOST_OF_UNIT = 20
+_SIDES = ("wanted", "before", "proven")
 
 
-class RestoreStore:
+class RestoreStore(Tables):
     """All access to the tables of restores. Only what was begun is kept; a plan writes nothing."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    async def begin(self, restore: Restore) -> None:
+    @writing
+    def begin(self, connection: sqlite3.Connection, restore: Restore) -> None:
         """Before the first row is sent."""
-        await self._database.write(lambda connection: _insert(connection, restore))
+        connection.execute(
+            "INSERT INTO restore VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                restore.id,
+                restore.bus,
+                restore.unit,
+                restore.before.name,
+                restore.who,
+                restore.planned_at,
+                restore.plan.equal,
+                restore.state,
+                stored_message(restore.cause),
+                restore.cause_code,
+            ),
+        )
+        connection.executemany(
+            "INSERT INTO restore_row VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            [
+                (restore.id, place, row.write.number, *_stored_values(row.write), *_result_columns(row))
+                for place, row in enumerate(restore.rows)
+            ],
+        )
+        connection.executemany(
+            "INSERT INTO restore_left_out VALUES (?, ?, ?, ?, ?)",
+            [
+                (restore.id, left.number, stored_message(left.text), left.later, left.reason)
+                for left in restore.left_out
+            ],
+        )
+        _insert_values(connection, restore.id, "wanted", restore.wanted.rows)
+        _insert_values(connection, restore.id, "before", restore.before.rows)
 
-    async def sending(self, restore: Restore, place: int) -> None:
+    @writing
+    def sending(self, connection: sqlite3.Connection, restore: Restore, place: int) -> None:
         """A row is about to be sent: should nothing more be stored, it counts as unverified."""
         unverified = RowResult(restore.rows[place].write, "unverified", ENDED_MEANWHILE)
-        await self._database.write(lambda connection: _update_row(connection, restore.id, place, unverified))
+        _update_row(connection, restore.id, place, unverified)
 
-    async def row(self, restore: Restore, place: int) -> None:
-        row = restore.rows[place]
-        await self._database.write(lambda connection: _update_row(connection, restore.id, place, row))
+    @writing
+    def row(self, connection: sqlite3.Connection, restore: Restore, place: int) -> None:
+        _update_row(connection, restore.id, place, restore.rows[place])
 
-    async def end(self, restore: Restore) -> None:
+    @writing
+    def end(self, connection: sqlite3.Connection, restore: Restore) -> None:
         """Its last state, and what the full read found."""
-        await self._database.write(lambda connection: _end(connection, restore))
+        connection.execute(
+            "UPDATE restore SET state = ?, cause = ?, cause_code = ? WHERE id = ?",
+            (restore.state, stored_message(restore.cause), restore.cause_code, restore.id),
+        )
+        for place, row in enumerate(restore.rows):
+            _update_row(connection, restore.id, place, row)
+        if restore.proven is not None:
+            _insert_values(connection, restore.id, "proven", restore.proven.rows)
 
-    async def load(self, restore_id: str) -> Restore | None:
+    @reading
+    def load(self, connection: sqlite3.Connection, restore_id: str) -> Restore | None:
         """A restore that was begun, None when there is no such."""
-        return await self._database.read(lambda connection: _load(connection, restore_id))
+        return next(_select(connection, "id = ?", restore_id), None)
 
-    async def under_way(self) -> list[Restore]:
+    @reading
+    def under_way(self, connection: sqlite3.Connection) -> list[Restore]:
         """Those that had not ended when the server did."""
+        marks = ", ".join("?" * len(UNDER_WAY))
+        return list(_select(connection, f"state IN ({marks})", *UNDER_WAY))
 
-        def work(connection: sqlite3.Connection) -> list[Restore]:
-            wanted = ", ".join(f"'{state}'" for state in UNDER_WAY)
-            found = connection.execute(f"SELECT id FROM restore WHERE state IN ({wanted})").fetchall()
-            return _load_all(connection, found)
-
-        return await self._database.read(work)
-
-    async def of_unit(self, bus: str, unit: int, limit: int = 20) -> list[Restore]:
+    @reading
+    def of_unit(self, connection: sqlite3.Connection, bus: str, unit: int) -> list[Restore]:
         """The last restores of a unit, newest first."""
-
-        def work(connection: sqlite3.Connection) -> list[Restore]:
-            found = connection.execute(
-                "SELECT id FROM restore WHERE bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?",
-                (bus, unit, limit),
-            ).fetchall()
-            return _load_all(connection, found)
-
-        return await self._database.read(work)
-
-
-def _insert(connection: sqlite3.Connection, restore: Restore) -> None:
-    connection.execute(
-        "INSERT INTO restore VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        (
-            restore.id,
-            restore.bus,
-            restore.unit,
-            restore.before.name,
-            restore.who,
-            restore.planned_at,
-            restore.plan.equal,
-            restore.state,
-            stored_message(restore.cause),
-            restore.cause_code,
-        ),
-    )
-    connection.executemany(
-        "INSERT INTO restore_row VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-        [
-            (restore.id, place, row.write.number, *_stored_values(row.write), *_result_columns(row))
-            for place, row in enumerate(restore.rows)
-        ],
-    )
-    connection.executemany(
-        "INSERT INTO restore_left_out VALUES (?, ?, ?, ?, ?)",
-        [
-            (restore.id, left.number, stored_message(left.text), left.later, left.reason)
-            for left in restore.left_out
-        ],
-    )
-    _insert_values(connection, restore.id, "wanted", restore.wanted.rows)
-    _insert_values(connection, restore.id, "before", restore.before.rows)
+        newest = "bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?"
+        return list(_select(connection, newest, bus, unit, MOST_OF_UNIT))
 
 
 def _insert_values(
@@ -116,9 +112,7 @@ def _insert_values(
 
 
 def _stored_values(write: Write) -> tuple[int, int]:
-    if PARAMETERS[write.number].secret:
-        return NOT_KEPT, NOT_KEPT
-    return write.present, write.wanted
+    return (NOT_KEPT, NOT_KEPT) if PARAMETERS[write.number].secret else (write.present, write.wanted)
 
 
 def _unless_secret(number: int, raw: int | None) -> int | None:
@@ -136,48 +130,30 @@ def _update_row(connection: sqlite3.Connection, restore_id: str, place: int, row
     )
 
 
-def _end(connection: sqlite3.Connection, restore: Restore) -> None:
-    connection.execute(
-        "UPDATE restore SET state = ?, cause = ?, cause_code = ? WHERE id = ?",
-        (restore.state, stored_message(restore.cause), restore.cause_code, restore.id),
-    )
-    for place, row in enumerate(restore.rows):
-        _update_row(connection, restore.id, place, row)
-    if restore.proven is not None:
-        _insert_values(connection, restore.id, "proven", restore.proven.rows)
-
-
-def _load(connection: sqlite3.Connection, restore_id: str) -> Restore | None:
-    head = connection.execute(
-        "SELECT bus, unit, unit_name, who, planned_at, equal_rows, state, cause, cause_code"
-        " FROM restore WHERE id = ?",
-        (restore_id,),
-    ).fetchone()
-    if head is None:
-        return None
-    bus, unit, name, who, planned_at, equal, state, cause, cause_code = head
-    rows = _rows(connection, restore_id)
-    proven = _values(connection, restore_id, "proven")
-    return Restore(
-        id=restore_id,
-        bus=bus,
-        unit=unit,
-        who=who,
-        wanted=UnitRows(unit, name, _values(connection, restore_id, "wanted")),
-        before=UnitRows(unit, name, _values(connection, restore_id, "before")),
-        plan=RestorePlan(tuple(row.write for row in rows), _left_out(connection, restore_id), equal),
-        rows=rows,
-        planned_at=planned_at,
-        state=state,
-        cause=message_of(cause),
-        cause_code=cause_code,
-        proven=UnitRows(unit, name, proven) if proven else None,
-    )
-
-
-def _load_all(connection: sqlite3.Connection, ids: Iterable[tuple[str]]) -> list[Restore]:
-    loaded = (_load(connection, restore_id) for (restore_id,) in ids)
-    return [restore for restore in loaded if restore is not None]
+def _select(connection: sqlite3.Connection, which: str, *values: str | int) -> Iterator[Restore]:
+    heads = connection.execute(
+        "SELECT id, bus, unit, unit_name, who, planned_at, equal_rows, state, cause, cause_code"
+        f" FROM restore WHERE {which}",
+        values,
+    ).fetchall()
+    for restore_id, bus, unit, name, who, planned_at, equal, state, cause, cause_code in heads:
+        rows = _rows(connection, restore_id)
+        wanted, before, proven = (_values(connection, restore_id, side) for side in _SIDES)
+        yield Restore(
+            id=restore_id,
+            bus=bus,
+            unit=unit,
+            who=who,
+            wanted=UnitRows(unit, name, wanted),
+            before=UnitRows(unit, name, before),
+            plan=RestorePlan(tuple(row.write for row in rows), _left_out(connection, restore_id), equal),
+            rows=rows,
+            planned_at=planned_at,
+            state=state,
+            cause=message_of(cause),
+            cause_code=cause_code,
+            proven=UnitRows(unit, name, proven) if proven else None,
+        )
 
 
 def _rows(connection: sqlite3.Connection, restore_id: str) -> list[RowResult]:

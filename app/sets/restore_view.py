@@ -129,15 +129,12 @@ class RestoreRow:
 def rows_to_write(restore: Restore) -> list[RestoreRow]:
     """The rows that are written; of a plan those that can still be chosen too."""
     offered = restore.offered if restore.state == "planned" else []
-    chosen = [_chosen(restore, row, None) for row in restore.rows]
-    return chosen + [_chosen(restore, RowResult(write), left) for write, left in offered]
+    chosen = [_row(restore, row.write.number, None, row) for row in restore.rows]
+    return chosen + [_row(restore, left.number, left, RowResult(write)) for write, left in offered]
 
 
 def rows_left_out(restore: Restore) -> list[RestoreRow]:
-    return [
-        _row(restore, left.number, restore.before.raw(left.number), restore.wanted.raw(left.number), left)
-        for left in restore.left_out
-    ]
+    return [_row(restore, left.number, left) for left in restore.left_out]
 
 
 def restore_json(restore: Restore) -> RestoreShown:
@@ -161,27 +158,15 @@ def restore_json(restore: Restore) -> RestoreShown:
     }
 
 
-def _chosen(restore: Restore, row: RowResult, left: LeftOut | None) -> RestoreRow:
-    write = row.write
-    warning = warning_of(write.number, write.wanted, running=restore.running)
-    return _row(restore, write.number, write.present, write.wanted, left, row, warning)
+def _row(restore: Restore, number: int, left: LeftOut | None, result: RowResult | None = None) -> RestoreRow:
+    raw = restore.before.raw(number), restore.wanted.raw(number)
+    texts = _shown(restore.before, number), _shown(restore.wanted, number)
+    warning = warning_of(number, result.write.wanted, running=restore.running) if result else None
+    return RestoreRow(number, *raw, *texts, left, result, warning)
 
 
-def _row(
-    restore: Restore,
-    number: int,
-    present: int | None,
-    wanted: int | None,
-    left: LeftOut | None,
-    result: RowResult | None = None,
-    warning: Message | None = None,
-) -> RestoreRow:
-    texts = _shown(restore.before, number, present), _shown(restore.wanted, number, wanted)
-    return RestoreRow(number, present, wanted, *texts, left, result, warning)
-
-
-def _shown(rows: UnitRows, number: int, raw: int | None) -> Message | None:
-    parameter = PARAMETERS[number]
+def _shown(rows: UnitRows, number: int) -> Message | None:
+    parameter, raw = PARAMETERS[number], rows.raw(number)
     if parameter.secret:
         return Message("value_secret")
     return None if raw is None else with_unit(parameter, raw, rows)

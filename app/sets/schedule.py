@@ -13,7 +13,6 @@ from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.keeper import SetKeeper
-from app.sets.model import UnitRows
 from app.sets.taking import read_together
 from app.web.access import Person
 from bus.instants import UnixTime
@@ -98,38 +97,27 @@ class SetSchedule:
 
     async def _take(self, person: Person, units: list[int], overdue: dict[int, OverdueSet]) -> None:
         read, missing = await read_together(self._keeper, person, units)
-        if read and await self._keep(person, read):
+        try:
+            if read:
+                await self._keeper.keep(person, read, "", "", "on schedule")
             for rows in read:
                 overdue.pop(rows.unit)
-        for unit, why in missing.items():
-            await self._not_taken(person, unit, overdue[unit], why)
-
-    async def _keep(self, person: Person, read: list[UnitRows]) -> bool:
-        try:
-            await self._keeper.keep(person, read, "", "", "on schedule")
         except StoreError as error:
             _log.error("a set on schedule was not stored", bus=self._bus, error=str(error))
-            return False
-        return True
+        for unit, why in missing.items():
+            await self._not_taken(person, unit, overdue[unit], why)
 
     async def _not_taken(self, person: Person, unit: int, overdue: OverdueSet, why: Message) -> None:
         """Reported once; tried again as long as it is overdue."""
         first, overdue.why = not overdue.why, why
         if first:
-            what = Message.of("event_set_not_taken", unit=unit)
-            await self._record(person, what, unit, why)
+            await self._record(person, Message.of("event_set_not_taken", unit=unit), unit, why)
 
     async def _record(
         self, person: Person, what: Message, unit: int | None = None, message: Message | str = ""
     ) -> None:
         await self._events.record(
-            kind="parameter_set",
-            who=person.name,
-            origin=person.via,
-            bus=self._bus,
-            unit=unit,
-            what=what,
-            message=message,
+            kind="parameter_set", **person.author, bus=self._bus, unit=unit, what=what, message=message
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
 from app.sets.lookup import set_or_404, unit_rows_or_404
@@ -19,6 +19,7 @@ from app.sets.store import SetStore, SetSummary
 from app.web.shape import parse_integer
 from bus.instants import UnixTime
 from bus.messages import Message
+from bus.settings import UnitSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,10 @@ class SideOption:
     golden: bool = False
     origin: str = ""
 
+    @property
+    def place(self) -> tuple[str, int]:
+        return self.bus, self.unit
+
 
 def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
     """Every unit as last read, then every unit of every stored set, newest first."""
@@ -57,18 +62,15 @@ def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
 
 
 def _stored(live: LiveState, one: SetSummary, unit: int) -> SideOption:
-    known = live.buses[one.bus].units.get(unit) if one.bus in live.buses else None
-    name = "" if known is None else known.settings.name
-    return SideOption(
-        f"set:{one.id}:{unit}",
-        one.bus,
-        unit,
-        name,
-        one.taken_at,
-        one.name,
-        unit in one.golden_for,
-        one.origin,
-    )
+    known = _configured(live, one.bus, unit)
+    name, is_golden = known.name if known else "", unit in one.golden_for
+    text = f"set:{one.id}:{unit}"
+    return SideOption(text, one.bus, unit, name, one.taken_at, one.name, is_golden, one.origin)
+
+
+def _configured(live: LiveState, bus: str, unit: int) -> UnitSettings | None:
+    found = live.buses[bus].units.get(unit) if bus in live.buses else None
+    return found.settings if found else None
 
 
 async def side(text: str, store: SetStore, live: LiveState) -> Side:
@@ -77,11 +79,8 @@ async def side(text: str, store: SetStore, live: LiveState) -> Side:
     of, _, number = rest.rpartition(":")
     unit = parse_integer(number)
     if kind not in ("set", "golden", "live") or not of or unit is None:
-        raise Problem(
-            422,
-            "invalid",
-            Message.of("no_such_side", text=text, known="set:12:3, golden:BUS:3 or live:BUS:3"),
-        )
+        known = "set:12:3, golden:BUS:3 or live:BUS:3"
+        raise Problem(422, "invalid", Message.of("no_such_side", text=text, known=known))
     return Side(kind, of, unit, await _rows(kind, of, unit, store, live))
 
 
@@ -94,9 +93,7 @@ async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState)
     if kind == "live":
         return known_rows(unit_or_404(live, of, unit))
     golden = (await store.golden(of)).get(unit)
-    if golden is None:
-        raise Problem(404, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
-    return golden
+    return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,31 +120,23 @@ def offers(live: LiveState, sets: Sequence[SetSummary], bus: str, unit: int) -> 
     """Everything that helps ``unit``; ``sets`` newest first."""
     group = live.buses[bus].units[unit].settings.group
     every = choices(live, sets)
-    own = [choice for choice in every if choice.taken_at is not None and _is(choice, bus, unit)]
-    others = [choice for choice in every if not _is(choice, bus, unit)]
-    others.sort(key=lambda choice: (choice.bus != bus, _group(live, choice) != group))
-    return Offers(
-        own,
-        _newest_and_golden([choice for choice in others if choice.taken_at is not None]),
-        [choice for choice in others if choice.taken_at is None],
-    )
+    own = [choice for choice in every if choice.taken_at is not None and choice.place == (bus, unit)]
+    others = [choice for choice in every if choice.place != (bus, unit)]
 
+    def is_distant(choice: SideOption) -> tuple[bool, bool]:
+        settings = _configured(live, choice.bus, choice.unit)
+        return choice.bus != bus, settings is None or settings.group != group
 
-def _is(choice: SideOption, bus: str, unit: int) -> bool:
-    return (choice.bus, choice.unit) == (bus, unit)
-
-
-def _group(live: LiveState, choice: SideOption) -> str | None:
-    bus = live.buses.get(choice.bus)
-    unit = None if bus is None else bus.units.get(choice.unit)
-    return None if unit is None else unit.settings.group
+    others.sort(key=is_distant)
+    stored = [choice for choice in others if choice.taken_at is not None]
+    return Offers(own, _newest_and_golden(stored), [one for one in others if one.taken_at is None])
 
 
 def _newest_and_golden(sets: Sequence[SideOption]) -> list[SideOption]:
     seen: set[tuple[str, int]] = set()
     found: list[SideOption] = []
     for choice in sets:
-        if choice.golden or (choice.bus, choice.unit) not in seen:
+        if choice.golden or choice.place not in seen:
             found.append(choice)
-        seen.add((choice.bus, choice.unit))
+        seen.add(choice.place)
     return found

@@ -92,7 +92,7 @@ async def read_together(
     async def read_one(unit: int) -> None:
         async with at_once:
             try:
-                read.append(await keeper.read(person, unit))
+                read.append(await keeper.reader.read_unit(person, unit))
             except Problem as problem:
                 missing[unit] = problem.message
 

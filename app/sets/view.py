@@ -157,13 +157,13 @@ def _unit_json(rows: UnitRows) -> SetUnitShown:
     parameters: list[SetParameterShown] = []
     for number, row in sorted(rows.rows.items()):
         parameter = PARAMETERS[number]
-        shown = parameter.secret or row.raw is None
+        raw = None if parameter.secret else row.raw
         parameters.append(
             {
                 "number": number,
                 "name": parameter.name,
-                "raw": None if parameter.secret else row.raw,
-                "value": None if shown or row.raw is None else str(with_unit(parameter, row.raw, rows)),
+                "raw": raw,
+                "value": None if raw is None else str(with_unit(parameter, raw, rows)),
                 "available": row.available,
                 "read_at": None if row.read_at is None else iso(row.read_at),
                 "frame": None if parameter.secret else row.frame.hex(" "),

@@ -7,6 +7,7 @@ from time import time
 from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
+from starlette.responses import RedirectResponse
 
 from app.commands.service.command_service import CommandService
 from app.commands.service.writer import Commands
@@ -61,7 +62,7 @@ async def begin(
     keepers = partial(bus_service_of, request, kind=SetKeeper)
     source = await source_of(person, keepers, sets, live, bus, unit, chosen)
     await swaps.begin(person, bus, unit, source)
-    return _to_swap(bus, unit)
+    return RedirectResponse(f"/swap/{bus}/{unit}", 303)
 
 
 @router.get("/swap/{bus}/{unit}/look")
@@ -101,7 +102,7 @@ async def _advice(
 async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
     """A person confirmed that the unit at the section's address is the spare."""
     await swaps.confirm_spare(swaps.of_or_404(bus, unit))
-    return _to_swap(bus, unit)
+    return RedirectResponse(f"/swap/{bus}/{unit}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/restore")
@@ -116,7 +117,7 @@ async def begin_restore(
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, bus, unit, rows)
     await swaps.restoring(swap, restore)
-    return Response(status_code=303, headers={"Location": f"/restores/{restore.id}"})
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/entered")
@@ -128,14 +129,14 @@ async def entered(
     swap = swaps.of_or_404(bus, unit)
     kept = await keeper.take(person, [unit], "", "", "from the sheet")
     await swaps.entered(person, swap, kept)
-    return Response(status_code=303, headers={"Location": f"/sets/{kept.id}"})
+    return RedirectResponse(f"/sets/{kept.id}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/give-up")
 async def give_up(person: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
     """Leave it; whatever was done at the unit stays."""
     await swaps.give_up(person, swaps.of_or_404(bus, unit))
-    return Response(status_code=303, headers={"Location": f"/units/{bus}/{unit}"})
+    return RedirectResponse(f"/units/{bus}/{unit}", 303)
 
 
 def _setpoints_left(swap: Swap) -> list[RestoreRow]:
@@ -143,7 +144,3 @@ def _setpoints_left(swap: Swap) -> list[RestoreRow]:
     if swap.restore is None or not swap.proven:
         return []
     return [row for row in rows_left_out(swap.restore) if row.left and row.left.reason == "operating_value"]
-
-
-def _to_swap(bus: str, unit: int) -> Response:
-    return Response(status_code=303, headers={"Location": f"/swap/{bus}/{unit}"})

@@ -20,13 +20,9 @@ STEPS: tuple[StepName, ...] = ("find", "address", "remote", "restore", "proven")
 
 @dataclass(frozen=True, slots=True)
 class SwapState:
-    """Findings on the wire for a swap. ``remote`` and ``equal`` None: not known yet.
-
-    ``at_target``: the unit at the section's address; ``at_factory``: at address 1.
-    ``is_new``: that unit is the spare, not the old unit that is still on the cable.
-    ``equal``: whether the unit equals the set, by the last full read.
-    ``baud``: the rate of the line.
-    """
+    """Findings on the wire for a swap. ``at_target``: the unit at the section's address; ``at_factory``: at
+    address 1. ``is_new``: that unit is the spare, not the old unit that is still on the cable. ``equal``:
+    whether it equals the set, by the last full read. ``remote`` and ``equal`` None: not known yet."""
 
     target: int
     at_target: ProbeFinding
@@ -40,10 +36,8 @@ class SwapState:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """The step at hand, and what to do now.
-
-    ``at_panel``: only a person at the unit can do it. ``confirms_spare``: to confirm that it is the spare.
-    """
+    """The step at hand, and what to do now. ``at_panel``: only a person at the unit can do it;
+    ``confirms_spare``: to confirm that it is the spare."""
 
     step: StepName
     text: Message
@@ -56,26 +50,21 @@ PROVEN = Advice("proven", Message("swap_proven"), at_panel=False)
 
 def advice(state: SwapState) -> Advice:
     """What to do now."""
-    if state.at_target in ("garbled", "foreign", "late"):
-        return _at_target_wrong(state)
+    if state.at_target == "late":
+        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
+    if state.at_target in ("garbled", "foreign"):
+        code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
+        return Advice("address", Message.of(code, target=state.target), at_panel=True)
     if state.at_target == "silent":
         return _nothing_at_target(state)
     if not state.is_new:
-        return Advice(
-            "find", Message.of("swap_old_or_new", target=state.target), at_panel=True, confirms_spare=True
-        )
+        text = Message.of("swap_old_or_new", target=state.target)
+        return Advice("find", text, at_panel=True, confirms_spare=True)
     if state.remote is not True:
         return Advice("remote", Message("swap_set_remote"), at_panel=True)
     if state.equal is not True:
         return Advice("restore", Message("swap_restore_now"), at_panel=False)
     return PROVEN
-
-
-def _at_target_wrong(state: SwapState) -> Advice:
-    if state.at_target == "late":
-        return Advice("find", Message.of("swap_late", target=state.target), at_panel=False)
-    code = "swap_foreign" if state.at_target == "foreign" else "swap_two_units"
-    return Advice("address", Message.of(code, target=state.target), at_panel=True)
 
 
 def _nothing_at_target(state: SwapState) -> Advice:

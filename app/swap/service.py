@@ -13,11 +13,12 @@ from typing import Any, Protocol
 from app.audit.log import EventLog
 from app.commands.api.responses import outcome_message
 from app.commands.service.command_service import CommandService
-from app.errors import Problem
+from app.errors import Problem, or_404
 from app.live.state.bus_live import LiveState
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
+from app.sets.reading import status_of
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
 from app.sets.sides import side
@@ -26,7 +27,6 @@ from app.swap.record import Swap, SwapSource
 from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
 from app.web.access import Person, account_shown
-from bus.catalogue.status import status_bits
 from bus.contract import ScanBus
 from bus.instants import Clock
 from bus.messages import Message, joined, listed
@@ -67,10 +67,7 @@ class SwapService:
 
     def of_or_404(self, bus: str, unit: int) -> Swap:
         """The same. Raises Problem 404."""
-        swap = self.of(bus, unit)
-        if swap is None:
-            raise Problem(404, "unknown_swap", Message.of("swap_not_begun", unit=unit))
-        return swap
+        return or_404(self.of(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
         """Begin the swap of a section's unit; ``source`` is what the spare shall become.
@@ -79,9 +76,8 @@ class SwapService:
         """
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
-            raise Problem(
-                409, "busy", Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
-            )
+            other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
+            raise Problem(409, "busy", other)
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
@@ -188,15 +184,19 @@ async def look(commands: CommandService, live: LiveState, person: Person, swap: 
     at_factory: ProbeFinding = "silent"
     if at_target == "silent" and target != FACTORY_ADDRESS:
         at_factory = await _probe(commands, person, FACTORY_ADDRESS)
+    line, unit = live.buses[bus], live.buses[bus].units[target]
+    # REMOTE counts as the unit reported it since it came back.
+    is_back = at_target == "digimax" and unit.link.link == "online"
+    status = status_of(line, unit) if is_back else None
     return SwapState(
         target=target,
         at_target=at_target,
         at_factory=at_factory,
-        remote=_remote(live, bus, target) if at_target == "digimax" else None,
+        remote=None if status is None else status.remote,
         equal=swap.equal,
         is_new=swap.is_new,
-        configured=frozenset(live.buses[bus].units),
-        baud=live.buses[bus].baud,
+        configured=frozenset(line.units),
+        baud=line.baud,
     )
 
 
@@ -219,15 +219,6 @@ async def _probe(commands: CommandService, person: Person, address: int) -> Prob
     return next((found.kind for found in result.found if found.unit == address), "silent")
 
 
-def _remote(live: LiveState, bus: str, unit: int) -> bool | None:
-    """REMOTE as the unit reported since it came back; None until then."""
-    known = live.buses[bus].units[unit]
-    if known.reading is None or known.link.link != "online":
-        return None
-    settings = live.buses[bus].settings
-    return status_bits(known.reading.outputs, known.reading.inputs, settings.estop_healthy).remote
-
-
 SHEET = "sheet"
 """Nothing is stored: a person enters the values."""
 
@@ -245,8 +236,9 @@ async def source_of(
 
     ``keepers``: by bus. Raises Problem 404, 422 or 504.
     """
-    if rows := await form.uploaded(unit):
-        kept = await keepers(bus).keep(person, [rows], form.file_name[:80], "", "from a file")
+    if form.file and (rows := await form.uploaded(unit)):
+        name = (form.file.filename or "")[:80]
+        kept = await keepers(bus).keep(person, [rows], name, "", "from a file")
         return SwapSource(kept.id, rows.unit)
     if form.text == SHEET:
         return None

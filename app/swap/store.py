@@ -5,56 +5,44 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Awaitable, Callable
 
-from app.database import Database
 from app.database.messages import messages_of, stored_messages
+from app.database.queries import Tables, writing
 from app.sets.restore_record import Restore
 from app.swap.record import Swap, SwapSource
 
 FindRestore = Callable[[str], Awaitable[Restore | None]]
 
 
-class SwapStore:
+class SwapStore(Tables):
     """All access to the table of swaps."""
 
-    def __init__(self, database: Database) -> None:
-        self._database = database
-
-    async def save(self, swap: Swap) -> None:
+    @writing
+    def save(self, connection: sqlite3.Connection, swap: Swap) -> None:
         """Store the present state in place of the section's earlier one."""
-        row = _row(swap)
-        marks = ", ".join("?" * len(row))
-        await self._database.write(
-            lambda connection: connection.execute(f"INSERT OR REPLACE INTO swap VALUES ({marks})", row)
+        row = (
+            swap.bus,
+            swap.unit,
+            swap.who,
+            swap.began_at,
+            swap.source.set if swap.source else None,
+            swap.source.unit if swap.source else None,
+            swap.is_new,
+            swap.proven,
+            swap.restore.id if swap.restore else None,
+            stored_messages(swap.seen),
         )
+        connection.execute(f"INSERT OR REPLACE INTO swap VALUES ({', '.join('?' * len(row))})", row)
 
-    async def remove(self, swap: Swap) -> None:
-        await self._database.write(
-            lambda connection: connection.execute(
-                "DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit)
-            )
-        )
+    @writing
+    def remove(self, connection: sqlite3.Connection, swap: Swap) -> None:
+        connection.execute("DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit))
 
     async def load(self, find_restore: FindRestore) -> list[Swap]:
         """Every swap that was not left, with the restore that it led to."""
-        rows = await self._database.read(_select)
+        rows = await self.database.read(_select)
         for swap, restore_id in rows:
             swap.restore = await find_restore(restore_id) if restore_id else None
         return [swap for swap, _ in rows]
-
-
-def _row(swap: Swap) -> tuple[object, ...]:
-    return (
-        swap.bus,
-        swap.unit,
-        swap.who,
-        swap.began_at,
-        swap.source.set if swap.source else None,
-        swap.source.unit if swap.source else None,
-        swap.is_new,
-        swap.proven,
-        swap.restore.id if swap.restore else None,
-        stored_messages(swap.seen),
-    )
 
 
 def _select(connection: sqlite3.Connection) -> list[tuple[Swap, str | None]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypedDict
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
@@ -21,6 +21,15 @@ from bus.instants import UnixTime
 from bus.messages import Message, term
 
 Via = Literal["session", "token", "worker", "demo"]
+
+
+class Author(TypedDict):
+    """Whose an event is."""
+
+    who: str
+    origin: Via
+
+
 AccountSubscriber = Callable[[str], Awaitable[None]]
 """Called with an account of which something changed."""
 
@@ -81,6 +90,11 @@ class Person:
     @property
     def account(self) -> str:
         return account_of(self.name, token=self.via == "token")
+
+    @property
+    def author(self) -> Author:
+        """As the author of an event: ``events.record(**person.author, …)``."""
+        return {"who": self.name, "origin": self.via}
 
     @property
     def sender(self) -> str:

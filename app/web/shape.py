@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+import csv
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
+from io import StringIO
 from typing import Annotated, Any
 
-from msgspec import to_builtins
+import msgspec
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from bus.instants import UnixTime
@@ -50,6 +55,19 @@ def parse_integer(text: str, digits: int = 18) -> int | None:
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= digits else None
 
 
+async def json_response(content: Callable[[], object]) -> Response:
+    """Long content as JSON, made in a thread so that the event loop goes on."""
+    body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
+    return Response(body, media_type="application/json")
+
+
+def csv_text(rows: Iterable[Iterable[str]]) -> str:
+    """Rows as CSV (RFC 4180)."""
+    buffer = StringIO()
+    csv.writer(buffer).writerows(rows)
+    return buffer.getvalue()
+
+
 class MessageShown(TypedDict):
     """A text for programs; a value that is itself a text is a message too."""
 
@@ -64,7 +82,7 @@ MaybeMessage = Annotated[
 
 
 def message_shown(message: Message) -> MessageShown:
-    return {"code": message.code, "params": to_builtins(message.params), "detail": str(message)}
+    return {"code": message.code, "params": msgspec.to_builtins(message.params), "detail": str(message)}
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:

@@ -80,7 +80,7 @@ def opened(
     on_damage: Callable[[Message], None] = lambda _what: None,
 ) -> Writer:
     """A writer with its thread."""
-    writer = Writer(folder / "history.db", retention or Retention(), lambda _step, _at: None, on_damage)
+    writer = Writer(folder / "history.db", retention or Retention(), lambda _kind, what: on_damage(what))
     writer.start()
     return writer
 

@@ -11,15 +11,19 @@ from hypothesis import strategies as st
 from app.audit.chain import FIELDS, Head, entry_hash, sealed_entry, sealed_head
 from app.audit.entry import new_entry
 from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.walk import verify as verify_with
+from app.audit.walk import Verdict, Walk
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))
 STRANGERS_RING = KeyRing((b"s" * 32,))
 
 
-def verify(log: Log, head: Head | None, ring: KeyRing = RING) -> Any:
-    return verify_with(log, head, ring)
+def verify(
+    log: Log, head: Head | None, ring: KeyRing = RING, anchors: dict[int, str] | None = None
+) -> Verdict:
+    walk = Walk(ring, anchors)
+    walk.follow(log)
+    return walk.end(head)
 
 
 def entry(number: int) -> dict[str, Any]:
@@ -191,12 +195,12 @@ def test_who_knows_an_older_key_cannot_go_back_to_before_the_newer_one() -> None
 def test_an_anchored_entry_that_is_another_or_gone() -> None:
     log, head = written(9)
     anchors = {number: log[number - 1]["hash"] for number in (4, 9)}
-    assert verify_with(log, head, RING, anchors).anchored == 9
+    assert verify(log, head, RING, anchors).anchored == 9
     shorter, shorter_head = written(6)
-    assert str(verify_with(shorter, shorter_head, RING, anchors).fault) == (
+    assert str(verify(shorter, shorter_head, RING, anchors).fault) == (
         "the log ends at entry 6, but the anchor names entry 9"
     )
-    assert str(verify_with(log, head, RING, {4: "0" * 64}).fault) == (
+    assert str(verify(log, head, RING, {4: "0" * 64}).fault) == (
         "entry 4 is not the one that the anchor names"
     )
 

@@ -94,7 +94,7 @@ async def test_many_addresses_are_distinguished_only_so_far(scene: Scene) -> Non
 
 async def test_the_count_is_part_of_the_chain(scene: Scene) -> None:
     await scene.refuse(5)
-    await scene.events.repeated.record_rest()
+    await scene.events.repeated.record_due(everything=True)
     await scene.database.write(lambda connection: connection.execute("DROP TRIGGER events_stay_as_written"))
     assert (await scene.events.proof.verify()).broken is None
     await scene.database.write(
@@ -113,5 +113,5 @@ def test_nothing_is_lost_or_reported_twice_whatever_the_clock_does(steps: list[t
         first = tally.note("x", key, now)
         reported += first.count if first else 0
         reported += sum(counted.count for counted in tally.due(now))
-    reported += sum(counted.count for counted in tally.rest(now))
+    reported += sum(counted.count for counted in tally.due(now, everything=True))
     assert reported == happened

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from app.database import Database, StoreError, connection
+from app.database import Database, connection
 from app.database.connection import open_for_reading
+from app.errors import StoreError
 from bus.errors import CallerError
 
 STEP = "CREATE TABLE things (name TEXT PRIMARY KEY) STRICT;\n"

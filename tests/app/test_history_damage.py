@@ -126,7 +126,7 @@ async def test_the_daily_check_finds_it_and_reports_it_once(
     history.close()
     spoil(tmp_path / FILE, "raw", START)
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
-    history.on_damage(lambda what, _at: words.append(str(what)))
+    history.on_fault(lambda _kind, what, _at: words.append(str(what)))
     history.start()
     try:
         await history.inspect()
@@ -149,7 +149,7 @@ async def test_pages_overwritten_while_it_runs_cost_what_lay_on_them(tmp_path: P
     writer.take((BUS.name, polls(NOON, NOON + 900, NOISE.__getitem__)))
     writer.close()
     history = History(Settings(server=ServerSettings(data=tmp_path), bus=(BUS,)))
-    history.on_damage(lambda what, _at: words.append(str(what)))
+    history.on_fault(lambda _kind, what, _at: words.append(str(what)))
     history.start()
     try:
         overwrite_pages(tmp_path / FILE, random.Random(seed))

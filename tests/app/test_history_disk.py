@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.history.intake.upkeep import DiskReserve, Space, space
+from app.history.intake.upkeep import DiskReserve, space
+from app.history.status import StoreState
 
 RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 
@@ -12,14 +13,14 @@ RESERVE = DiskReserve(announce=1000, trim=500, pause=100)
 @pytest.mark.parametrize(
     ("free", "meaning"),
     [
-        (5000, "enough"),
-        (1000, "enough"),
+        (5000, "ok"),
+        (1000, "ok"),
         (999, "low"),
         (500, "low"),
         (499, "scarce"),
-        (99, "none"),
-        (0, "none"),
+        (99, "paused"),
+        (0, "paused"),
     ],
 )
-def test_less_space_means_more(free: int, meaning: Space) -> None:
+def test_less_space_means_more(free: int, meaning: StoreState) -> None:
     assert space(free, RESERVE) == meaning

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from app.commands.service import idempotency
-from app.database import Database, StoreError
+from app.database import Database
 from app.database.messages import UNREADABLE, messages_of, stored_messages
 from app.database.migrating import MIGRATIONS, migrations_in
+from app.errors import StoreError
 from bus.messages import Message
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"

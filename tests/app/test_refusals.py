@@ -20,7 +20,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 async def recorded(house: House) -> list[tuple[str, str, str, str, int]]:
-    await house.services.events.repeated.record_rest()
+    await house.services.events.repeated.record_due(everything=True)
     events = await house.events("access_refused")
     names = ("what", "who", "origin", "message")
     return [(*(event[name] for name in names), event["count"] or 1) for event in reversed(events)]

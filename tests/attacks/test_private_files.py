@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from app import cli
-from app.database import Database, StoreError
+from app.database import Database
 from app.database.private import make_file, make_private, write_file
-from app.errors import StoreError as Refusal
+from app.errors import StoreError
 from bus import __main__ as worker
 from bus.worker import parent
 from tests import fork_server
@@ -136,7 +136,7 @@ def test_files_of_another_user_are_refused(tmp_path: Path, name: str) -> None:
     for file in ("lineside.db", "compiled/x"):
         (folder / file).touch()
     os.chown(folder / name, 65534, 65534)
-    with pytest.raises(Refusal, match=r"belongs to another user \(uid 65534\)"):
+    with pytest.raises(StoreError, match=r"belongs to another user \(uid 65534\)"):
         make_private(folder)
 
 

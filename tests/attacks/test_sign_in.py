@@ -81,7 +81,7 @@ async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) ->
 async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) -> None:
     for number in range(60):
         await sign_in(at(house, f"198.51.100.{number}"), "nobody")
-    await house.services.events.repeated.record_rest()
+    await house.services.events.repeated.record_due(everything=True)
     events = await house.events("login_refused")
     assert len(events) < 30
     assert events[0]["who"] == "unknown name"
@@ -158,7 +158,7 @@ async def test_the_account_page_is_no_way_around(house: House) -> None:
     form = {"present": "wrong", "password": "a good new one", "again": "a good new one"}
     statuses = [(await client.post("/account/password", data=form)).status_code for _ in range(FREE + 3)]
     assert statuses == [422] * FREE + [429] * 3
-    await house.services.events.repeated.record_rest()
+    await house.services.events.repeated.record_due(everything=True)
     refused = [event for event in await house.events("user") if event["what"] == "password change refused"]
     assert [(event["who"], event["count"] or 1) for event in refused] == [
         ("ann", FREE - 1),

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
 from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, cast
 
-import msgspec
 from fastapi import APIRouter, Query, Response
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from app.audit.api import Events
-from app.audit.log import Event, EventLog
+from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.errors import Problem
+from app.history.api import spans
 from app.history.api.schemas import EXPORT, MarksShown, SeriesShown, SparkShown, StatusShown, json_of
-from app.history.api.spans import (
-    HistoryOf,
-    PointsOf,
-    Span,
-    SpanOf,
-    named_series_query,
-    series_queries,
-    series_query,
-)
+from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
 from app.history.query.query import QueryResult, SeriesQuery
@@ -35,7 +24,7 @@ from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import maybe_shown, message_shown
+from app.web.shape import iso, json_response, maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.messages import Message, in_english
@@ -48,36 +37,25 @@ _TEXTS = ("what", "old", "new")
 TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
-def iso(at: int) -> str:
-    """µs since the epoch as ISO 8601, UTC, milliseconds."""
-    return datetime.fromtimestamp(at / SECOND, UTC).isoformat(timespec="milliseconds")
-
-
 def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, Any]:
     """A result as the API returns it."""
     unit = values.unit_settings(requested.bus, requested.unit)
-    at: list[Any] = [seconds(t) if times == "epoch" else iso(t) for t in found.series.at]
+    at = map(seconds, found.series.at)
     return {
         "bus": requested.bus.name,
         "unit": requested.unit,
         "value": requested.value.name,
         "measure": values.measure(unit, requested.value),
         "decimals": found.decimals,
-        "from": iso(requested.start),
-        "to": iso(requested.end),
+        "from": iso(seconds(requested.start)),
+        "to": iso(seconds(requested.end)),
         "resolution": found.resolution,
         "bucket_s": found.bucket / SECOND,
-        "t": at,
+        "t": list(at if times == "epoch" else map(iso, at)),
         "min": found.series.least,
         "max": found.series.greatest,
         "avg": found.series.average,
     }
-
-
-async def json_response(content: Callable[[], object]) -> Response:
-    """Long columns as JSON, made in a thread so that the event loop goes on."""
-    body = await asyncio.to_thread(lambda: msgspec.json.encode(content()))
-    return Response(body, media_type="application/json")
 
 
 @router.get("", response_model=None, responses=json_of(SeriesShown), dependencies=[SEARCH])
@@ -98,7 +76,7 @@ async def get_history(
     fits; equal readings one after the other are given as the first and the last. A null between is a
     hole. ``format=epoch`` gives times in seconds since the epoch.
     """
-    requested = series_query(history, bus, unit, value, span, points)
+    requested = spans.series_query(history, bus, unit, value, span, points)
     (found,) = await history.query([requested])
     return await json_response(lambda: shown(requested, found, times))
 
@@ -113,7 +91,7 @@ async def get_series(
     times: TimeFormat = "iso",
 ) -> Response:
     """Several values at once, each named ``bus/unit/value`` (1 to 32): a list of what GET /history gives."""
-    requested = series_queries(history, series, span, points)
+    requested = spans.series_queries(history, series, span, points)
     found = await history.query(requested)
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
 
@@ -126,7 +104,7 @@ async def get_sparks(
     since the epoch) and ``avg``, about 120 points."""
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
-    requested = [named_series_query(history, name, span, SPARK_POINTS) for name in series]
+    requested = [spans.named_series_query(history, name, span, SPARK_POINTS) for name in series]
     found = await history.query(requested)
     return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
 
@@ -186,7 +164,7 @@ async def get_export(
 
     ``resolution`` auto: values if they are stored for the complete span, else minutes.
     """
-    requested = series_queries(history, series, Span(span.start, span.end), 1)
+    requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
     return await download.response(history, requested, file, resolution)
 
 
@@ -201,10 +179,10 @@ async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple
     wanted = Filter(since=seconds(span.start), until=seconds(span.end))
     found, after = await events.page(wanted, MOST_MARKS)
     marks = [{"t": event["time"], **{name: event[name] for name in _SHOWN}} for event in found]
-    return [mark for mark in reversed(marks) if _concerns(mark, units)], after is not None
-
-
-def _concerns(event: Event, units: list[str]) -> bool:
-    """Of the site, of a bus, or of a unit that is shown."""
-    of_these = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
-    return event["kind"] in MARK_KINDS and of_these
+    shown = [
+        mark
+        for mark in reversed(marks)
+        if mark["kind"] in MARK_KINDS
+        and (mark["unit"] is None or not units or f"{mark['bus']}/{mark['unit']}" in units)
+    ]
+    return shown, after is not None

@@ -18,7 +18,6 @@ from app.web.services import service, unknown_bus, unknown_unit
 from app.web.shape import parse_integer
 from bus.instants import unix_now
 from bus.messages import Message
-from bus.settings import BusSettings
 
 MOST_POINTS = 20_000
 MOST_SERIES = 32
@@ -50,17 +49,11 @@ def moment(text: str, name: str) -> int:
     except ValueError:
         at = None
     if at is None or at.tzinfo is None:
-        raise Problem(
-            422,
-            "invalid",
-            Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text),
-        )
+        wrong = Message.of("time_malformed", field=name, example="2026-11-21T03:12:00Z", text=text)
+        raise Problem(422, "invalid", wrong)
     if not FIRST_YEAR <= at.year <= LAST_YEAR:
-        raise Problem(
-            422,
-            "invalid",
-            Message.of("year_out_of_range", name=name, lowest=FIRST_YEAR, highest=LAST_YEAR, year=at.year),
-        )
+        years = {"lowest": FIRST_YEAR, "highest": LAST_YEAR, "year": at.year}
+        raise Problem(422, "invalid", Message.of("year_out_of_range", name=name, **years))
     return (at - _EPOCH) // _MICROSECOND
 
 
@@ -90,7 +83,9 @@ PointsOf = Annotated[int, Depends(wanted_points)]
 
 def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
     """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
-    settings = _bus(history, bus)
+    settings = history.buses.get(bus)
+    if settings is None:
+        raise unknown_bus(bus, history.buses)
     if all(known.id != unit for known in settings.unit):
         raise unknown_unit(bus, unit)
     if value not in VALUES:
@@ -113,10 +108,3 @@ def series_queries(history: History, names: list[str], span: Span, most: int) ->
     if not 1 <= len(names) <= MOST_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))
     return [named_series_query(history, name, span, most) for name in names]
-
-
-def _bus(history: History, bus: str) -> BusSettings:
-    found = history.buses.get(bus)
-    if found is None:
-        raise unknown_bus(bus, history.buses)
-    return found

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import csv
-import io
 from collections.abc import AsyncIterator, Sequence
 from datetime import datetime, tzinfo
 from typing import Literal
@@ -20,6 +18,7 @@ from app.history.query.query import SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
+from app.web.shape import csv_text
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]
@@ -63,13 +62,9 @@ async def _fineness(
 async def stream_csv(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncIterator[str]:
     """Text, piece by piece. Times are ISO 8601 with the offset of the site's time zone."""
     site = ZoneInfo(table.time_zone)
-    yield _csv_lines([[f"time [{site}]", *table.columns, "note"]])
+    yield csv_text([[f"time [{site}]", *table.columns, "note"]])
     async for rows in pieces:
-        yield await asyncio.to_thread(_text_of, rows, site)
-
-
-def _text_of(rows: Sequence[ExportRow], site: tzinfo) -> str:
-    return _csv_lines([_line(row, site) for row in rows])
+        yield await asyncio.to_thread(csv_text, (_line(row, site) for row in rows))
 
 
 def _line(row: ExportRow, site: tzinfo) -> list[str]:
@@ -81,9 +76,3 @@ def _text(cell: Cell | None) -> str:
     if cell is None:
         return ""
     return repr(cell.value) if cell.decimals is None else f"{cell.value:.{cell.decimals}f}"
-
-
-def _csv_lines(rows: Sequence[Sequence[str]]) -> str:
-    buffer = io.StringIO()
-    csv.writer(buffer).writerows(rows)
-    return buffer.getvalue()

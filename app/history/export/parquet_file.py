@@ -70,18 +70,14 @@ def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
 
 
 def _write(arrow: Any, writer: Any, rows: Sequence[ExportRow]) -> None:
-    writer.write_table(_table(arrow, writer.schema, rows))
-
-
-def _table(arrow: Any, schema: pyarrow.Schema, rows: Sequence[ExportRow]) -> pyarrow.Table:
     cells = zip(*(row.cells for row in rows), strict=True)
     columns: list[Sequence[Any]] = [
         [row.at for row in rows],
         *([None if cell is None else cell.value for cell in column] for column in cells),
         [row.note or None for row in rows],
     ]
-    arrays = [arrow.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
-    return arrow.Table.from_arrays(arrays, schema=schema)
+    arrays = [arrow.array(column, field.type) for column, field in zip(columns, writer.schema, strict=True)]
+    writer.write_table(arrow.Table.from_arrays(arrays, schema=writer.schema))
 
 
 class _Sink(io.RawIOBase):

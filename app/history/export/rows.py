@@ -14,9 +14,8 @@ from itertools import groupby
 from typing import Literal, NamedTuple
 
 from app.history.intake.tail import Tail
-from app.history.intake.updates import BUS
 from app.history.query import unit_history
-from app.history.query.query import SeriesQuery, scale_of
+from app.history.query.query import SeriesQuery, marks_of, scale_of
 from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, Run, micros
@@ -58,16 +57,13 @@ class Table:
     def columns(self) -> list[str]:
         """A name for each column: what, then in what it is measured."""
         parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
-        return [f"{_name(q)}{part}{_measure(q)}" for q in self.queries for part in parts]
+        return [_column(query, part) for query in self.queries for part in parts]
 
 
-def _name(query: SeriesQuery) -> str:
-    return f"{query.bus.name}/{query.unit} {query.value.name}"
-
-
-def _measure(query: SeriesQuery) -> str:
+def _column(query: SeriesQuery, part: str) -> str:
     measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
-    return f" [{measure}]" if measure else ""
+    name = f"{query.bus.name}/{query.unit} {query.value.name}{part}"
+    return f"{name} [{measure}]" if measure else name
 
 
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
@@ -166,12 +162,9 @@ def _holes(
 ) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
-    bus = tables.find_unit(source.connection, query.bus.name, BUS)
-    keys = [source.unit] if bus is None else [source.unit, bus]
-    marks = tables.link_marks(source.connection, keys, ends[0], ends[-1])
-    usual = usual_interval(runs)
+    found = holes(ends, marks_of(source, query, ends[0], ends[-1]), usual_interval(runs))
     offset = 0 if before is None else 1
-    return {(i + 1) // 2 - offset: ends[i] + 1 for i in holes(ends, marks, usual) if i % 2}
+    return {(i + 1) // 2 - offset: ends[i] + 1 for i in found if i % 2}
 
 
 def _cell(query: SeriesQuery, run: Run, scale: LinearScale) -> Cell:

@@ -117,7 +117,8 @@ class Recorder:
                 if runs and minute + MINUTE > given_up:
                     fold(connection, unit, [buses[unit]] if unit in buses else [], minute, runs)
             if last:
-                tables.clear_journal(connection)
+                # All of it is in blocks, or is written again here.
+                connection.execute("DELETE FROM journal")
                 kept.extend(row for row in self._tail.everything() if _key(row) not in done)
                 if kept:
                     tables.write_journal(connection, kept)
@@ -153,7 +154,7 @@ def fold(
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
     """The minutes of one unit and hour as one block: fewer rows, and better packed."""
-    runs = merge((), tables.raw_minutes(connection, unit, hour))
+    runs = merge((), tables.raw_between(connection, unit, hour, hour + HOUR))
     if runs:
         tables.write_raw(connection, unit, hour, HOUR, runs)
 

@@ -6,18 +6,17 @@ import shutil
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
+from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.repair import Repair
 from bus.instants import Monotonic, monotonic_now
 
-Space = Literal["enough", "low", "scarce", "none"]
 _MB = 1_000_000
 
 
@@ -33,13 +32,13 @@ class DiskReserve:
     """Write no history: the remaining space belongs to the events."""
 
 
-def space(free: int, reserve: DiskReserve) -> Space:
+def space(free: int, reserve: DiskReserve) -> StoreState:
     """What so many free bytes mean."""
     if free < reserve.pause:
-        return "none"
+        return "paused"
     if free < reserve.trim:
         return "scarce"
-    return "low" if free < reserve.announce else "enough"
+    return "low" if free < reserve.announce else "ok"
 
 
 SETTLED_S = 3600.0
@@ -74,7 +73,7 @@ class Upkeep:
         """Old readings are uncertain for a while."""
         self._settled_at = monotonic_now() + SETTLED_S
 
-    def look(self) -> tuple[int, Space]:
+    def look(self) -> tuple[int, StoreState]:
         """Free bytes where the store is, and what they mean."""
         free = shutil.disk_usage(self._database.path.parent).free
         return free, space(free, self._retention.reserve)

@@ -9,17 +9,19 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import structlog
 
+from app.audit.kinds import EventKind
 from app.database.connection import Database
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Space, Upkeep, prepare
+from app.history.intake.upkeep import Retention, Upkeep, prepare
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables
@@ -27,7 +29,7 @@ from app.history.store.damage import BlockKey
 from app.history.store.repair import FoundDamage, Repair
 from app.history.store.salvage import copies, put_aside
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
-from bus.messages import Message, in_english
+from bus.messages import Message, in_english, number
 
 MIGRATIONS = Path(__file__).parents[1] / "migrations"
 COMMIT_EVERY_S = 0.5
@@ -48,8 +50,8 @@ SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
 
 log = structlog.get_logger()
-ClockStepped = Callable[[float, UnixTime], None]
-"""Called from the writer's thread: by how many seconds, and at what time."""
+OnFault = Callable[[EventKind, Message], None]
+"""Called from the writer's thread with the kind of event that it becomes."""
 
 
 @dataclass(slots=True)
@@ -63,13 +65,11 @@ class _Open:
 class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
-    def __init__(
-        self, path: Path, retention: Retention, on_clock_step: ClockStepped, on_damage: FoundDamage
-    ) -> None:
+    def __init__(self, path: Path, retention: Retention, on_fault: OnFault) -> None:
         self._path = path
         self._retention = retention
-        self._on_clock_step = on_clock_step
-        self._on_damage = on_damage
+        self._on_fault = on_fault
+        self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MOST_REPORTED)
         self._torn = False
         self._rebuilt_at = Monotonic(-math.inf)
@@ -81,13 +81,11 @@ class Writer:
         self._open: _Open | None = None
         self._writable = False
         self._status = Status(since=unix_now())
-        self._space: Space = "enough"
+        self._space: StoreState = "ok"
         self._clock = ClockWatch(unix_now(), monotonic_now())
         self._retry_at = self._look_at = self._give_up_at = Monotonic(0.0)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="history-writer", daemon=True)
-
-    # --- any thread --------------------------------------------------------------------------
 
     def start(self) -> None:
         """Open the store if that can be, and begin."""
@@ -132,7 +130,7 @@ class Writer:
             raise StoreError(self._status.message or NOTICES["failed"])
         return self._open.database
 
-    # --- the writer's thread -----------------------------------------------------------------
+    # From here on: the writer's thread.
 
     def _run(self) -> None:
         took = 0.0
@@ -166,7 +164,7 @@ class Writer:
             if monotonic_now() < self._retry_at:
                 return
             self._open_store()
-        if self._space != "none":
+        if self._space != "paused":
             self._store()
         self._watch_disk()
 
@@ -258,11 +256,10 @@ class Writer:
             self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
 
     def _watch_clock(self) -> None:
-        now = unix_now()
-        step = self._clock.step(now, monotonic_now())
+        step = self._clock.step(unix_now(), monotonic_now())
         if not step:
             return
-        self._on_clock_step(step, now)
+        self._on_fault("clock", Message.of("event_app_clock_stepped", step=number(f"{step:+.3f}")))
         if self._open is not None:
             self._open.upkeep.clock_stepped()
 
@@ -272,13 +269,12 @@ class Writer:
             return
         self._look_at = monotonic_now() + LOOK_EVERY_S
         free, self._space = opened.upkeep.look()
-        if self._space in ("scarce", "none"):
+        if self._space in ("scarce", "paused"):
             opened.upkeep.trim(micros(unix_now()))
         oldest = opened.database.read_now(tables.oldest_raw)
         lately = micros(unix_now()) - SHOWN_FOR
         damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
-        state: dict[Space, StoreState] = {"enough": "ok", "low": "low", "scarce": "scarce", "none": "paused"}
-        self._set_state(state[self._space])
+        self._set_state(self._space)
         self._status = replace(
             self._status,
             free_bytes=free,

@@ -62,13 +62,18 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
-    bus = tables.find_unit(source.connection, query.bus.name, BUS)
-    keys = [source.unit] if bus is None else [source.unit, bus]
-    marks = tables.link_marks(source.connection, keys, query.start - MARGIN, query.end)
+    marks = marks_of(source, query, query.start - MARGIN, query.end)
     resolution, points = _points(source, query, marks)
     scales = scale_of(source, query)
     decimals = scales.at(query.end).decimals
     return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
+
+
+def marks_of(source: unit_history.StoredUnit, query: SeriesQuery, start: int, end: int) -> Marks:
+    """When the unit or its bus was lost and found within a span, µs."""
+    bus = tables.find_unit(source.connection, query.bus.name, BUS)
+    keys = [source.unit] if bus is None else [source.unit, bus]
+    return tables.link_marks(source.connection, keys, start, end)
 
 
 def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:
@@ -80,27 +85,23 @@ def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:
 
 def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> tuple[Resolution, Points]:
     value, start, end, most = query.value, query.start, query.end, query.most
+    width, _ = grid(start, end, most)
     exact: Points | None = None
     if value.kind == "bit":
         exact = _exact_bits(source, query, marks)
         if exact is not None and _fits(exact, marks, most):
             return "readings", exact
-    if (
-        has_raw(source.connection, source.unit, start)
-        and unit_history.estimate(source, start, end) <= MOST_READINGS
-    ):
+    is_kept = has_raw(source.connection, source.unit, start)
+    if is_kept and unit_history.estimate(source, start, end) <= MOST_READINGS:
         raw = unit_history.readings(source, value, start, end)
         if _fits(raw, marks, most):
             return "readings", raw
-        if grid(start, end, most)[0] < MINUTE or not tables.rolled_up(
-            source.connection, source.unit, start, end
-        ):
+        if width < MINUTE or not tables.rolled_up(source.connection, source.unit, start, end):
             return "readings", downsample(raw, start, end, most)
-    if grid(start, end, most)[0] >= HOUR:
-        return "hours", downsample(unit_history.rollups(source, "hours", value, start, end), start, end, most)
-    if exact is not None and grid(start, end, most)[0] < MINUTE:
+    if exact is not None and width < MINUTE:
         return "readings", downsample(exact, start, end, most)
-    return "minutes", downsample(unit_history.rollups(source, "minutes", value, start, end), start, end, most)
+    tier: tables.RollupTier = "hours" if width >= HOUR else "minutes"
+    return tier, downsample(unit_history.rollups(source, tier, value, start, end), start, end, most)
 
 
 def _fits(points: Points, marks: Marks, most: int) -> bool:

@@ -11,6 +11,7 @@ from itertools import chain, pairwise
 from statistics import median_low
 from typing import TypeVar
 
+from app.database.words import primary_code
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.gaps import usual_interval
@@ -19,7 +20,7 @@ from app.history.series.rollup import FIELDS, Rollup, rollup
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
-from app.history.store.damage import BlockKey, StoredTier, torn
+from app.history.store.damage import BlockKey, StoredTier
 
 T = TypeVar("T")
 RawRow = tuple[int, int, int, int]
@@ -52,7 +53,7 @@ class StoredUnit:
             try:
                 row = self.connection.execute(query, (self.unit, begin)).fetchone()
             except sqlite3.DatabaseError as error:
-                if not torn(error):
+                if primary_code(error) != sqlite3.SQLITE_CORRUPT:
                     raise
                 row = None
             if row is None:
@@ -83,37 +84,22 @@ def estimate(source: StoredUnit, start: int, end: int) -> int:
 
 def readings(source: StoredUnit, value: Value, start: int, end: int) -> Points:
     """Every reading between two times, µs: a run as its first and, if it lasted, its last one."""
-    rows = [
-        row
-        for part in chain(_stored(source, value.column, start, end), [_tail(source, value.column)])
-        for row in part
-    ]
-    if not source.tail or _rising(rows):
-        ordered: Iterable[RawRow] = rows
-    else:
-        ordered = sorted(set(rows))
+    rows = [row for part in _stored(source, value.column, start, end) for row in part]
+    rows += [(run.at, run.until, run.readings, getattr(run, value.column)) for run in source.tail]
+    is_rising = not source.tail or all(a[0] <= b[0] for a, b in pairwise(rows))
+    ordered = rows if is_rising else sorted(set(rows))
     return _points(_clip(ordered, start, end), value.bit, usual_interval(rows))
 
 
 def _stored(source: StoredUnit, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
     wanted = ("at", "until", "readings", column)
     for begin, data in source.blocks("raw", start, end):
-        unpack = partial(unpack_columns, data, begin, wanted)
-        unpacked = source.unpacked("raw", begin, unpack)
+        unpacked = source.unpacked("raw", begin, partial(unpack_columns, data, begin, wanted))
         if not unpacked:
             continue
         at, until, count, values = unpacked
         rows = list(zip(at, until, count, values, strict=True))
-        first = max(0, bisect_left(at, start - MINUTE))
-        yield rows[first : bisect_left(at, end)]
-
-
-def _tail(source: StoredUnit, column: str) -> list[RawRow]:
-    return [(run.at, run.until, run.readings, getattr(run, column)) for run in source.tail]
-
-
-def _rising(rows: Sequence[RawRow]) -> bool:
-    return all(a[0] <= b[0] for a, b in pairwise(rows))
+        yield rows[bisect_left(at, start - MINUTE) : bisect_left(at, end)]
 
 
 def _clip(rows: Iterable[RawRow], start: int, end: int) -> Iterator[RawRow]:

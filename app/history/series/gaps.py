@@ -56,25 +56,16 @@ def _middle(spans: Iterable[tuple[int, int]]) -> int:
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
     """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
 
-    ``width``: a time represents all readings within so many µs after it; neighboring
-    buckets then have no hole between them.
+    ``width``: a time represents all readings within so many µs after it.
     """
     differences = list(map(sub, times[1:], times))
     limit = width + max(LONG_GAP, MANY_INTERVALS * usual)
     found = {i for i, difference in enumerate(differences) if difference > limit}
-    found |= {i for i in _before(times, marks.lost) if differences[i] > width}
+    lost = {bisect_left(times, mark) - 1 for mark in marks.lost}
+    found |= {i for i in lost if 0 <= i < len(differences) and differences[i] > width}
     short = width + max(SHORT_GAP, FEW_INTERVALS * usual)
-    found |= {i for i in _ended_by(times, marks.found, usual) if differences[i] > short}
+    # A gap ended before the reading just before the mark, before that of the mark, or before the next.
+    last = [(mark, bisect_right(times, mark) - 1) for mark in marks.found]
+    ended = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
+    found |= {i for i in ended if 0 <= i < len(differences) and differences[i] > short}
     return sorted(found)
-
-
-def _before(times: Sequence[int], marks: Sequence[int]) -> set[int]:
-    positions = {bisect_left(times, mark) - 1 for mark in marks}
-    return {i for i in positions if 0 <= i < len(times) - 1}
-
-
-def _ended_by(times: Sequence[int], marks: Sequence[int], usual: int) -> set[int]:
-    """Before which reading a gap ended: the one just before the mark, of the mark, or the next."""
-    last = [(mark, bisect_right(times, mark) - 1) for mark in marks]
-    positions = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}
-    return {i for i in positions if 0 <= i < len(times) - 1}

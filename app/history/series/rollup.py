@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import reduce
+from operator import and_, or_
 from typing import NamedTuple
 
 from app.history.series import columns
@@ -58,28 +60,14 @@ def rollup(runs: Sequence[Run], start: int) -> Rollup:
         *_reach(commanded, counts),
         *_reach(actual, counts),
         *_reach(analog, counts),
-        _all_of(weights),
-        _any_of(weights),
+        reduce(and_, weights),
+        reduce(or_, weights),
         tuple(sum(n for word, n in weights.items() if word >> bit & 1) for bit in range(BITS)),
     )
 
 
 def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]:
     return min(values), max(values), sum(v * n for v, n in zip(values, counts, strict=True))
-
-
-def _all_of(words: Iterable[int]) -> int:
-    result = (1 << BITS) - 1
-    for word in words:
-        result &= word
-    return result
-
-
-def _any_of(words: Iterable[int]) -> int:
-    result = 0
-    for word in words:
-        result |= word
-    return result
 
 
 def combine(rows: Sequence[Rollup], start: int) -> Rollup:
@@ -91,7 +79,8 @@ def combine(rows: Sequence[Rollup], start: int) -> Rollup:
         for reach in (min(least), max(greatest), sum(total))
     ]
     bits = tuple(sum(column) for column in zip(*on, strict=True))
-    return Rollup._make([start, sum(readings), *reaches, _all_of(words_and), _any_of(words_or), bits])
+    words = reduce(and_, words_and), reduce(or_, words_or)
+    return Rollup._make([start, sum(readings), *reaches, *words, bits])
 
 
 def pack_rollups(rows: Sequence[Rollup], start: int) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,12 +36,6 @@ def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
         raise
     except ValueError as error:
         raise DamagedBlock(block, str(error)) from error
-
-
-def torn(error: sqlite3.Error) -> bool:
-    """Whether SQLite found its own pages damaged."""
-    code = getattr(error, "sqlite_errorcode", None)
-    return isinstance(code, int) and code & 0xFF == sqlite3.SQLITE_CORRUPT
 
 
 def sound(blob: bytes) -> bool:

@@ -35,9 +35,6 @@ def standing_still(connection: StoreConnection) -> Iterator[None]:
         connection.execute("ROLLBACK")
 
 
-# --- units -------------------------------------------------------------------------------------
-
-
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
     """The key of a unit (number 0: of the bus itself), given to it now when it has none."""
     connection.execute("INSERT OR IGNORE INTO unit (bus, number) VALUES (?, ?)", (bus, number))
@@ -67,9 +64,6 @@ def name_of(connection: StoreConnection, unit: int) -> str:
     return "" if row is None else f"{row[0]}/{row[1]}"
 
 
-# --- the journal -------------------------------------------------------------------------------
-
-
 def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) -> None:
     """Readings or runs of units as one row."""
     ordered = sorted(rows, key=lambda row: row[0])
@@ -90,14 +84,6 @@ def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] 
             continue
         until = [a + n for a, n in zip(at, lengths, strict=True)]
         yield list(zip(units, map(Run, at, until, *rest), strict=True))
-
-
-def clear_journal(connection: StoreConnection) -> None:
-    """All of it is safe elsewhere, or is written again in this transaction."""
-    connection.execute("DELETE FROM journal")
-
-
-# --- readings ----------------------------------------------------------------------------------
 
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
@@ -127,11 +113,6 @@ def write_raw(connection: StoreConnection, unit: int, start: int, span: int, run
         "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)",
         (unit, start, span, points, pack_runs(runs, start)),
     )
-
-
-def raw_minutes(connection: StoreConnection, unit: int, hour: int) -> list[Run]:
-    """All runs of one hour, from its minutes."""
-    return raw_between(connection, unit, hour, hour + HOUR)
 
 
 def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
@@ -170,9 +151,6 @@ def oldest_raw(connection: StoreConnection) -> int | None:
     return None if row[0] is None else int(row[0])
 
 
-# --- rollups -----------------------------------------------------------------------------------
-
-
 def rollup_row(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()
@@ -204,14 +182,10 @@ def drop_rollups(connection: StoreConnection, before: int) -> None:
     connection.execute("DELETE FROM damaged WHERE found < ?", (before,))
 
 
-# --- damage ------------------------------------------------------------------------------------
-
-
 def is_damaged(connection: StoreConnection, block: BlockKey) -> bool:
     """Whether a block is there and not what was written."""
     query = f"SELECT data FROM {block.tier} WHERE unit = ? AND start = ?"
-    rows = connection.execute(query, (block.unit, block.start)).fetchall()
-    return not all(sound(data) for (data,) in rows)
+    return not all(sound(data) for (data,) in connection.execute(query, (block.unit, block.start)))
 
 
 def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None:
@@ -229,20 +203,13 @@ def damaged_since(connection: StoreConnection, since: int) -> int:
     return int(connection.execute("SELECT count(*) FROM damaged WHERE found >= ?", (since,)).fetchone()[0])
 
 
-# --- bits --------------------------------------------------------------------------------------
-
-
 def bits_around(connection: StoreConnection, unit: int, start: int, end: int) -> list[Interval]:
     """Intervals that touch a span, and the neighbour on either side."""
-    first = connection.execute(
-        "SELECT max(at) FROM bits WHERE unit = ? AND at < ?", (unit, start)
-    ).fetchone()[0]
-    last = connection.execute("SELECT min(at) FROM bits WHERE unit = ? AND at >= ?", (unit, end)).fetchone()[
-        0
-    ]
     rows = connection.execute(
-        "SELECT at, until, word FROM bits WHERE unit = ? AND at >= ? AND at <= ? ORDER BY at",
-        (unit, start if first is None else first, end if last is None else last),
+        "SELECT at, until, word FROM bits WHERE unit = :unit"
+        " AND at >= ifnull((SELECT max(at) FROM bits WHERE unit = :unit AND at < :start), :start)"
+        " AND at <= ifnull((SELECT min(at) FROM bits WHERE unit = :unit AND at >= :end), :end) ORDER BY at",
+        {"unit": unit, "start": start, "end": end},
     )
     return [Interval(*row) for row in rows]
 
@@ -266,9 +233,6 @@ def replace_bits(
         "INSERT OR REPLACE INTO bits (unit, at, word, until) VALUES (?, ?, ?, ?)",
         [(unit, part.at, part.word, part.until) for part in sorted(after - before)],
     )
-
-
-# --- states of units, ports and parameters ---------------------------------------------
 
 
 def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:
@@ -311,9 +275,6 @@ def parameter_steps(connection: StoreConnection, unit: int) -> list[ParameterSte
     """Every value that the scaling parameters of a unit ever had, oldest first."""
     rows = connection.execute("SELECT at, number, raw FROM parameter WHERE unit = ? ORDER BY at", (unit,))
     return [ParameterStep(*row) for row in rows]
-
-
-# --- facts -------------------------------------------------------------------------------------
 
 
 def raw_from(connection: StoreConnection) -> int:
