@@ -26,10 +26,6 @@ _SOCKET = "socket://"
 _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(scan)
-
-
 def scan(
     port: Annotated[str, typer.Option(help="A device path, socket://host:port or rfc2217://host:port.")],
     baud: Annotated[

@@ -23,10 +23,6 @@ from bus.simulator.unit import Traits
 from bus.validation import fault_message
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(simulate)
-
-
 def simulate(
     units: Annotated[int, typer.Option(min=1, max=255, help="Number of units, at addresses 1, 2, …")] = 8,
     baud: Annotated[int, typer.Option(help="Baud rate (#18): 300 to 9600.")] = 9600,

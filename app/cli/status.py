@@ -24,10 +24,6 @@ class NotServingError(LinesideError):
     """No dashboard responds at the configured address."""
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(status)
-
-
 def status(
     config: Config = LINESIDE_TOML,
     token: TokenOption = "",
