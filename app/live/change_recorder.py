@@ -12,7 +12,7 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent
-from bus.instants import MonotonicClock, monotonic_now
+from bus.instants import monotonic_now
 from bus.messages import Message
 
 RETRY_AFTER_S = 1.0
@@ -25,14 +25,11 @@ log = structlog.get_logger()
 
 
 class ChangeRecorder:
-    """Of one bus; of the site without ``bus``. ``monotonic`` times the budget, in seconds."""
+    """Of one bus; of the site without ``bus``."""
 
-    def __init__(
-        self, events: EventLog, bus: str | None = None, monotonic: MonotonicClock = monotonic_now
-    ) -> None:
+    def __init__(self, events: EventLog, bus: str | None = None) -> None:
         self._events = events
         self._bus = bus
-        self._monotonic = monotonic
         self._budget: EventBudget[LineEvent] = EventBudget()
         self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
 
@@ -40,7 +37,7 @@ class ChangeRecorder:
         """Record this soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
         burst = FEW if change.kind in ("bus", "worker") else BURST
-        if self._budget.admits(key, change, self._monotonic(), burst=burst):
+        if self._budget.admits(key, change, monotonic_now(), burst=burst):
             self._queue.put_nowait(change)
 
     async def follow(self) -> None:
@@ -83,7 +80,7 @@ class ChangeRecorder:
         return ""
 
     def _note_due(self, *, everything: bool = False) -> None:
-        for summary in self._budget.due(self._monotonic(), everything=everything):
+        for summary in self._budget.due(monotonic_now(), everything=everything):
             self._queue.put_nowait(_summed_up(summary))
 
 

@@ -13,7 +13,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
-from bus.instants import Clock, unix_now
+from bus.instants import unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -34,7 +34,6 @@ class Safeguards:
         find: AccountLookup,
         rights: Withdrawals,
         sessions: SessionEnds,
-        now: Clock = unix_now,
     ) -> None:
         self._bus = bus
         self.limits = LimitsStore(database, bus)
@@ -44,7 +43,6 @@ class Safeguards:
         self._find = find
         self._rights = rights
         self._events = events
-        self._now = now
         rights.on_withdrawn(self.revoke_control)
         sessions.on_signed_out(self.revoke_control)
 
@@ -63,7 +61,7 @@ class Safeguards:
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
         before = self.limits.of(unit)
-        await self.limits.put(unit, limits, person.name, self._now())
+        await self.limits.put(unit, limits, person.name, unix_now())
         await self._record(
             "limits", person, unit, Message("event_limits_changed"), before.message, limits.message
         )
@@ -71,7 +69,7 @@ class Safeguards:
     async def block(self, person: Person, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
         before = self.blocks.of(unit)
-        await self.blocks.put(unit, CommandBlock(reason, person.name, self._now()))
+        await self.blocks.put(unit, CommandBlock(reason, person.name, unix_now()))
         self._publish_block(unit)
         old = before.reason if before is not None else None
         await self._record("block", person, unit, Message("event_unit_blocked"), old, reason)
@@ -87,7 +85,7 @@ class Safeguards:
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
-        return self.control.holding(self._now())
+        return self.control.holding(unix_now())
 
     def holder(self) -> str:
         """The account of the holder; empty where control is free."""
@@ -99,7 +97,7 @@ class Safeguards:
         await self._rights.check(person)
         before = self.holding()
         try:
-            holding = self.control.take(person.account, self._now())
+            holding = self.control.take(person.account, unix_now())
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
@@ -113,7 +111,7 @@ class Safeguards:
         before = self.holding()
         by_force = person.role.includes(Role.ADMIN)
         try:
-            holding = self.control.hand_over(person.account, to, self._now(), by_force=by_force)
+            holding = self.control.hand_over(person.account, to, unix_now(), by_force=by_force)
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
@@ -132,14 +130,14 @@ class Safeguards:
     async def release(self, person: Person) -> None:
         """Release control. Raises Problem 409."""
         try:
-            self.control.release(person.account, self._now())
+            self.control.release(person.account, unix_now())
         except ControlledError as error:
             raise _controlled(error) from error
         await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, self._now()):
+        if not self.control.revoke(account, unix_now()):
             return
         who, is_token = name_of(account)
         await self._events.record(

@@ -24,7 +24,7 @@ from app.live.state.bus_live import LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
-from bus.instants import Clock, MonotonicClock, monotonic_now
+from bus.instants import Clock, monotonic_now
 
 HEARTBEAT_S = 1.0
 ALARM_PAUSE_S = 0.05
@@ -53,14 +53,12 @@ class Hub:
         templates: Templates,
         watchers: Mapping[str, Watcher],
         clock: Clock,
-        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.live = live
         self._sources = sources
         self._templates = templates
         self._watchers = watchers
         self._clock = clock
-        self._monotonic = monotonic
         self._readers: dict[str, Readers] = {}
         """Readers of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
@@ -251,7 +249,7 @@ class Hub:
 
     def _notify_watchers(self) -> None:
         """At once, but not as often as pages can turn; the next tick makes up for it."""
-        self._watched_is_due = not self._watch_limit.take(self._monotonic())
+        self._watched_is_due = not self._watch_limit.take(monotonic_now())
         if self._watched_is_due:
             return
         for bus, live in self.live.buses.items():
