@@ -3,6 +3,7 @@ who set it."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter
@@ -72,13 +73,7 @@ BusInPath = Annotated[BusLive, bus_service(BusLive)]
 async def get_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
     """Limits of the setpoint of this unit, set by an engineer."""
     unit_of_bus_or_404(bus, unit)
-    limits = guards.limits.of(unit)
-    return LimitsBody(
-        lowest=limits.lowest,
-        highest=limits.highest,
-        largest_step=limits.largest_step,
-        per_minute=limits.per_minute,
-    )
+    return LimitsBody(**asdict(guards.limits.of(unit)))
 
 
 @router.put("/units/{unit:int}/limits")
