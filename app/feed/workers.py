@@ -27,6 +27,7 @@ class Workers:
     def __init__(self, feeds: Mapping[str, BusFeed], recorder: ChangeRecorder) -> None:
         self._feeds = feeds
         self._recorder = recorder
+        self.monotonic = monotonic_now
         self._hello_buckets: defaultdict[str, Bucket] = defaultdict(hello_bucket)
         """By token, so that one cannot use up what another has."""
 
@@ -41,7 +42,7 @@ class Workers:
             return
 
     async def _hello(self, socket: WorkerConnection, credential: Credential) -> Hello:
-        if self._hello_buckets[credential.token].pour(1.0, monotonic_now()) > 0.0:
+        if self._hello_buckets[credential.token].pour(1.0, self.monotonic()) > 0.0:
             raise MalformedMessageError(TOO_OFTEN)
         async with asyncio.timeout(HELLO_WITHIN_S):
             data = await socket.receive()

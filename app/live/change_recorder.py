@@ -30,6 +30,7 @@ class ChangeRecorder:
     def __init__(self, events: EventLog, bus: str | None = None) -> None:
         self._events = events
         self._bus = bus
+        self._monotonic = monotonic_now
         self._budget: EventBudget[LineEvent] = EventBudget()
         self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
 
@@ -37,7 +38,7 @@ class ChangeRecorder:
         """Record this soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
         burst = FEW if change.kind in ("bus", "worker") else BURST
-        if self._budget.admits(key, change, monotonic_now(), burst=burst):
+        if self._budget.admits(key, change, self._monotonic(), burst=burst):
             self._queue.put_nowait(change)
 
     async def follow(self) -> None:
@@ -80,7 +81,7 @@ class ChangeRecorder:
         return ""
 
     def _note_due(self, *, everything: bool = False) -> None:
-        for summary in self._budget.due(monotonic_now(), everything=everything):
+        for summary in self._budget.due(self._monotonic(), everything=everything):
             self._queue.put_nowait(_summed_up(summary))
 
 

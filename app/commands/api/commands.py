@@ -137,7 +137,7 @@ async def set_speed(call: Annotated[CommandCall, calling(SET_SPEED)], unit: int,
 
 
 @router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
-async def execute(
+async def execute_speed(
     call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: Body | None = None
 ) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
@@ -145,7 +145,7 @@ async def execute(
 
 
 @router.post("/execute", responses=RESULT_RESPONSES)
-async def execute_all(
+async def execute_all_speeds(
     call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: Body | None = None
 ) -> Response:
     """83h to all; each unit is read back."""

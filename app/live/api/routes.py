@@ -63,6 +63,6 @@ async def get_unit(
 
 
 @router.get("/buses/{bus}/figures", response_model=BusFiguresShown)
-async def get_figures(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
+async def get_bus_statistics(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
     """Wire load of a bus, and the counters of each unit since its worker started."""
     return figures_json(bus, bus_or_404(live, bus).figures)

@@ -59,6 +59,7 @@ class Hub:
         self._templates = templates
         self._watchers = watchers
         self._clock = clock
+        self._monotonic = monotonic_now
         self._readers: dict[str, Readers] = {}
         """Readers of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
@@ -249,7 +250,7 @@ class Hub:
 
     def _notify_watchers(self) -> None:
         """At once, but not as often as pages can turn; the next tick makes up for it."""
-        self._watched_is_due = not self._watch_limit.take(monotonic_now())
+        self._watched_is_due = not self._watch_limit.take(self._monotonic())
         if self._watched_is_due:
             return
         for bus, live in self.live.buses.items():
