@@ -5,9 +5,10 @@ The live state comes first, and with it the browsers; history and events never h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
+from app.history.service import History
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
@@ -25,16 +26,6 @@ class HistoryIntake(Protocol):
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """Take in what a worker reported."""
-
-
-class HistoryFaults(Protocol):
-    """What goes wrong while readings are kept."""
-
-    def on_clock_step(self, subscriber: Callable[[float, UnixTime], None]) -> None:
-        """Call ``subscriber`` when the app's own clock was stepped: by how many seconds, and when."""
-
-    def on_damage(self, subscriber: Callable[[Message, UnixTime], None]) -> None:
-        """Call ``subscriber`` when something stored cannot be read: what, and when that was found."""
 
 
 class Pipeline:
@@ -98,7 +89,7 @@ class Pipeline:
         self._history.append(self._live.settings.name, updates)
 
 
-def record_history_faults(history: HistoryFaults, recorder: ChangeRecorder) -> None:
+def record_history_faults(history: History, recorder: ChangeRecorder) -> None:
     """From now on record when the app's own clock was stepped, and what of the history cannot be read."""
     history.on_clock_step(
         lambda step_s, at: recorder.note(_clock_step("event_app_clock_stepped", step_s, at))

@@ -39,7 +39,6 @@ class Lazy(TyperGroup):
     """Knows every command by name and imports none before it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
-        """In the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002

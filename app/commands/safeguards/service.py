@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import InitVar, dataclass, field
 
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
@@ -21,29 +22,24 @@ AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account with this name, and its role; None where there is none."""
 
 
+@dataclass(eq=False, repr=False)
 class Safeguards:
     """Of one bus. Call :meth:`load` once before the first command."""
 
-    def __init__(
-        self,
-        bus: str,
-        database: Database,
-        events: EventLog,
-        *,
-        control_required: bool,
-        find: AccountLookup,
-        rights: Withdrawals,
-        sessions: SessionEnds,
-    ) -> None:
-        self._bus = bus
-        self.limits = LimitsStore(database, bus)
-        self.blocks = BlockStore(database, bus)
+    _bus: str
+    database: InitVar[Database]
+    _events: EventLog
+    control_required: InitVar[bool]
+    find: AccountLookup
+    rights: Withdrawals
+    sessions: InitVar[SessionEnds]
+    _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
+
+    def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
+        self.limits = LimitsStore(database, self._bus)
+        self.blocks = BlockStore(database, self._bus)
         self.control = Control(required=control_required)
-        self._block_subscribers: list[UnitSubscriber] = []
-        self._find = find
-        self._rights = rights
-        self._events = events
-        rights.on_withdrawn(self.revoke_control)
+        self.rights.on_withdrawn(self.revoke_control)
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
@@ -94,7 +90,7 @@ class Safeguards:
 
     async def take(self, person: Person) -> Holding:
         """Take control, if it is free. Raises Problem 409."""
-        await self._rights.check(person)
+        await self.rights.check(person)
         before = self.holding()
         try:
             holding = self.control.take(person.account, unix_now())
@@ -119,7 +115,7 @@ class Safeguards:
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
-        found = (to, person.role) if to == person.account else await self._find(to)
+        found = (to, person.role) if to == person.account else await self.find(to)
         if found is None:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found

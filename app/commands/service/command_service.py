@@ -27,7 +27,7 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Person, account_shown
+from app.web.access import Person
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
 from bus.instants import UnixTime, unix_now
@@ -253,9 +253,7 @@ class CommandService:
         for unit in kind_of_command(request.action).units_written(request.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
-                return Message.of(
-                    "unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason
-                )
+                return block.refusal(unit)
         return self._guards.control.objection(request.person.account, unix_now())
 
 

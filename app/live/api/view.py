@@ -91,7 +91,7 @@ def bus_fields(bus: BusLive) -> Json:
 
 
 def wire_json(figures: BusFigures | None) -> Json:
-    """What is measured of the wire of a bus; None: nothing is."""
+    """The measurements of the wire of a bus; None: there are none."""
     return {
         "scan_hz": figures.scan_hz if figures else None,
         "scan_s": (figures.scan_s or None) if figures else None,

@@ -111,7 +111,6 @@ class Hub:
         self._has_changed()
 
     def leave(self, browser: Browser) -> None:
-        """A page closed."""
         self._readers[browser.language].leave(browser)
         self._pages.turn(browser.units, frozenset(), browser.trace, "")
         self._has_changed()
