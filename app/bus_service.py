@@ -19,7 +19,7 @@ from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
-from app.feed.bus_feed import TIMEOUT_TICKS, BusFeed
+from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
@@ -31,7 +31,6 @@ from app.sets.reading import ParameterReader
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.web.access import Person, Role
-from bus.instants import MonotonicClock, monotonic_now
 
 SERVER = Person("server", Role.ENGINEER, "worker")
 """Author of automatic actions: the schedule of parameter sets."""
@@ -60,22 +59,15 @@ class BusDependencies:
 
 class BusService:
     """One bus: its live state, its worker's reports, and its commands. Call :meth:`load` before the
-    first command. ``monotonic`` measures how long a bus is kept for a worker that may reconnect."""
+    first command."""
 
-    def __init__(
-        self,
-        live: BusLive,
-        site: BusDependencies,
-        *,
-        monotonic: MonotonicClock = monotonic_now,
-        timeout_ticks: int = TIMEOUT_TICKS,
-    ) -> None:
+    def __init__(self, live: BusLive, site: BusDependencies) -> None:
         name = live.settings.name
         self.live = live
         self.recorder = ChangeRecorder(site.events, name)
         self.pipeline = Pipeline(live, site.history, self.recorder)
         self.channel = Channel()
-        self.feed = BusFeed(self.channel, self.pipeline, monotonic=monotonic, timeout_ticks=timeout_ticks)
+        self.feed = BusFeed(self.channel, self.pipeline)
         self.safeguards = Safeguards(
             name,
             site.database,

@@ -56,7 +56,7 @@ from app.web.bounds import BoundedRequest
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
 from app.web.security import AllowedHosts, HeaderRules, OwnPagesOnly
 from app.web.services import Registry
-from app.wiring import Services, build, running
+from app.wiring import Services, running
 
 FEATURES = (
     web_pages,
@@ -114,7 +114,7 @@ def create_app(
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role.
     """
-    services = build(settings, demo=demo, worker_tokens=worker_tokens or {})
+    services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})
     app = FastAPI(
         title="Lineside",
         summary="Monitor and command a line of DIGIMAX IV drives",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from zoneinfo import ZoneInfo
@@ -79,164 +78,97 @@ RECORDED_WITHIN_S = 1.0
 """What the end waits for the last changes of the line to be written down."""
 
 
-@dataclass(frozen=True)
 class Services:
     """Every service, once. A route finds one by its type."""
 
-    settings: Settings
-    assets: Assets
-    templates: Templates
-    database: Database
-    events: EventLog
-    anchoring: Anchoring | None
-    passwords: Passwords
-    accounts: Accounts
-    rights: Rights
-    sign_in: SignIn
-    identity: Identity
-    live: LiveState
-    sources: Sources
-    history: History
-    alarms: LineAlarms
-    expiry: ExpiryWatch
-    control_watch: ControlWatch
-    simulator: Simulator
-    notification: Notification
-    handover: Handover
-    documents: SheetDocuments
-    pictures: PictureStore
-    signing: Signing
-    buses: Mapping[str, BusService]
-    recorder: ChangeRecorder
-    workers: Workers
-    hub: Hub
-    stream: LineStream
-    sets: SetStore
-    takings: Takings
-    restores: RestoreService
-    swaps: SwapService
-    recipes: RecipeBook
-    measured: MetricSources
-    onsets: OnsetLookup
-    turns: Turns
+    def __init__(self, settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> None:
+        """Open the stores and make every service, each after those that it needs. Raises StoreError."""
+        self.settings, site = settings, settings.site
+        make_private(settings.server.data)
+        self.database = database = Database(settings.server.store)
+        keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
+        self.events = events = EventLog(database, keys=keys)
+        self.passwords = Passwords()
+        self.anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
+        self.assets = Assets(static_dir())
+        compiled = settings.server.data / "compiled"
+        self.templates = templates = Templates(
+            templates_dir(), self.assets, site, demo=demo, kept_in=compiled
+        )
+        names = [bus.name for bus in settings.bus]
+        self.accounts = Accounts(database, self.passwords, events, buses=names, site=site.name)
+        self.rights = Rights(database, self.accounts)
+        lifetimes = Lifetimes.of(settings.server.sessions)
+        self.sign_in = SignIn(database, self.passwords, events, lifetimes, site=site.name)
+        self.identity = Identity(database, self.sign_in, worker_tokens)
+        self.live = live = LiveState(settings.bus, unix_now())
+        self.history = history = History(settings)
+        self.recorder = ChangeRecorder(events)
+        history.on_fault(lambda kind, what, at: self.recorder.note(LineEvent(kind, None, at, what, "", "")))
+        self.sets, alarm_store = SetStore(database), AlarmStore(database)
+        local_time = partial(datetime.now, ZoneInfo(site.zone))
+        self.notification = Notification(settings, database, events, templates.languages, local_time)
+        of_site = BusDependencies(
+            events=events,
+            database=database,
+            history=history,
+            rights=self.rights,
+            sessions=self.sign_in,
+            find_account=self.accounts.find,
+            control_required=site.control,
+            sets=self.sets,
+            alarms=alarm_store,
+            own_alarms=settings.alarm,
+            built_in_alarms=settings.built_in_alarm,
+            notification=self.notification,
+            local_time=local_time,
+            record=CommandRecord(events, database, unix_now),
+            idempotency=IdempotencyCache(),
+        )
+        self.buses = buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+        self.expiry = ExpiryWatch(self.accounts.tokens, certificates_of(settings.notify))
+        anchor_status = partial(_anchor_status, self.anchoring)
+        conditions = site_conditions(
+            lambda: history.status, anchor_status, self.notification.dispatcher.is_failing, self.expiry
+        )
+        of_buses = {name: bus.alarms for name, bus in buses.items()}
+        site_alarms = SiteAlarms(
+            conditions, site_values(self.expiry), alarm_store, tuned=settings.built_in_alarm
+        )
+        self.alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
+        self.simulator = Simulator(history)
+        self.pictures = PictureStore(settings.server.data)
+        self.handover = Handover(settings, database, events, self.pictures)
+        self.documents = SheetDocuments(templates, self.assets, self.alarms, self.pictures)
+        self.signing = Signing(self.handover, database, events, self.sign_in, self.documents.page)
+        self.workers = Workers({name: bus.feed for name, bus in buses.items()}, self.recorder)
+        commands = {name: bus.commands for name, bus in buses.items()}
+        readers = {name: bus.reader for name, bus in buses.items()}
+        self.takings = Takings()
+        self.restores = RestoreService(readers, commands, events, RestoreStore(database))
+        self.swaps = SwapService(events, SwapStore(database), self.restores, unix_now)
+        self.recipes = RecipeBook(live, commands, RecipeStore(database), events)
+        self.sources = Sources(
+            guards={name: bus.safeguards for name, bus in buses.items()},
+            drift={name: bus.drift for name, bus in buses.items()},
+            recipes=self.recipes,
+            alarms=AlarmBanner(self.alarms),
+            notices=partial(_notices, history, self.anchoring),
+            history_fault=lambda: history.status.message,
+        )
+        english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+        self.stream = LineStream(site.name, live, self.sources, english, unix_now)
+        self.alarms.subscribe(self._stream_alarm)
+        watchers = {name: bus.feed.watch for name, bus in buses.items()}
+        self.hub = hub = Hub(live, self.sources, templates, watchers, unix_now)
+        held_control = {name: partial(_held_control, bus) for name, bus in buses.items()}
+        self.control_watch = ControlWatch(of_buses, held_control, hub.people)
+        self.measured = MetricSources(live, lambda: hub.connected, Counts(events), anchor_status, self.alarms)
+        self.onsets = OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now)
+        self.turns = Turns()
 
-
-def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> Services:
-    """Open the stores and make every service, each after those that it needs. Raises StoreError."""
-    make_private(settings.server.data)
-    database = Database(settings.server.store)
-    keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
-    events, passwords = EventLog(database, keys=keys), Passwords()
-    anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
-    assets = Assets(static_dir())
-    compiled = settings.server.data / "compiled"
-    templates = Templates(templates_dir(), assets, settings.site, demo=demo, kept_in=compiled)
-    site = settings.site
-    names = [bus.name for bus in settings.bus]
-    accounts = Accounts(database, passwords, events, buses=names, site=site.name)
-    rights = Rights(database, accounts)
-    lifetimes = Lifetimes.of(settings.server.sessions)
-    sign_in = SignIn(database, passwords, events, lifetimes, site=site.name)
-    live, history = LiveState(settings.bus, unix_now()), History(settings)
-    recorder = ChangeRecorder(events)
-    history.on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
-    sets, alarm_store = SetStore(database), AlarmStore(database)
-    local_time = partial(datetime.now, ZoneInfo(site.zone))
-    notification = Notification(settings, database, events, templates.languages, local_time)
-    of_site = BusDependencies(
-        events=events,
-        database=database,
-        history=history,
-        rights=rights,
-        sessions=sign_in,
-        find_account=accounts.find,
-        control_required=site.control,
-        sets=sets,
-        alarms=alarm_store,
-        own_alarms=settings.alarm,
-        built_in_alarms=settings.built_in_alarm,
-        notification=notification,
-        local_time=local_time,
-        record=CommandRecord(events, database, unix_now),
-        idempotency=IdempotencyCache(),
-    )
-    buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
-    expiry = ExpiryWatch(accounts.tokens, certificates_of(settings.notify))
-    conditions = site_conditions(
-        lambda: history.status,
-        partial(_anchor_status, anchoring),
-        notification.dispatcher.is_failing,
-        expiry,
-    )
-    of_buses = {name: bus.alarms for name, bus in buses.items()}
-    site_alarms = SiteAlarms(conditions, site_values(expiry), alarm_store, tuned=settings.built_in_alarm)
-    alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
-    pictures = PictureStore(settings.server.data)
-    handover = Handover(settings, database, events, pictures)
-    documents = SheetDocuments(templates, assets, alarms, pictures)
-    workers = Workers({name: bus.feed for name, bus in buses.items()}, recorder)
-    commands = {name: bus.commands for name, bus in buses.items()}
-    readers = {name: bus.reader for name, bus in buses.items()}
-    restores = RestoreService(readers, commands, events, RestoreStore(database))
-    recipes = RecipeBook(live, commands, RecipeStore(database), events)
-    sources = Sources(
-        guards={name: bus.safeguards for name, bus in buses.items()},
-        drift={name: bus.drift for name, bus in buses.items()},
-        recipes=recipes,
-        alarms=AlarmBanner(alarms),
-        notices=partial(_notices, history, anchoring),
-        history_fault=lambda: history.status.message,
-    )
-    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
-    stream = LineStream(site.name, live, sources, english, unix_now)
-
-    def stream_alarm(alarm: Alarm) -> None:
-        stream.add("alarm", alarm.definition.bus, partial(alarm_json, alarms, alarm))
-
-    alarms.subscribe(stream_alarm)
-    hub = Hub(live, sources, templates, {name: bus.feed.watch for name, bus in buses.items()}, unix_now)
-    return Services(
-        settings=settings,
-        assets=assets,
-        templates=templates,
-        database=database,
-        events=events,
-        anchoring=anchoring,
-        passwords=passwords,
-        accounts=accounts,
-        rights=rights,
-        sign_in=sign_in,
-        identity=Identity(database, sign_in, worker_tokens),
-        live=live,
-        sources=sources,
-        history=history,
-        alarms=alarms,
-        expiry=expiry,
-        control_watch=ControlWatch(
-            of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
-        ),
-        simulator=Simulator(history),
-        notification=notification,
-        handover=handover,
-        documents=documents,
-        pictures=pictures,
-        signing=Signing(handover, database, events, sign_in, documents.page),
-        buses=buses,
-        recorder=recorder,
-        workers=workers,
-        hub=hub,
-        stream=stream,
-        sets=sets,
-        takings=Takings(),
-        restores=restores,
-        swaps=SwapService(events, SwapStore(database), restores, unix_now),
-        recipes=recipes,
-        measured=MetricSources(
-            live, lambda: hub.connected, Counts(events), partial(_anchor_status, anchoring), alarms
-        ),
-        onsets=OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now),
-        turns=Turns(),
-    )
+    def _stream_alarm(self, alarm: Alarm) -> None:
+        self.stream.add("alarm", alarm.definition.bus, partial(alarm_json, self.alarms, alarm))
 
 
 def _held_control(bus: BusService) -> HeldControl | None:

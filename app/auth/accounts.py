@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
@@ -17,27 +18,18 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, term
 
 
+@dataclass(eq=False, repr=False)
 class Accounts:
     """Every change takes ``by``: who makes it, and ``origin``: by which way (page, cli). ``buses``: those of
     the configuration, for the tokens of workers; ``site``: its name, which no password may contain."""
 
-    def __init__(
-        self,
-        database: Database,
-        passwords: Passwords,
-        events: EventLog,
-        clock: Clock = unix_now,
-        *,
-        buses: Collection[str] = (),
-        site: str = "",
-    ) -> None:
-        self._database = database
-        self._passwords = passwords
-        self._events = events
-        self._clock = clock
-        self.buses = buses
-        self._site = site
-        self._subscribers: list[AccountSubscriber] = []
+    _database: Database
+    _passwords: Passwords
+    _events: EventLog
+    _clock: Clock = unix_now
+    buses: Collection[str] = ()
+    site: str = ""
+    _subscribers: list[AccountSubscriber] = field(default_factory=list)
 
     def now(self) -> UnixTime:
         """Unix time as this service has it, by which tokens expire."""
@@ -76,7 +68,7 @@ class Accounts:
     ) -> None:
         """Add a person who signs in by a password. Raises CallerError."""
         rules.check_name(name)
-        strength.check_password(password, user=name, site=self._site)
+        strength.check_password(password, user=name, site=self.site)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
         await self._note("user", Message.of("event_user_added", name=name, role=term(role)), by, origin)
@@ -131,7 +123,7 @@ class Accounts:
         if found[0].panel:
             strength.check_pin(password)
         else:
-            strength.check_password(password, user=name, site=self._site)
+            strength.check_password(password, user=name, site=self.site)
         hashed = await self._passwords.hash(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
         what = Message.of("event_password_changed", name=name)

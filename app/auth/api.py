@@ -20,6 +20,6 @@ class MeShown(TypedDict):
 
 
 @router.get("/me")
-async def me(person: Viewer) -> MeShown:
+async def get_current_user(person: Viewer) -> MeShown:
     """The current user: name and role."""
     return {"name": person.name, "role": person.role, "via": person.via}

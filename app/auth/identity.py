@@ -6,6 +6,7 @@ import hmac
 import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from app.auth import rules, store
@@ -19,20 +20,14 @@ from bus.instants import Clock, unix_now
 from bus.messages import Message
 
 
+@dataclass(eq=False, repr=False)
 class Identity:
     """``worker_tokens``: by bus, of the workers that this server starts itself; they end with the server."""
 
-    def __init__(
-        self,
-        database: Database,
-        sign_in: SignIn,
-        worker_tokens: Mapping[str, str],
-        clock: Clock = unix_now,
-    ) -> None:
-        self._database = database
-        self._sign_in = sign_in
-        self._worker_tokens = worker_tokens
-        self._clock = clock
+    _database: Database
+    _sign_in: SignIn
+    _worker_tokens: Mapping[str, str]
+    _clock: Clock = unix_now
 
     async def by_cookie(self, cookie: str, *, is_use: bool = True) -> Person | None:
         """The account of a session cookie; None when it is over or was never valid.

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from starlette.types import Message, Send
 
-from bus.instants import MonotonicClock, monotonic_now
+from bus.instants import monotonic_now
 
 RECHECK_S = 20.0
 NO_LONGER_SIGNED_IN = 4401
@@ -67,21 +67,15 @@ async def while_allowed(
         await _end(task)
 
 
-def sending_while_allowed(
-    send: Send,
-    is_allowed: IsAllowed,
-    rechecks: Rechecks,
-    every_s: float = RECHECK_S,
-    clock: MonotonicClock = monotonic_now,
-) -> Send:
+def sending_while_allowed(send: Send, is_allowed: IsAllowed, rechecks: Rechecks) -> Send:
     """``send`` of a response that may take long. Rights are checked again after they have changed, and every
-    ``every_s`` seconds, before the next piece. Raises RightsEndedError."""
-    seen, seen_at = rechecks.count, clock()
+    :data:`RECHECK_S` seconds, before the next piece. Raises RightsEndedError."""
+    seen, seen_at = rechecks.count, monotonic_now()
 
     async def sending(message: Message) -> None:
         nonlocal seen, seen_at
-        if message.get("more_body") and (rechecks.count != seen or clock() - seen_at >= every_s):
-            seen, seen_at = rechecks.count, clock()
+        if message.get("more_body") and (rechecks.count != seen or monotonic_now() - seen_at >= RECHECK_S):
+            seen, seen_at = rechecks.count, monotonic_now()
             if not await is_allowed():
                 raise RightsEndedError
         await send(message)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass, field
 from typing import Protocol
 
 import structlog
@@ -70,23 +70,20 @@ class AccountChanges(Protocol):
         """Call ``subscriber`` after each change, with the account whose own session stays, if any."""
 
 
+@dataclass(eq=False, repr=False)
 class Rights:
     """Holds the rights of every account. ``rechecks``: makes open connections check theirs again."""
 
-    def __init__(
-        self,
-        database: Database,
-        accounts: AccountChanges,
-        clock: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
-    ) -> None:
-        self._database = database
-        self._clock = clock
-        self._monotonic = monotonic
-        self._standings: Mapping[str, Standing] = {}
-        self._read_at = Monotonic(float("-inf"))
-        self._withdrawn: list[AccountSubscriber] = []
-        self.rechecks = Rechecks()
+    _database: Database
+    accounts: InitVar[AccountChanges]
+    clock: Clock = unix_now
+    monotonic: MonotonicClock = monotonic_now
+    _standings: Mapping[str, Standing] = field(default_factory=dict)
+    _read_at: Monotonic = Monotonic(float("-inf"))
+    _withdrawn: list[AccountSubscriber] = field(default_factory=list)
+    rechecks: Rechecks = field(default_factory=Rechecks)
+
+    def __post_init__(self, accounts: AccountChanges) -> None:
         accounts.on_changed(self._on_account_change)
 
     def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
@@ -98,7 +95,7 @@ class Rights:
         when the person was authenticated; StoreError when that cannot be known."""
         if not person.has_account:
             return
-        if self._monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
+        if self.monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
             await self.refresh()
         reason = self._why_withdrawn(person)
         if reason:
@@ -107,7 +104,7 @@ class Rights:
     async def refresh(self, kept: str = "") -> None:
         """Read the store now. ``kept``: the account of a user who has just chosen another password, which
         ends nothing. Raises StoreError."""
-        began = self._monotonic()
+        began = self.monotonic()
         standings = await self._database.read(self._read)
         if began < self._read_at:
             return  # another read began later and is here already
@@ -143,7 +140,7 @@ class Rights:
         return why_withdrawn(person, self._standings.get(person.account))
 
     def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:
-        now = self._clock()
+        now = self.clock()
         return {
             user.name: Standing(user.role, credential_of_user(user))
             for user in store.users(connection)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 
 from app.audit.kinds import EventKind
@@ -46,32 +46,24 @@ class SignedIn:
     user: User
 
 
+@dataclass(eq=False, repr=False)
 class SignIn:
     """The sessions of people and panels, from their beginning to their end."""
 
-    def __init__(
-        self,
-        database: Database,
-        passwords: Passwords,
-        events: EventLog,
-        lifetimes: Lifetimes,
-        clock: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
-        *,
-        site: str = "",
-    ) -> None:
-        self.lifetimes = lifetimes
-        self._database = database
-        self._passwords = passwords
-        self._events = events
-        self._clock = clock
-        self._monotonic = monotonic
-        self._site = site
-        self._throttle = Throttle()
-        self._has_users = False
-        """Once true it stays so: the last admin cannot be removed."""
-        self._hashing: FairQueue[str] = FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
-        self._signed_out: list[AccountSubscriber] = []
+    _database: Database
+    _passwords: Passwords
+    _events: EventLog
+    lifetimes: Lifetimes
+    _clock: Clock = unix_now
+    _monotonic: MonotonicClock = monotonic_now
+    site: str = ""
+    _throttle: Throttle = field(default_factory=Throttle)
+    _has_users: bool = False
+    """Once true it stays so: the last admin cannot be removed."""
+    _hashing: FairQueue[str] = field(
+        default_factory=lambda: FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
+    )
+    _signed_out: list[AccountSubscriber] = field(default_factory=list)
 
     def on_signed_out(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with the name of a user whose last session has ended."""
@@ -213,7 +205,7 @@ class SignIn:
             if user.panel:
                 strength.check_pin(secret)
             else:
-                strength.check_password(secret, user=user.name, site=self._site)
+                strength.check_password(secret, user=user.name, site=self.site)
         except CallerError:
             return True
         return False

@@ -31,23 +31,28 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "backup-store": ("backup_store", "Copy the stores of a running dashboard into one file."),
     "restore-store": ("backup_store", "Replace the current stores with a backup."),
 }
-"""Name → module in this package, and its line in the help."""
+"""Name → module in this package, and its line in the help. The module has a function of that name, or a
+``typer.Typer`` for a command with subcommands."""
 
 
 class Lazy(TyperGroup):
     """Knows every command by name and imports none before it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
-        """In the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
-        """Import the module and let it register; None for an unknown name."""
+        """Import the module of a command; None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        cli = typer.Typer()
         with loading():
-            import_module(f"app.cli.{COMMANDS[cmd_name][0]}").register(cli)
+            module = import_module(f"app.cli.{COMMANDS[cmd_name][0]}")
+        named = getattr(module, cmd_name.replace("-", "_"))
+        cli = typer.Typer()
+        if isinstance(named, typer.Typer):
+            cli.add_typer(named, name=cmd_name)
+        else:
+            cli.command(cmd_name)(named)
         return get_group(cli).commands[cmd_name]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002

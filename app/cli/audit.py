@@ -28,22 +28,13 @@ from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message, in_english
 
-audits = typer.Typer(help="The event log.", no_args_is_help=True)
+audit = typer.Typer(help="The event log.", no_args_is_help=True)
 AnchorFile = Annotated[
     Path | None, typer.Option(help="The file with its anchors; without it, the one of the configuration.")
 ]
 
 
-def register(cli: typer.Typer) -> None:
-    cli.add_typer(audits, name="audit")
-
-
-@audits.callback()
-def audit() -> None:
-    """Verify the event log and manage its key."""
-
-
-@audits.command()
+@audit.command()
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
     """Verify chain, seals and anchors of the log. Exit 0 when it is intact, 1 with the first altered entry.
     Without an anchor, the replacement of the store by an earlier copy cannot be detected."""
@@ -58,7 +49,7 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
         report(remark)
 
 
-@audits.command(name="rotate-key")
+@audit.command(name="rotate-key")
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""

@@ -30,10 +30,6 @@ Bus = Annotated[str, typer.Option(help="Name of the bus.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on standard output.")]
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(backup)
-
-
 def backup(
     url: Url,
     bus: Bus,

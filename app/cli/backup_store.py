@@ -36,11 +36,6 @@ ASIDE = ".before-restore"
 _COMPANIONS = ("-wal", "-shm")
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command("backup-store")(backup_store)
-    cli.command("restore-store")(restore_store)
-
-
 def backup_store(
     file: Annotated[Path, typer.Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,

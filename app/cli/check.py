@@ -12,10 +12,6 @@ from app.settings import load
 from bus.messages import Message
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(check)
-
-
 def check(config: Config = LINESIDE_TOML) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
     with ending():

@@ -24,10 +24,6 @@ _HEX = re.compile(r"(?:[0-9a-fA-F]{2})+")
 _STANDARD_INPUT = "-"
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(decode)
-
-
 def decode(
     hex_bytes: Annotated[
         list[str] | None, typer.Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")

@@ -25,10 +25,6 @@ END_WITHIN_S = 2.0
 CHOOSE = Message("choose_port_demo")
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(demo)
-
-
 def demo(
     units: Annotated[int, typer.Option(min=1, max=255, help="Number of units.")] = 8,
     port: Annotated[

@@ -24,10 +24,6 @@ from bus.messages import Message, in_english
 Pair = tuple[UnitRows, UnitRows]
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(diff)
-
-
 def diff(
     files: Annotated[
         list[Path], typer.Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")

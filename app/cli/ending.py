@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import typer
 
 from bus.errors import CallerError, LinesideError
-from bus.messages import Message
+from bus.messages import Message, ParamValue
 
 
 @contextmanager
@@ -25,6 +25,11 @@ def ending() -> Iterator[None]:
     except OSError as error:
         complain(Message.of("system_error", error=str(error)))
         raise typer.Exit(1) from error
+
+
+def wrong_option(option: str, code: str, **params: ParamValue) -> typer.BadParameter:
+    """A value of ``option`` that cannot be, by the code of its message: exit code 2."""
+    return typer.BadParameter(str(Message(code, params)), param_hint=option)
 
 
 def report(message: Message, *, err: bool = False) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import typer
-
 from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.errors import system_error
@@ -19,10 +17,6 @@ STARTER = Path(__file__).with_name("starter.toml")
 
 class InitError(LinesideError):
     """The file was not written; the text gives the reason and what to do."""
-
-
-def register(cli: typer.Typer) -> None:
-    cli.command()(init)
 
 
 def init(config: Config = LINESIDE_TOML) -> None:

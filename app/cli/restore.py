@@ -22,10 +22,6 @@ _ENDED = ("equal", "different", "stopped")
 _LOOK_AGAIN_S = 0.2
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(restore)
-
-
 def restore(
     file: Annotated[Path, typer.Argument(help="A file of lineside backup.", metavar="FILE")],
     url: Url,

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.cli.ending import complain, ending, report
+from app.cli.ending import complain, ending, report, wrong_option
 from app.web.shape import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
@@ -24,10 +24,6 @@ INTERRUPTED = 130
 """As a shell reports a program that SIGINT ended."""
 _SOCKET = "socket://"
 _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign": "found_kind_foreign"}
-
-
-def register(cli: typer.Typer) -> None:
-    cli.command()(scan)
 
 
 def scan(
@@ -53,17 +49,11 @@ def scan(
     try:
         check_port(port)
     except ValueError as error:
-        raise typer.BadParameter(
-            str(Message.of("option_port_refused", port=repr(port), reason=error.args[0])), param_hint="--port"
-        ) from error
+        raise wrong_option("--port", "option_port_refused", port=repr(port), reason=error.args[0]) from error
     if baud is not None and baud not in BAUDS:
-        raise typer.BadParameter(
-            str(Message.of("option_none_of", value=baud, known=list(BAUDS))), param_hint="--baud"
-        )
+        raise wrong_option("--baud", "option_none_of", value=baud, known=list(BAUDS))
     if first > last:
-        raise typer.BadParameter(
-            str(Message.of("option_first_above_last", first=first, last=last)), param_hint="--first"
-        )
+        raise wrong_option("--first", "option_first_above_last", first=first, last=last)
     bauds = bauds_to_try(port, baud)
     addresses = range(first, last + 1)
     report(announcement(port, bauds, addresses, turnaround_ms / 1000, every_baud), err=True)

@@ -16,10 +16,6 @@ Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
 LINESIDE_TOML = Path("lineside.toml")
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(serve)
-
-
 def serve(config: Config = LINESIDE_TOML) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
     with ending():

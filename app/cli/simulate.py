@@ -9,7 +9,7 @@ from typing import Annotated, get_args
 import typer
 from pydantic import ValidationError
 
-from app.cli.ending import complain
+from app.cli.ending import complain, wrong_option
 from bus.catalogue import numbers
 from bus.messages import Message
 from bus.settings import BAUDS, Baud, Dialect
@@ -21,10 +21,6 @@ from bus.simulator.ports import Port, PtyPort, TcpLinePort
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Traits
 from bus.validation import fault_message
-
-
-def register(cli: typer.Typer) -> None:
-    cli.command()(simulate)
 
 
 def simulate(
@@ -67,11 +63,9 @@ def simulate(
 ) -> None:
     """Run simulated units only. The first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
     if baud not in BAUDS:
-        raise typer.BadParameter(
-            str(Message.of("option_none_of", value=baud, known=list(get_args(Baud)))), param_hint="--baud"
-        )
+        raise wrong_option("--baud", "option_none_of", value=baud, known=list(get_args(Baud)))
     if tcp is not None and link is not None:
-        raise typer.BadParameter(str(Message("option_link_with_tcp")), param_hint="--link")
+        raise wrong_option("--link", "option_link_with_tcp")
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)
     dialect = _dialect(
         checksum_10h=checksum_10h,

@@ -24,10 +24,6 @@ class NotServingError(LinesideError):
     """No dashboard responds at the configured address."""
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(status)
-
-
 def status(
     config: Config = LINESIDE_TOML,
     token: TokenOption = "",
@@ -67,11 +63,9 @@ def _buses(url: str, token: str) -> list[dict[str, Any]]:
         found = client.get("/line")["buses"]
     return [
         {
-            "name": bus["name"],
-            "worker": bus["worker"],
-            "link": bus["link"],
-            "link_cause": bus["link_cause"],
-            "link_cause_message": bus.get("link_cause_message"),
+            **{
+                name: bus.get(name) for name in ("name", "worker", "link", "link_cause", "link_cause_message")
+            },
             "units": len(bus["units"]),
             "units_online": sum(unit["link"] == "online" for unit in bus["units"]),
         }

@@ -15,16 +15,12 @@ from app.web.access import Role, role_named
 from bus.instants import UnixTime
 from bus.messages import Message
 
-tokens = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
+token = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
 
 TokenName = Annotated[str, typer.Argument(help="Name of the token; unique.")]
 
 
-def register(cli: typer.Typer) -> None:
-    cli.add_typer(tokens, name="token")
-
-
-@tokens.command()
+@token.command()
 def create(
     name: TokenName,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
@@ -47,18 +43,18 @@ def create(
         typer.echo(with_accounts(config, work))
 
 
-@tokens.command(name="list")
+@token.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with ending():
-        for token in with_accounts(config, lambda accounts: accounts.tokens()):
-            day = token.expires_at
+        for each in with_accounts(config, lambda accounts: accounts.tokens()):
+            day = each.expires_at
             expires = "" if day is None else str(Message.of("token_expires", day=_day(day)))
-            columns = (token.name, token.role, token.created_by, token.bus or "", expires)
+            columns = (each.name, each.role, each.created_by, each.bus or "", expires)
             typer.echo("\t".join(columns).rstrip())
 
 
-@tokens.command()
+@token.command()
 def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
     with ending():

@@ -15,17 +15,13 @@ from bus.messages import Message
 
 LONGEST_LINE = 10_000
 
-users = typer.Typer(help="Manage users.", no_args_is_help=True)
+user = typer.Typer(help="Manage users.", no_args_is_help=True)
 
 UserName = Annotated[str, typer.Argument(help="The name to log in with.")]
 FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
 
 
-def register(cli: typer.Typer) -> None:
-    cli.add_typer(users, name="user")
-
-
-@users.command()
+@user.command()
 def add(
     name: UserName,
     role: Annotated[str, typer.Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
@@ -40,17 +36,17 @@ def add(
         )
 
 
-@users.command(name="list")
+@user.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every user: name, role, and whether it is a panel or disabled."""
     with ending():
-        for user in with_accounts(config, lambda accounts: accounts.users()):
-            states = (("user_is_panel", user.panel), ("user_is_disabled", user.disabled))
+        for each in with_accounts(config, lambda accounts: accounts.users()):
+            states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
             marks = [str(Message(code)) for code, is_so in states if is_so]
-            typer.echo("\t".join([user.name, user.role, *marks]))
+            typer.echo("\t".join([each.name, each.role, *marks]))
 
 
-@users.command()
+@user.command()
 def password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
     """Set a new password of a user; every session of that user ends."""
     with ending():
@@ -60,7 +56,7 @@ def password(name: UserName, password_stdin: FromInput = False, config: Config =
         )
 
 
-@users.command()
+@user.command()
 def remove(name: UserName, config: Config = LINESIDE_TOML) -> None:
     """Remove a user; the events of that user are kept."""
     with ending():

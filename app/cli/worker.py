@@ -16,10 +16,6 @@ from bus.messages import Message
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 
-def register(cli: typer.Typer) -> None:
-    cli.command()(worker)
-
-
 def worker(
     bus: Annotated[str, typer.Option(help="Name of the bus in the configuration.")],
     app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],

@@ -177,20 +177,10 @@ READ_TRACE = CommandKind(
     wording=lambda _, _bus: Wording(Message("event_read_trace")),
 )
 
-_KINDS: tuple[CommandKind[Any], ...] = (
-    SET_SPEED,
-    EXECUTE_SPEED,
-    EXECUTE_ALL,
-    SET_LINE,
-    WRITE_OUTPUT,
-    WRITE_ANALOG_OUTPUT,
-    WRITE_PARAMETER,
-    CHANGE_BAUD,
-    READ_PARAMETERS,
-    SCAN_BUS,
-    READ_TRACE,
-)
-COMMANDS: dict[type[Action], CommandKind[Any]] = {kind.request: kind for kind in _KINDS}
+COMMANDS: dict[type[Action], CommandKind[Any]] = {
+    kind.request: kind for kind in tuple(vars().values()) if isinstance(kind, CommandKind)
+}
+"""Every row above, by its request."""
 
 
 def kind_of_command(action: Action) -> CommandKind[Any]:

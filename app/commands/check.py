@@ -5,29 +5,19 @@ from __future__ import annotations
 from app.commands.catalogue import kind_of_command
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import check_setpoint
-from app.web.access import account_shown
 from bus.contract import Action
-from bus.messages import Message, term
+from bus.messages import term
 
 
 def check(action: Action, now: RuleContext) -> None:
     """Raises ObjectionError for the first reason not to send ``action``."""
     kind = kind_of_command(action)
     for unit in kind.units_written(action, now.bus):
-        _check_not_blocked(unit, now)
+        if (block := now.block(unit)) is not None:
+            raise ObjectionError("blocked", block.refusal(unit), unit=unit)
     kind.check(action, now)
     for setpoint in kind.setpoints(action, now.bus):
         check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
     danger = kind.danger(action)
     if danger and not now.confirm:
         raise ObjectionError("dangerous", term(danger), unit=action.only_unit)
-
-
-def _check_not_blocked(unit: int, now: RuleContext) -> None:
-    block = now.block(unit)
-    if block is not None:
-        raise ObjectionError(
-            "blocked",
-            Message.of("unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason),
-            unit=unit,
-        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import structlog
@@ -13,8 +14,9 @@ from app.feed.ingest import Ingest, IngestPosition
 from app.feed.rates import update_bucket
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
+from bus.bucket import Bucket
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
-from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 _log = structlog.get_logger()
@@ -48,29 +50,19 @@ class WorkerConnection(MessageSink, Protocol):
         """End it, with a reason in words. Raises nothing."""
 
 
+@dataclass(eq=False, repr=False)
 class BusFeed:
-    """The feed of one bus. ``now`` is Unix time in seconds; ``monotonic`` measures how long a bus is kept
-    for a worker that may reconnect."""
+    """The feed of one bus. ``monotonic`` measures how long a bus is kept for a worker that may reconnect."""
 
-    def __init__(
-        self,
-        channel: Channel,
-        pipeline: Pipeline,
-        now: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
-        *,
-        timeout_ticks: int = TIMEOUT_TICKS,
-    ) -> None:
-        self._channel = channel
-        self._pipeline = pipeline
-        self._now = now
-        self._monotonic = monotonic
-        self._timeout_ticks = timeout_ticks
-        self._bucket = update_bucket()
-        self._received = IngestPosition("")
-        self._holder: Holder | None = None
-        self._connection: WorkerConnection | None = None
-        self._watches: set[asyncio.Task[None]] = set()
+    _channel: Channel
+    _pipeline: Pipeline
+    monotonic: MonotonicClock = monotonic_now
+    timeout_ticks: int = TIMEOUT_TICKS
+    _bucket: Bucket = field(default_factory=update_bucket)
+    _received: IngestPosition = field(default_factory=lambda: IngestPosition(""))
+    _holder: Holder | None = None
+    _connection: WorkerConnection | None = None
+    _watches: set[asyncio.Task[None]] = field(default_factory=set)
 
     def watch(self, units: list[int], trace: bool) -> None:
         """Send the worker the units that are on an open page, and whether its trace is followed."""
@@ -89,12 +81,12 @@ class BusFeed:
         ConnectionError when it is gone before it was admitted."""
         holder = self._holder
         if refused is None and holder is not None:
-            is_free = holder.yields_to(hello.worker, credential, self._monotonic())
+            is_free = holder.yields_to(hello.worker, credential, self.monotonic())
             refused = None if is_free else HELD
         if refused is not None:
             held_by = "" if holder is None else str(holder.credential)
-            self._pipeline.worker_refused(self._now(), held_by, str(credential), refused)
-            await send_away(connection, refused, self._now())
+            self._pipeline.worker_refused(unix_now(), held_by, str(credential), refused)
+            await send_away(connection, refused, unix_now())
             return
         # Taken in the same turn of the loop: of two concurrent hellos the second meets the first.
         former = self._take(hello, connection, credential)
@@ -114,7 +106,7 @@ class BusFeed:
         former, self._connection = self._connection, connection
         if former is not None:
             self._channel.closed(former)
-        self._pipeline.worker_connected(hello, self._now(), again=again)
+        self._pipeline.worker_connected(hello, unix_now(), again=again)
         return former
 
     async def _serve_holder(
@@ -123,7 +115,7 @@ class BusFeed:
         if former is not None:
             await former.close(REPLACED)
         try:
-            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, self._now()))
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
             await self._follow(hello, connection)
         except MalformedMessageError as error:
             _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
@@ -137,7 +129,7 @@ class BusFeed:
 
     async def _follow(self, hello: Hello, connection: WorkerConnection) -> None:
         channel, pipeline, bucket = self._channel, self._pipeline, self._bucket
-        ingest = Ingest(hello, self._received, channel, pipeline, connection, bucket, self._now)
+        ingest = Ingest(hello, self._received, channel, pipeline, connection, bucket, unix_now)
         works = (self._receive(ingest, connection), self._tick(ingest))
         tasks = {asyncio.create_task(work) for work in works}
         try:
@@ -156,7 +148,7 @@ class BusFeed:
                 self._holder.port_seen |= self._pipeline.port_is_open
 
     async def _tick(self, ingest: Ingest) -> None:
-        while ingest.missed_ticks < self._timeout_ticks:
+        while ingest.missed_ticks < self.timeout_ticks:
             await ingest.tick()
             await asyncio.sleep(TICK_S)
         raise WorkerTimeout(str(TIMED_OUT))
@@ -166,8 +158,8 @@ class BusFeed:
         self._channel.closed(connection)
         if self._connection is connection and self._holder is not None:
             self._connection = None
-            self._holder.connection_ended(ending, self._monotonic())
-            self._pipeline.worker_disconnected(self._now(), cause)
+            self._holder.connection_ended(ending, self.monotonic())
+            self._pipeline.worker_disconnected(unix_now(), cause)
 
 
 async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
@@ -41,35 +41,28 @@ class IngestPosition:
     seq: int = 0
 
 
+@dataclass(eq=False, repr=False)
 class Ingest:
     """One connection of one worker. ``bucket`` measures what comes for the bus, over all its connections."""
 
-    def __init__(
-        self,
-        hello: Hello,
-        received: IngestPosition,
-        channel: Channel,
-        pipeline: Pipeline,
-        connection: MessageSink,
-        bucket: Bucket,
-        now: Clock = unix_now,
-    ) -> None:
-        self._hello = hello
-        self._received = received
-        self._channel = channel
-        self._pipeline = pipeline
-        self._connection = connection
-        self._bucket = bucket
-        self._now = now
-        self._units: Collection[int] = pipeline.units
-        self._clock = WorkerClock()
-        self._snapshot_seq: int | None = None
-        self._snapshot_wanted = False
-        self._settled = self._delivered = received.seq
-        self.missed_ticks = 0
-        """Ticks in a row in which nothing came, though more would have been read."""
-        self._is_held_back = False
-        self._clock.observe(hello.sent_at, now(), monotonic_now())
+    _hello: Hello
+    _received: IngestPosition
+    _channel: Channel
+    _pipeline: Pipeline
+    _connection: MessageSink
+    _bucket: Bucket
+    _now: Clock = unix_now
+    _clock: WorkerClock = field(default_factory=WorkerClock)
+    _snapshot_seq: int | None = None
+    _snapshot_wanted: bool = False
+    missed_ticks: int = 0
+    """Ticks in a row in which nothing came, though more would have been read."""
+    _is_held_back: bool = False
+
+    def __post_init__(self) -> None:
+        self._units: Collection[int] = self._pipeline.units
+        self._settled = self._delivered = self._received.seq
+        self._clock.observe(self._hello.sent_at, self._now(), monotonic_now())
 
     async def receive(self, data: bytes) -> None:
         """Take in one message, and return once the next may come. Raises MalformedMessageError; nothing of

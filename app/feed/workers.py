@@ -13,7 +13,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.pipeline import refusal_of_worker
 from bus.bucket import Bucket
 from bus.contract import Hello, MalformedMessageError, decode_from_worker
-from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
+from bus.instants import monotonic_now, unix_now
 
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
@@ -22,19 +22,12 @@ MOST_HELLO_BYTES = 32_768
 
 class Workers:
     """The feed up to the bus. ``feeds``: by bus; ``recorder``: of the site, for a worker whose bus is not
-    configured. ``now`` is Unix time in seconds, ``monotonic`` times how often a token connects."""
+    configured."""
 
-    def __init__(
-        self,
-        feeds: Mapping[str, BusFeed],
-        recorder: ChangeRecorder,
-        now: Clock = unix_now,
-        monotonic: MonotonicClock = monotonic_now,
-    ) -> None:
+    def __init__(self, feeds: Mapping[str, BusFeed], recorder: ChangeRecorder) -> None:
         self._feeds = feeds
         self._recorder = recorder
-        self._now = now
-        self._monotonic = monotonic
+        self.monotonic = monotonic_now
         self._hello_buckets: defaultdict[str, Bucket] = defaultdict(hello_bucket)
         """By token, so that one cannot use up what another has."""
 
@@ -49,7 +42,7 @@ class Workers:
             return
 
     async def _hello(self, socket: WorkerConnection, credential: Credential) -> Hello:
-        if self._hello_buckets[credential.token].pour(1.0, self._monotonic()) > 0.0:
+        if self._hello_buckets[credential.token].pour(1.0, self.monotonic()) > 0.0:
             raise MalformedMessageError(TOO_OFTEN)
         async with asyncio.timeout(HELLO_WITHIN_S):
             data = await socket.receive()
@@ -65,7 +58,7 @@ class Workers:
         refused = refusal(hello, credential, self._feeds)
         if feed is None:
             assert refused is not None  # the bus of the token is not configured
-            self._recorder.note(refusal_of_worker(self._now(), "", str(credential), refused))
-            await send_away(socket, refused, self._now())
+            self._recorder.note(refusal_of_worker(unix_now(), "", str(credential), refused))
+            await send_away(socket, refused, unix_now())
         else:
             await feed.serve(hello, socket, credential, refused)

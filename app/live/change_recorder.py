@@ -12,7 +12,7 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent
-from bus.instants import MonotonicClock, monotonic_now
+from bus.instants import monotonic_now
 from bus.messages import Message
 
 RETRY_AFTER_S = 1.0
@@ -25,14 +25,12 @@ log = structlog.get_logger()
 
 
 class ChangeRecorder:
-    """Of one bus; of the site without ``bus``. ``monotonic`` times the budget, in seconds."""
+    """Of one bus; of the site without ``bus``."""
 
-    def __init__(
-        self, events: EventLog, bus: str | None = None, monotonic: MonotonicClock = monotonic_now
-    ) -> None:
+    def __init__(self, events: EventLog, bus: str | None = None) -> None:
         self._events = events
         self._bus = bus
-        self._monotonic = monotonic
+        self._monotonic = monotonic_now
         self._budget: EventBudget[LineEvent] = EventBudget()
         self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
 

@@ -45,7 +45,6 @@ class Connection:
     """Of whom it has shown a valid credential."""
 
     def drop(self) -> None:
-        """End it now."""
         if self.holder is not None:
             self.holder.give_way()
 

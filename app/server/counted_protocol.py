@@ -25,13 +25,11 @@ class CountedProtocol(asyncio.Protocol):
         self._closing_since: float | None = None
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is awaited any more."""
         self._open_connections.close(self.connection)
         self.connection.holder = None
         super().connection_lost(exc)
 
     def resume_writing(self) -> None:
-        """The client has read what waited."""
         self._backlog = Backlog()
         super().resume_writing()
 

@@ -123,17 +123,14 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         self._pace.expect(Awaited.HEAD, self.loop.time())
 
     def on_url(self, url: bytes) -> None:
-        """The address, or a part of it."""
         self._count_head(len(url))
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """A header is complete."""
         self._count_head(len(name) + len(value))
         super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """The headers are complete; the app may start."""
         version = self.parser.get_http_version()
         if version not in VERSIONS:
             self._give_up(NO_SUCH_VERSION)
@@ -148,12 +145,10 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """A part of the body."""
         self._pace.received += len(body)
         super().on_body(body)
 
     def on_message_complete(self) -> None:
-        """The request is complete."""
         self._pace.expect(Awaited.NOTHING, self.loop.time())
         super().on_message_complete()
         if self.cycle is not None and self.cycle.response_complete:

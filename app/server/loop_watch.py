@@ -34,7 +34,6 @@ class LoopWatch:
         self._tick()
 
     def stop(self) -> None:
-        """No more ticks."""
         if self._timer is not None:
             self._timer.cancel()
 

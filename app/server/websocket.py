@@ -79,7 +79,6 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         self.connection.holder = self
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The client has gone, or was dropped."""
         _endings.add(partial(super().connection_lost, exc))
 
     def give_way(self) -> None:
@@ -116,29 +115,24 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
             super().data_received(part)
 
     def handle_connect(self, event: Request) -> None:
-        """The handshake, with its path and headers."""
         self._is_feed = event.path.partition("?")[0] == FEED_PATH
         if not self._is_feed:
             self.conn.max_message_size = MOST_MESSAGE_BYTES
         super().handle_connect(event)
 
     def handle_text(self, event: Frame) -> None:
-        """A frame of the client."""
         if self._is_allowed():
             super().handle_text(event)
 
     def handle_bytes(self, event: Frame) -> None:
-        """A frame of the client."""
         if self._is_allowed():
             super().handle_bytes(event)
 
     def handle_cont(self, event: Frame) -> None:
-        """A frame of the client."""
         if self._is_allowed():
             super().handle_cont(event)
 
     def handle_pong(self, event: Frame) -> None:
-        """A frame of the client."""
         if self._is_allowed():
             super().handle_pong(event)
 

@@ -179,31 +179,22 @@ async def _on_invalid(request: Request, error: Exception) -> Response:
     return respond(request, invalid(error.errors()))
 
 
-async def _on_caller(request: Request, error: Exception) -> Response:
-    assert isinstance(error, CallerError)
-    return respond(request, Problem(422, "invalid", error.message))
-
-
-async def _on_store(request: Request, error: Exception) -> Response:
-    assert isinstance(error, StoreError)
-    log.error("store", path=request.url.path, error=str(error))
-    return respond(request, Problem(503, "store", error.message))
-
-
-async def _on_too_costly(request: Request, error: Exception) -> Response:
-    assert isinstance(error, TooCostlyError)
-    return respond(request, Problem(503, "too_costly", error.message))
-
-
-async def _on_undecodable(request: Request, _error: Exception) -> Response:
-    return respond(request, Problem(422, "invalid", Message("body_not_utf8")))
-
-
-async def _on_anything(request: Request, error: Exception) -> Response:
-    """Starlette calls this outside of every middleware, so the headers of all others are set here."""
-    log.error("failed", path=request.url.path, exc_info=error)
-    problem = Problem(500, "failed", Message("server_failed"))
-    return respond(request, problem.with_headers(**HEADERS))
+async def _on_error(request: Request, error: Exception) -> Response:
+    match error:
+        case CallerError():
+            problem = Problem(422, "invalid", error.message)
+        case TooCostlyError():
+            problem = Problem(503, "too_costly", error.message)
+        case StoreError():
+            log.error("store", path=request.url.path, error=str(error))
+            problem = Problem(503, "store", error.message)
+        case UnicodeDecodeError() | json.JSONDecodeError():
+            problem = Problem(422, "invalid", Message("body_not_utf8"))
+        case _:
+            log.error("failed", path=request.url.path, exc_info=error)
+            # Starlette calls this outside of every middleware, so the headers of all others are set here.
+            problem = Problem(500, "failed", Message("server_failed")).with_headers(**HEADERS)
+    return respond(request, problem)
 
 
 def install(app: FastAPI) -> None:
@@ -211,9 +202,5 @@ def install(app: FastAPI) -> None:
     app.exception_handler(Problem)(_on_problem)
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)
-    app.add_exception_handler(CallerError, _on_caller)
-    app.add_exception_handler(StoreError, _on_store)
-    app.add_exception_handler(TooCostlyError, _on_too_costly)
-    app.add_exception_handler(UnicodeDecodeError, _on_undecodable)
-    app.add_exception_handler(json.JSONDecodeError, _on_undecodable)
-    app.add_exception_handler(Exception, _on_anything)
+    for kind in (CallerError, StoreError, UnicodeDecodeError, json.JSONDecodeError, Exception):
+        app.add_exception_handler(kind, _on_error)

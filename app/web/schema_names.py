@@ -8,144 +8,83 @@ from __future__ import annotations
 from typing import Any
 
 SCHEMAS = {
-    "AlarmDetailShown": "AlarmDetail",
-    "AlarmGroupShown": "AlarmGroup",
-    "AlarmJournalShown": "AlarmJournal",
-    "AlarmPerformanceShown": "AlarmPerformance",
-    "AlarmPriorityShown": "AlarmPriority",
-    "AlarmShown": "Alarm",
-    "AlarmSimulationBody": "AlarmSimulationRequest",
-    "AlarmSimulationShown": "AlarmSimulation",
-    "AlarmStateShown": "AlarmState",
-    "AlarmTransitionShown": "AlarmTransition",
-    "AlarmTriggerShown": "AlarmTrigger",
-    "AlarmsShown": "Alarms",
-    "AnalogOutputBody": "AnalogOutputRequest",
-    "BaudBody": "BaudRequest",
     "BlockBody": "CommandBlockRequest",
     "BlockShown": "CommandBlock",
     "Body": "CommandRequest",
     "BusFiguresShown": "BusStatistics",
-    "BusShown": "Bus",
-    "CauseShown": "Cause",
     "ComparedShown": "ParameterDifference",
-    "ControlShown": "Control",
     "DeliveriesShown": "NotificationDeliveries",
     "DeliveryShown": "NotificationDelivery",
     "DeliveryStateShown": "NotificationDeliveryState",
     "DepartedShown": "RecipeDeparture",
     "DepartureShown": "DriftRow",
-    "DriftShown": "Drift",
     "DryRunShown": "RecipeDryRun",
     "DryRunStepShown": "RecipeDryRunStep",
     "EndpointBody": "NotificationTestRequest",
     "EndpointKindShown": "NotificationEndpointKind",
-    "EventFrameShown": "EventFrame",
-    "EventShown": "Event",
     "CommentBody": "AlarmCommentRequest",
     "ConsequenceShown": "AlarmConsequence",
-    "CommandResultShown": "CommandResult",
     "FigureCodeShown": "AlarmFigureCode",
     "FigureShown": "AlarmFigure",
-    "FrameShown": "Frame",
-    "FrequentAlarmShown": "FrequentAlarm",
     "GoldenMark": "GoldenSetRequest",
     "GoldenShown": "GoldenSet",
-    "HandOverBody": "HandOverRequest",
-    "InputsShown": "Inputs",
-    "LabelsShown": "Labels",
     "LeftOutShown": "RestoreOmission",
     "LimitsBody": "SpeedLimits",
-    "LineShown": "Line",
     "LoadRecipe": "LoadRecipeRequest",
     "LoadedShown": "LoadedRecipe",
-    "MaintenanceBody": "MaintenanceRequest",
-    "MaintenanceShown": "Maintenance",
     "MarkShown": "HistoryMark",
     "MarkTextShown": "HistoryMarkText",
     "MarksShown": "HistoryMarks",
-    "MessageShown": "Message",
     "MeShown": "CurrentUser",
     "NakShown": "NakCount",
     "NoticeKindShown": "NotificationKind",
-    "NotificationEndpointShown": "NotificationEndpoint",
-    "NotificationGroupShown": "NotificationGroup",
-    "NotificationShown": "Notification",
     "OutOfServiceBody": "AlarmOutOfServiceRequest",
-    "OutcomeShown": "Outcome",
-    "OutputBody": "OutputRequest",
     "OverdueShown": "OverdueSave",
-    "ParameterBody": "ParameterRequest",
     "OccurrenceShown": "AlarmOccurrence",
     "OccurrenceTextShown": "AlarmOccurrenceText",
     "OccurrencesShown": "AlarmOccurrences",
-    "ParameterShown": "Parameter",
     "PlanRestore": "RestoreRequest",
     "RationalizationShown": "AlarmRationalization",
-    "RecipeSetpointShown": "RecipeSetpoint",
-    "RecipeShown": "Recipe",
-    "RestoreRowShown": "RestoreRow",
-    "RestoreShown": "Restore",
     "SaveRecipe": "SaveRecipeRequest",
     "ScheduleShown": "SaveSchedule",
     "SeriesShown": "HistorySeries",
     "SetParameterShown": "ParameterSetParameter",
     "SetShown": "ParameterSet",
     "SetUnitShown": "ParameterSetUnit",
-    "SetpointRangeShown": "SetpointRange",
     "SetpointsBody": "SpeedsRequest",
     "ShelveBody": "AlarmShelveRequest",
-    "ShiftEventsShown": "ShiftEvents",
-    "ShiftNoteBody": "ShiftNoteRequest",
-    "ShiftNoteShown": "ShiftNote",
     "SheetAndSignaturesShown": "ShiftSheet",
     "ShiftSheetShown": "SignedShiftSheet",
-    "ShiftSignBody": "ShiftSignRequest",
-    "ShiftSummaryShown": "ShiftSummary",
-    "ShiftsShown": "Shifts",
     "SignatureShown": "ShiftSignature",
     "SignedShown": "ShiftSignatures",
     "SparkShown": "Sparkline",
-    "SpeedBody": "SpeedRequest",
     "StartRestore": "StartRestoreRequest",
     "StatusShown": "HistoryStatus",
     "SummaryShown": "ParameterSetSummary",
     "TakeSet": "SaveSetRequest",
     "TestedShown": "NotificationTest",
     "TimeToRespondShown": "AlarmTimeToRespond",
-    "TraceShown": "Trace",
     "UnshelveBody": "AlarmReturnRequest",
-    "UnitResultShown": "UnitResult",
     "UnitFiguresShown": "UnitStatistics",
-    "UnitShown": "Unit",
 }
-"""Published name of a schema by the name of its class, where they differ."""
+"""Published name of a schema by the name of its class, where :func:`schema_name` would give another."""
 
 OPERATIONS = {
-    "block": "block_commands",
     "compare_sets": "compare_parameter_sets",
     "events_as_csv": "export_events",
-    "execute": "execute_speed",
-    "execute_all": "execute_all_speeds",
-    "get_block": "get_command_block",
     "get_export": "export_history",
-    "get_figures": "get_bus_statistics",
-    "get_limits": "get_speed_limits",
     "get_marks": "get_history_marks",
     "get_series": "get_history_series",
     "get_sparks": "get_sparklines",
     "get_status": "get_history_status",
-    "lift_block": "unblock_commands",
     "list_sets": "list_parameter_sets",
     "loaded_recipe": "get_loaded_recipe",
     "mark_golden": "mark_golden_set",
-    "me": "get_current_user",
     "one_recipe": "get_recipe",
     "one_restore": "get_restore",
     "one_set": "get_parameter_set",
     "plan_unit_restore": "plan_restore",
     "prove_events": "verify_audit_log",
-    "put_limits": "set_speed_limits",
     "read_schedule": "get_save_schedule",
     "retire_recipe": "delete_recipe",
     "set_document": "export_parameter_set",
@@ -163,10 +102,16 @@ def operation_name(function: str) -> str:
     return OPERATIONS.get(function, function)
 
 
+def schema_name(model: str) -> str:
+    """``AlarmShown`` → ``Alarm``, ``BaudBody`` → ``BaudRequest``, but for those in :data:`SCHEMAS`."""
+    usual = f"{model.removesuffix('Body')}Request" if model.endswith("Body") else model.removesuffix("Shown")
+    return SCHEMAS.get(model, usual)
+
+
 def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
     """The document with every schema under its published name. Raises ValueError where two would have one."""
     schemas = document["components"]["schemas"]
-    named = {SCHEMAS.get(name, name): schema for name, schema in schemas.items()}
+    named = {schema_name(name): schema for name, schema in schemas.items()}
     if len(named) < len(schemas):
         raise ValueError("two schemas have one published name; see app/web/schema_names.py")
     document["components"]["schemas"] = named
@@ -192,8 +137,7 @@ def _renamed(node: Any) -> Any:
     renamed = {key: _renamed(value) for key, value in _portable(node).items()}
     reference, title = renamed.get("$ref"), renamed.get("title")
     if isinstance(reference, str):
-        name = reference.removeprefix(_REF)
-        renamed["$ref"] = _REF + SCHEMAS.get(name, name)
+        renamed["$ref"] = _REF + schema_name(reference.removeprefix(_REF))
     if isinstance(title, str):
-        renamed["title"] = SCHEMAS.get(title, title)
+        renamed["title"] = schema_name(title)
     return renamed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.live.api.view import unit_json
-from app.live.diagnosis.abnormal import StateCounts, UnitView, all_offline, shown_cause, suspicion
+from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts, suspicion
 from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
@@ -129,7 +129,5 @@ def test_a_bus_on_which_no_unit_responds_is_one_cause() -> None:
 
 def test_only_units_that_respond_are_in_a_state() -> None:
     bus = line().buses["dry"]
-    tally = StateCounts()
-    for link in ("online", "stale"):
-        tally.count(UnitView(bus.units[1], link, None))  # type: ignore[arg-type]
-    assert (tally.units, tally.online, tally.at_speed) == (2, 1, 1)
+    counts = state_counts(UnitView(bus.units[1], link, None) for link in ("online", "stale"))  # type: ignore[arg-type]
+    assert (counts["online"], counts["at_speed"]) == (1, 1)

@@ -16,7 +16,7 @@ from app.audit.keys import make_key_file
 from app.cli import check, findings
 
 cli = typer.Typer()
-check.register(cli)
+cli.command()(check.check)
 
 UNIT = '[[bus.unit]]\nid = 1\nname = "Unwind"\n'
 

@@ -20,7 +20,7 @@ MANUAL = "10 02 04 82 00 00 02 10 10 10 03 68"
 JSON_OF_MANUAL = [{"uid": 4, "kind": "set_speed", "fields": {"raw": 528}, "checksum_ok": True}]
 
 cli = typer.Typer()
-decode.register(cli)
+cli.command()(decode.decode)
 run = CliRunner().invoke
 
 

@@ -19,7 +19,7 @@ PATIENCE_MS = 400
 """On a busy machine the simulated unit may have to wait its turn."""
 
 cli = typer.Typer()
-scan.register(cli)
+cli.command()(scan.scan)
 
 
 @contextmanager

@@ -36,7 +36,7 @@ without a unit costs this at every probe, so there are few of those.
 """
 
 cli = typer.Typer()
-scan.register(cli)
+cli.command()(scan.scan)
 
 
 def unit(address: int, baud: int = 9600, **traits: Any) -> Unit:

@@ -23,7 +23,7 @@ BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n'
 SMTP = '[notify.smtp]\nhost = "mail"\nsender = "lineside@plant"\n'
 GROUP = '[[notify.group]]\nname = "duty"\n'
 cli = typer.Typer()
-check.register(cli)
+cli.command()(check.check)
 
 
 def test_the_example_of_the_contract_is_read(tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ class Scene:
         house.services.hub.join(self.page)
         self._skipped_s = 0.0
         for timed in (house.services.workers, house.services.buses[BUS].feed):
-            timed._monotonic = lambda: time.monotonic() + self._skipped_s
+            timed.monotonic = lambda: time.monotonic() + self._skipped_s
 
     async def attack(self, *messages: bytes) -> HostileSocket:
         """One connection that sends them after a hello; the worker before is gone for long."""

@@ -33,6 +33,7 @@ from app.commands.catalogue import (
     WRITE_ANALOG_OUTPUT,
     WRITE_OUTPUT,
     WRITE_PARAMETER,
+    CommandKind,
     kind_of_command,
     timeout_s_for,
 )
@@ -76,9 +77,10 @@ RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class CommandCall:
-    """What every command's request carries beside its body: the key, and when it was made."""
+    """What every command's request carries beside its body: its sender, the key, and when it was made."""
 
     request: Request
+    person: Person
     live: LiveState
     commands: CommandService
     bus: str
@@ -92,121 +94,103 @@ class CommandCall:
         bus = bus_or_404(self.live, self.bus)
         return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
 
-    def typed(self, person: Person, unit: int, deadline: Deadline) -> QuantityConverter:
+    def typed(self, unit: int, deadline: Deadline) -> QuantityConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return QuantityConverter(self.commands, person, unit_or_404(self.live, self.bus, unit), deadline)
+        return QuantityConverter(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
 
     async def send(
-        self,
-        person: Person,
-        action: Action,
-        body: Body,
-        unit: int | None = None,
-        deadline: Deadline | None = None,
+        self, action: Action, body: Body, unit: int | None = None, deadline: Deadline | None = None
     ) -> Response:
         """Send ``action`` and return its result as a response."""
         deadline = deadline or self.deadline(body)
         result = await self.commands.send(
-            person, action, deadline=deadline, confirm=body.confirm, id=self.key
+            self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
         secret = kind_of_command(action).is_secret(action)
         return command_response(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
 
 
-async def command_call(
-    request: Request,
-    live: Live,
-    commands: Commands,
-    bus: str,
-    timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
-    key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
-) -> CommandCall:
-    return CommandCall(request, live, commands, bus, key, made_at(request), timeout_s)
+def calling(kind: CommandKind[Any]) -> Any:
+    """A dependency: the call of who may send such a command."""
+    sender = permitted_writer(kind) if kind.request.writes else permitted(kind)
 
+    async def command_call(
+        request: Request,
+        live: Live,
+        commands: Commands,
+        bus: str,
+        person: Person = sender,
+        timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
+        key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
+    ) -> CommandCall:
+        return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s)
 
-Call = Annotated[CommandCall, Depends(command_call)]
+    return Depends(command_call)
 
 
 @router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)
-async def set_speed(
-    person: Annotated[Person, permitted_writer(SET_SPEED)], call: Call, unit: int, body: SpeedBody
-) -> Response:
+async def set_speed(call: Annotated[CommandCall, calling(SET_SPEED)], unit: int, body: SpeedBody) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
-    raw = await call.typed(person, unit, deadline).setpoint(body)
-    return await call.send(person, SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
+    raw = await call.typed(unit, deadline).setpoint(body)
+    return await call.send(SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
 
 
 @router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
-async def execute(
-    person: Annotated[Person, permitted_writer(EXECUTE_SPEED)],
-    call: Call,
-    unit: int,
-    body: Body | None = None,
+async def execute_speed(
+    call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: Body | None = None
 ) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
-    return await call.send(person, ExecuteSpeed(unit=unit), body or Body(), unit)
+    return await call.send(ExecuteSpeed(unit=unit), body or Body(), unit)
 
 
 @router.post("/execute", responses=RESULT_RESPONSES)
-async def execute_all(
-    person: Annotated[Person, permitted_writer(EXECUTE_ALL)], call: Call, body: Body | None = None
+async def execute_all_speeds(
+    call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: Body | None = None
 ) -> Response:
     """83h to all; each unit is read back."""
-    return await call.send(person, ExecuteAll(), body or Body())
+    return await call.send(ExecuteAll(), body or Body())
 
 
 @router.post("/speeds", responses=RESULT_RESPONSES)
-async def set_speeds(
-    person: Annotated[Person, permitted_writer(SET_LINE)], call: Call, body: SetpointsBody
-) -> Response:
+async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: SetpointsBody) -> Response:
     """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
     deadline = call.deadline(body, len(body.setpoints))
     setpoints = {
-        int(key): await call.typed(person, int(key), deadline).setpoint(quantity)
+        int(key): await call.typed(int(key), deadline).setpoint(quantity)
         for key, quantity in body.setpoints.items()
     }
-    return await call.send(person, SetLine(setpoints=setpoints), body, deadline=deadline)
+    return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline)
 
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=RESULT_RESPONSES)
 async def write_output(
-    person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    call: Call,
-    unit: int,
-    number: int,
-    body: OutputBody,
+    call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputBody
 ) -> Response:
     """87h, verified by the bit in ST2."""
     unit_or_404(call.live, call.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
-    return await call.send(person, WriteOutput(unit=unit, number=number, on=body.on), body, unit)
+    return await call.send(WriteOutput(unit=unit, number=number, on=body.on), body, unit)
 
 
 @router.put("/units/{unit:int}/analog-output", responses=RESULT_RESPONSES)
 async def write_analog_output(
-    person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    call: Call,
-    unit: int,
-    body: AnalogOutputBody,
+    call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputBody
 ) -> Response:
     """88h. The best outcome is acknowledged: there is nothing to read back."""
-    return await call.send(person, WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
+    return await call.send(WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
 @router.post("/baud", responses=RESULT_RESPONSES)
-async def change_baud(
-    person: Annotated[Person, permitted_writer(CHANGE_BAUD)], call: Call, body: BaudBody
-) -> Response:
+async def change_baud(call: Annotated[CommandCall, calling(CHANGE_BAUD)], body: BaudBody) -> Response:
     """Change #18 of every unit, then of the host; each unit is read back. All are set back if one is lost."""
-    return await call.send(person, ChangeBaud(baud=body.baud), body)
+    return await call.send(ChangeBaud(baud=body.baud), body)
 
 
 @router.get("/units/{unit:int}/parameters", response_model=list[ParameterShown], responses=problems(504))
 async def get_parameters(
-    person: Annotated[Person, permitted(READ_PARAMETERS)],
-    call: Call,
+    call: Annotated[CommandCall, calling(READ_PARAMETERS)],
     unit: int,
     refresh: bool = False,
     gaps: bool = False,
@@ -218,18 +202,18 @@ async def get_parameters(
     """
     found = unit_or_404(call.live, call.bus, unit)
     if refresh:
-        await _read(person, call, unit, list(PARAMETERS), gaps=gaps)
+        await _read(call, unit, list(PARAMETERS), gaps=gaps)
     elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
         with suppress(Problem, TimeoutError):
             async with asyncio.timeout(FIRST_READ_WITHIN_S):
-                await _read(person, call, unit, never_read, gaps=gaps)
+                await _read(call, unit, never_read, gaps=gaps)
     return [parameter_json(found, number) for number in PARAMETERS]
 
 
-async def _read(person: Person, call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
+async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool) -> None:
     """Read them from the unit. Raises Problem 503 or 504 when not all of them come."""
     action = ReadParameters(unit=unit, numbers=numbers, urgent=not gaps)
-    result = await call.commands.send(person, action)
+    result = await call.commands.send(call.person, action)
     if len(result.values) == len(numbers):
         return
     status = 503 if result.outcome in ("bus_closed", "not_sent") else 504
@@ -240,16 +224,12 @@ async def _read(person: Person, call: CommandCall, unit: int, numbers: list[int]
 
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=RESULT_RESPONSES)
 async def write_parameter(
-    person: Annotated[Person, permitted_writer(WRITE_PARAMETER)],
-    call: Call,
-    unit: int,
-    number: int,
-    body: ParameterBody,
+    call: Annotated[CommandCall, calling(WRITE_PARAMETER)], unit: int, number: int, body: ParameterBody
 ) -> Response:
     """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
     deadline = call.deadline(body)
-    typed = call.typed(person, unit, deadline)
+    typed = call.typed(unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
     raw = await typed.parameter(number, body)
-    return await call.send(person, WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)
+    return await call.send(WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

@@ -3,6 +3,7 @@ who set it."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter
@@ -69,20 +70,14 @@ BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 
 @router.get("/units/{unit:int}/limits")
-async def get_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
+async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
     """Limits of the setpoint of this unit, set by an engineer."""
     unit_of_bus_or_404(bus, unit)
-    limits = guards.limits.of(unit)
-    return LimitsBody(
-        lowest=limits.lowest,
-        highest=limits.highest,
-        largest_step=limits.largest_step,
-        per_minute=limits.per_minute,
-    )
+    return LimitsBody(**asdict(guards.limits.of(unit)))
 
 
 @router.put("/units/{unit:int}/limits")
-async def put_limits(
+async def set_speed_limits(
     person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: LimitsBody
 ) -> LimitsBody:
     """Replace the limits of this unit. They apply immediately on every interface."""
@@ -92,14 +87,16 @@ async def put_limits(
 
 
 @router.get("/units/{unit:int}/block")
-async def get_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
+async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
     """Whether commands to this unit are blocked, the reason and the user."""
     unit_of_bus_or_404(bus, unit)
     return _block_json(guards, unit)
 
 
 @router.post("/units/{unit:int}/block")
-async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody) -> BlockShown:
+async def block_commands(
+    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody
+) -> BlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
     unit_of_bus_or_404(bus, unit)
     await guards.block(person, unit, body.reason)
@@ -107,7 +104,7 @@ async def block(person: Operator, bus: BusInPath, guards: Guards, unit: int, bod
 
 
 @router.delete("/units/{unit:int}/block")
-async def lift_block(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
+async def unblock_commands(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
     """Lift the block of commands; the event records the user."""
     unit_of_bus_or_404(bus, unit)
     await guards.lift(person, unit)

@@ -30,9 +30,6 @@ from bus.messages import Message
 router = APIRouter(include_in_schema=False)
 
 
-# --- the setpoints page -----------------------------------------------------------------------------
-
-
 @router.get("/setpoints")
 async def setpoints(_: Viewer, page: Page) -> Response:
     """Every unit with its present setpoint and room for a new one."""

@@ -8,12 +8,11 @@ speed 0 is always allowed: no limit here may keep a line from being set to zero.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
 from app.commands.rules.objection import ObjectionError, RuleContext
-from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, Basis, SetpointKind, kind_of, setpoint_range
+from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, SetpointKind, kind_of, setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import DECIMALS
@@ -66,14 +65,6 @@ def _by_unit(setpoints: dict[int, int]) -> list[NewSetpoint]:
     return [NewSetpoint(unit, raw) for unit, raw in sorted(setpoints.items())]
 
 
-_OUTSIDE: dict[Basis, Callable[..., Message]] = {
-    "protocol": lambda **values: Message.of("setpoint_outside_protocol", **values),
-    "display": lambda **values: Message.of("setpoint_outside_display", **values),
-    "ratio": lambda **values: Message.of("setpoint_outside_ratio", **values),
-    "limits": lambda **values: Message.of("setpoint_outside_limits", **values),
-}
-
-
 def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | None = None) -> None:
     """Raises ObjectionError for the first reason why ``raw`` is not sent.
 
@@ -104,7 +95,8 @@ def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | 
     unit, nearest = live.settings.id, allowed.nearest(raw)
     numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
     shown = {name: number(_text(live, raw, allowed.kind)) for name, raw in numbers.items()}
-    raise ObjectionError("invalid", _OUTSIDE[allowed.basis](unit=unit, **shown), unit=unit, nearest=nearest)
+    reason = Message.of(f"setpoint_outside_{allowed.basis}", unit=unit, **shown)
+    raise ObjectionError("invalid", reason, unit=unit, nearest=nearest)
 
 
 def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:

@@ -12,6 +12,7 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 from app.database import Database
+from app.web.access import account_shown
 from bus.instants import UnixTime
 from bus.messages import Message, listed, term
 
@@ -86,6 +87,10 @@ class CommandBlock:
     reason: str
     set_by: str
     set_at: UnixTime
+
+    def refusal(self, unit: int) -> Message:
+        """Why a command to its unit is not sent."""
+        return Message.of("unit_blocked", unit=unit, who=account_shown(self.set_by), reason=self.reason)
 
 
 class BlockStore:

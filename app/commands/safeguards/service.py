@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import InitVar, dataclass, field
 
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
@@ -13,7 +14,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
-from bus.instants import Clock, unix_now
+from bus.instants import unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -21,31 +22,24 @@ AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account with this name, and its role; None where there is none."""
 
 
+@dataclass(eq=False, repr=False)
 class Safeguards:
     """Of one bus. Call :meth:`load` once before the first command."""
 
-    def __init__(
-        self,
-        bus: str,
-        database: Database,
-        events: EventLog,
-        *,
-        control_required: bool,
-        find: AccountLookup,
-        rights: Withdrawals,
-        sessions: SessionEnds,
-        now: Clock = unix_now,
-    ) -> None:
-        self._bus = bus
-        self.limits = LimitsStore(database, bus)
-        self.blocks = BlockStore(database, bus)
+    _bus: str
+    database: InitVar[Database]
+    _events: EventLog
+    control_required: InitVar[bool]
+    find: AccountLookup
+    rights: Withdrawals
+    sessions: InitVar[SessionEnds]
+    _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
+
+    def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
+        self.limits = LimitsStore(database, self._bus)
+        self.blocks = BlockStore(database, self._bus)
         self.control = Control(required=control_required)
-        self._block_subscribers: list[UnitSubscriber] = []
-        self._find = find
-        self._rights = rights
-        self._events = events
-        self._now = now
-        rights.on_withdrawn(self.revoke_control)
+        self.rights.on_withdrawn(self.revoke_control)
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
@@ -63,7 +57,7 @@ class Safeguards:
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
         before = self.limits.of(unit)
-        await self.limits.put(unit, limits, person.name, self._now())
+        await self.limits.put(unit, limits, person.name, unix_now())
         await self._record(
             "limits", person, unit, Message("event_limits_changed"), before.message, limits.message
         )
@@ -71,7 +65,7 @@ class Safeguards:
     async def block(self, person: Person, unit: int, reason: str) -> None:
         """Refuse every write to a unit from now on."""
         before = self.blocks.of(unit)
-        await self.blocks.put(unit, CommandBlock(reason, person.name, self._now()))
+        await self.blocks.put(unit, CommandBlock(reason, person.name, unix_now()))
         self._publish_block(unit)
         old = before.reason if before is not None else None
         await self._record("block", person, unit, Message("event_unit_blocked"), old, reason)
@@ -87,7 +81,7 @@ class Safeguards:
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
-        return self.control.holding(self._now())
+        return self.control.holding(unix_now())
 
     def holder(self) -> str:
         """The account of the holder; empty where control is free."""
@@ -96,10 +90,10 @@ class Safeguards:
 
     async def take(self, person: Person) -> Holding:
         """Take control, if it is free. Raises Problem 409."""
-        await self._rights.check(person)
+        await self.rights.check(person)
         before = self.holding()
         try:
-            holding = self.control.take(person.account, self._now())
+            holding = self.control.take(person.account, unix_now())
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
@@ -113,7 +107,7 @@ class Safeguards:
         before = self.holding()
         by_force = person.role.includes(Role.ADMIN)
         try:
-            holding = self.control.hand_over(person.account, to, self._now(), by_force=by_force)
+            holding = self.control.hand_over(person.account, to, unix_now(), by_force=by_force)
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
@@ -121,7 +115,7 @@ class Safeguards:
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
-        found = (to, person.role) if to == person.account else await self._find(to)
+        found = (to, person.role) if to == person.account else await self.find(to)
         if found is None:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found
@@ -132,14 +126,14 @@ class Safeguards:
     async def release(self, person: Person) -> None:
         """Release control. Raises Problem 409."""
         try:
-            self.control.release(person.account, self._now())
+            self.control.release(person.account, unix_now())
         except ControlledError as error:
             raise _controlled(error) from error
         await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, self._now()):
+        if not self.control.revoke(account, unix_now()):
             return
         who, is_token = name_of(account)
         await self._events.record(

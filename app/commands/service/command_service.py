@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import msgspec
@@ -26,10 +27,10 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Person, account_shown
+from app.web.access import Person
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
@@ -43,30 +44,23 @@ class WriteSubscriber(Protocol):
     async def __call__(self, person: Person, units: Sequence[int], *, parameters: bool) -> None: ...
 
 
+@dataclass(eq=False, repr=False)
 class CommandService:
     """Takes the commands of people and programs for one bus."""
 
-    def __init__(
-        self,
-        live: BusLive,
-        channel: Channel,
-        record: CommandRecord,
-        cache: IdempotencyCache,
-        guards: Safeguards,
-        rights: Authority,
-        now: Clock = unix_now,
-    ) -> None:
-        self._live = live
-        self._bus = live.settings.name
-        self._channel = channel
-        self._record = record
-        self._cache = cache
-        self._guards = guards
-        self._rights = rights
-        self._now = now
-        self._moves = Moves()
-        self._under_way: set[asyncio.Task[Result]] = set()
-        self._write_subscribers: list[WriteSubscriber] = []
+    _live: BusLive
+    _channel: Channel
+    _record: CommandRecord
+    _cache: IdempotencyCache
+    _guards: Safeguards
+    _rights: Authority
+    _moves: Moves = field(default_factory=Moves)
+    _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
+    _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
+
+    @property
+    def _bus(self) -> str:
+        return self._live.settings.name
 
     def on_write(self, subscriber: WriteSubscriber) -> None:
         """Call and await ``subscriber`` before each write; where it raises, nothing is sent."""
@@ -115,7 +109,7 @@ class CommandService:
             try:
                 await self._check(request, confirm)
             except UnreadError as unread:
-                return unread.result(id or request.id, self._now(), action.units)
+                return unread.result(id or request.id, unix_now(), action.units)
             kept = self._start(request)
         _refuse_other(id, (kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
@@ -171,7 +165,7 @@ class CommandService:
     def _use_control(self, person: Person, action: Action) -> None:
         try:
             if action.writes:
-                self._guards.control.use(person.account, self._now())
+                self._guards.control.use(person.account, unix_now())
         except ControlledError as error:
             raise Problem(
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
@@ -182,7 +176,7 @@ class CommandService:
             bus=self._live,
             limits=self._guards.limits.of,
             block=self._guards.blocks.of,
-            moved=lambda unit: self._moves.within_a_minute(unit, self._now()),
+            moved=lambda unit: self._moves.within_a_minute(unit, unix_now()),
             confirm=confirm,
         )
 
@@ -191,7 +185,7 @@ class CommandService:
         if already is not None:
             return already
         # Noted before another command can be checked: two at once must not both pass the limit of a minute.
-        steps, at = _steps(request.action, self._live), self._now()
+        steps, at = _steps(request.action, self._live), unix_now()
         for unit, step in steps.items():
             self._moves.note(unit, step, at)
         task = asyncio.create_task(self._follow(request, steps, at), name=f"command {request.id}")
@@ -231,13 +225,13 @@ class CommandService:
         link = self._live.link
         if link.link == "closed":
             refusal = link.refusal
-            return Result(id=request.id, at=self._now(), outcome="bus_closed", message=refusal)
+            return Result(id=request.id, at=unix_now(), outcome="bus_closed", message=refusal)
         # Storing the intent and what the unit was may have taken a while on a slow disk.
         reason = await self._why_no_longer(request)
         if reason is not None:
-            return Result(id=request.id, at=self._now(), outcome="not_sent", message=reason)
+            return Result(id=request.id, at=unix_now(), outcome="not_sent", message=reason)
         # This clock first: whatever stops this process between the two makes the deadline earlier.
-        deadline = self._now() + request.deadline.left_s
+        deadline = unix_now() + request.deadline.left_s
         command = Command(id=request.id, deadline=deadline, action=request.action)
         return await while_permitted(
             self._channel.send(command, request.listener),
@@ -259,10 +253,8 @@ class CommandService:
         for unit in kind_of_command(request.action).units_written(request.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
-                return Message.of(
-                    "unit_blocked", unit=unit, who=account_shown(block.set_by), reason=block.reason
-                )
-        return self._guards.control.objection(request.person.account, self._now())
+                return block.refusal(unit)
+        return self._guards.control.objection(request.person.account, unix_now())
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
+from msgspec.structs import asdict
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.web.shape import MessageShown, message_shown
+from app.live.api.view import Json, wire_json
+from app.web.shape import MessageShown
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 from bus.instants import UnixTime
@@ -73,42 +75,24 @@ class BusFiguresShown(TypedDict):
     units: list[UnitFiguresShown]
 
 
-def figures_json(bus: str, figures: BusFigures | None) -> BusFiguresShown:
+def figures_json(bus: str, figures: BusFigures | None) -> Json:
     """The figures of a bus, None where no worker measures them."""
-    return {
+    return wire_json(figures) | {
         "bus": bus,
         "measured": figures is not None,
         "at": figures.at if figures else None,
-        "scan_hz": figures.scan_hz if figures else None,
-        "scan_s": (figures.scan_s or None) if figures else None,
-        "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
-        "wire_utilisation": figures.wire_utilisation if figures else None,
         "noise_bytes": figures.noise_bytes if figures else None,
         "echoes": figures.echoes if figures else None,
         "updates_lost": figures.updates_lost if figures else None,
         "responds_for_all": figures.responds_for_all if figures else None,
         "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else None,
-        "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
         "units": [_unit_json(unit) for unit in figures.units] if figures else [],
     }
 
 
-def _unit_json(unit: UnitFigures) -> UnitFiguresShown:
-    return {
-        "unit": unit.unit,
-        "polls": unit.polls,
-        "responses": unit.responses,
-        "timeouts": unit.timeouts,
-        "retries": unit.retries,
-        "checksum_errors": unit.checksum_errors,
-        "foreign": unit.foreign,
-        "late": unit.late,
-        "naks": [
-            {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
-            for code, count in sorted(unit.naks.items())
-        ],
-        "response_s_min": unit.response_s_min,
-        "response_s_median": unit.response_s_median,
-        "response_s_p99": unit.response_s_p99,
-        "response_s_max": unit.response_s_max,
-    }
+def _unit_json(unit: UnitFigures) -> Json:
+    naks = [
+        {"unit_error": code, "unit_error_name": unit_error_name(code), "count": count}
+        for code, count in sorted(unit.naks.items())
+    ]
+    return asdict(unit) | {"naks": naks}

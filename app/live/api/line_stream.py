@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, islice
 from math import ceil
@@ -43,37 +44,31 @@ RETRY = b"retry: 2000\n"
 """Milliseconds after which a client connects again; of the first event."""
 
 
+@dataclass(eq=False, repr=False)
 class LineStream:
     """Notes changes while someone reads. ``clock``: Unix time in seconds."""
 
-    def __init__(
-        self,
-        site: str,
-        live: LiveState,
-        sources: Sources,
-        english: Translator,
-        clock: Clock,
-        monotonic: MonotonicClock = monotonic_now,
-    ) -> None:
-        self._site = site
-        self._live = live
-        self._sources = sources
-        self._english = english
-        self._clock = clock
-        self._monotonic = monotonic
+    _site: str
+    _live: LiveState
+    _sources: Sources
+    _english: Translator
+    clock: Clock
+    monotonic: MonotonicClock = monotonic_now
+
+    def __post_init__(self) -> None:
         self.admission = Admission(MOST_OF_ACCOUNT, MOST_OF_ADDRESS)
         self._recent = RecentEvents(token_hex(4), MOST_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
-        keys = [(name, unit) for name, bus in live.buses.items() for unit in (None, *bus.units)]
-        self._keys = keys
-        self._turns = cycle(keys)
+        buses = self._live.buses
+        self._keys = [(name, unit) for name, bus in buses.items() for unit in (None, *bus.units)]
+        self._turns = cycle(self._keys)
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
         self._readers = 0
-        self._left_at = monotonic()
+        self._left_at = self.monotonic()
         self._has_more = asyncio.Event()
         self._is_ending = False
-        for name, bus in live.buses.items():
+        for name, bus in buses.items():
             bus.subscribe(partial(self._on_updates, name))
 
     # --- to the programs ------------------------------------------------------------------------------
@@ -88,7 +83,7 @@ class LineStream:
             yield
         finally:
             self._readers -= 1
-            self._left_at = self._monotonic()
+            self._left_at = self.monotonic()
 
     async def pieces(self, bus: str | None, last_event_id: str = "") -> AsyncIterator[bytes]:
         """All events after the one of this id, or a snapshot and all after it, until the server ends.
@@ -115,7 +110,7 @@ class LineStream:
 
     def _snapshot(self, bus: str | None) -> tuple[int, bytes]:
         made_at, number, text = self._snapshots.get(bus, (Monotonic(0.0), -1, b""))
-        now = self._monotonic()
+        now = self.monotonic()
         if now - made_at > SNAPSHOT_S or not self._recent.has_all_after(number):
             number = self._recent.newest
             text = self._recent.text("snapshot", number, self._line(bus))
@@ -126,7 +121,7 @@ class LineStream:
         buses = self._live.buses if bus is None else {bus: self._live.buses[bus]}
         blocks = {name: self._sources.guards[name].block_reason for name in buses}
         fault = self._sources.history_fault()
-        return line_json(self._site, buses, self._clock(), blocks, fault, self._english)
+        return line_json(self._site, buses, self.clock(), blocks, fault, self._english)
 
     # --- what changes ---------------------------------------------------------------------------------
 
@@ -140,14 +135,14 @@ class LineStream:
 
     def tick(self, *, with_heartbeat: bool) -> None:
         """What has changed without a report: a response that is overdue, a block."""
-        if self._shown and not self._readers and self._monotonic() - self._left_at > AWAY_S:
+        if self._shown and not self._readers and self.monotonic() - self._left_at > AWAY_S:
             self._shown, self._snapshots = {}, {}
             self._recent.interrupt()
         if self._shown:
             for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
                 self._compare(bus, unit)
         if with_heartbeat:
-            self.add("heartbeat", None, lambda: {"time": iso(self._clock())})
+            self.add("heartbeat", None, lambda: {"time": iso(self.clock())})
 
     def add(self, kind: str, bus: str | None, make: Callable[[], Any]) -> None:
         """One more event, made where someone reads. ``bus``: None for the site."""
@@ -175,7 +170,7 @@ class LineStream:
         if unit is None:
             return bus_fields(bus)
         block = self._sources.guards[bus_name].block_reason
-        fields = unit_json(bus, bus.units[unit], self._clock(), block, self._english)
+        fields = unit_json(bus, bus.units[unit], self.clock(), block, self._english)
         # It grows on its own, and ``read_at`` does not.
         del fields["age_ms"]
         return fields

@@ -62,7 +62,7 @@ async def get_unit(
     return unit_json(live.buses[bus], found, unix_now(), sources.guards[bus].block_reason, english)
 
 
-@router.get("/buses/{bus}/figures")
-async def get_figures(_: Viewer, live: Live, bus: str) -> BusFiguresShown:
+@router.get("/buses/{bus}/figures", response_model=BusFiguresShown)
+async def get_bus_statistics(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
     """Wire load of a bus, and the counters of each unit since its worker started."""
     return figures_json(bus, bus_or_404(live, bus).figures)

@@ -35,7 +35,7 @@ from bus.catalogue.values import (
     rpm,
     speed_text,
 )
-from bus.contract import Reading
+from bus.contract import BusFigures, Reading
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
@@ -45,17 +45,9 @@ BlockReason = Callable[[int], Message | None]
 
 _NEVER_READ = dict.fromkeys(
     (
-        *(
-            "read_at",
-            "age_ms",
-            "commanded_raw",
-            "actual_raw",
-            "deviation_raw",
-            "commanded",
-            "actual",
-            "deviation",
-        ),
-        *("rpm", "analog_raw", "analog", "at_speed", "remote", "mode", "outputs", "inputs"),
+        *("read_at", "age_ms", "commanded_raw", "actual_raw", "deviation_raw"),
+        *("commanded", "actual", "deviation", "rpm", "analog_raw", "analog"),
+        *("at_speed", "remote", "mode", "outputs", "inputs"),
     )
 )
 
@@ -84,7 +76,7 @@ def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translato
 def bus_fields(bus: BusLive) -> Json:
     """One bus. Figures are null while no worker measures them."""
     figures = bus.figures
-    return {
+    return wire_json(figures) | {
         "name": bus.settings.name,
         "port": bus.settings.port,
         "baud": bus.baud,
@@ -93,13 +85,19 @@ def bus_fields(bus: BusLive) -> Json:
         "link_cause_message": maybe_shown(bus.link.cause),
         "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
+        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
+        "scan_s_expected": scan_s_of(bus),
+    }
+
+
+def wire_json(figures: BusFigures | None) -> Json:
+    """The measurements of the wire of a bus; None: there are none."""
+    return {
         "scan_hz": figures.scan_hz if figures else None,
         "scan_s": (figures.scan_s or None) if figures else None,
         "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
         "wire_utilisation": figures.wire_utilisation if figures else None,
-        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
         "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
-        "scan_s_expected": scan_s_of(bus),
     }
 
 

@@ -49,5 +49,4 @@ class Flow:
         return max(0.0, self._sent_at + gap_s - self.clock())
 
     def sent(self) -> None:
-        """An update has been sent."""
         self._sent_at = self.clock()

@@ -24,7 +24,7 @@ from app.live.state.bus_live import LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
-from bus.instants import Clock, MonotonicClock, monotonic_now
+from bus.instants import Clock, monotonic_now
 
 HEARTBEAT_S = 1.0
 ALARM_PAUSE_S = 0.05
@@ -53,14 +53,13 @@ class Hub:
         templates: Templates,
         watchers: Mapping[str, Watcher],
         clock: Clock,
-        monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self.live = live
         self._sources = sources
         self._templates = templates
         self._watchers = watchers
         self._clock = clock
-        self._monotonic = monotonic
+        self._monotonic = monotonic_now
         self._readers: dict[str, Readers] = {}
         """Readers of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
@@ -112,7 +111,6 @@ class Hub:
         self._has_changed()
 
     def leave(self, browser: Browser) -> None:
-        """A page closed."""
         self._readers[browser.language].leave(browser)
         self._pages.turn(browser.units, frozenset(), browser.trace, "")
         self._has_changed()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from app.live.diagnosis.cause import Cause, Level, unit_cause
@@ -34,28 +35,16 @@ class UnitView:
         return self.cause.level if self.cause is not None else ""
 
 
-@dataclass(slots=True)
-class StateCounts:
-    """How many units are in which state."""
+_COUNTED_AS = {
+    **dict.fromkeys(("ramping_up", "ramping_down"), "ramping"),
+    **dict.fromkeys(("stopped", "stopping", "turning"), "off_speed"),
+}
 
-    units: int = 0
-    online: int = 0
-    at_speed: int = 0
-    at_zero: int = 0
-    ramping: int = 0
-    off_speed: int = 0
 
-    def count(self, view: UnitView) -> None:
-        """Take in one unit. A unit that does not respond is in no state."""
-        self.units += 1
-        if view.link != "online":
-            return
-        state = view.unit.motion.state
-        self.online += 1
-        self.at_speed += state == "at_speed"
-        self.at_zero += state == "at_zero"
-        self.ramping += state.startswith("ramping")
-        self.off_speed += state in ("off_speed", "stopped", "stopping", "turning")
+def state_counts(views: Iterable[UnitView]) -> Counter[str]:
+    """How many units are in which state, and ``online``. A unit that does not respond is in no state."""
+    states = [view.unit.motion.state for view in views if view.link == "online"]
+    return Counter({"online": len(states)}) + Counter(_COUNTED_AS.get(state, state) for state in states)
 
 
 def shown_cause(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.live.diagnosis.abnormal import LEVELS, StateCounts, UnitView, all_offline
+from app.live.diagnosis.abnormal import LEVELS, UnitView, all_offline, state_counts
 from app.live.diagnosis.cause import Cause, Level, bus_cause
 from app.live.screen.cause_text import cause_line, cause_text, since_text
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
@@ -77,20 +78,14 @@ def line_fields(
     live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: UnixTime
 ) -> Fields:
     """The fields of the line. The verdict is the worst cause, after the name of its unit."""
-    tally = StateCounts()
-    for view in views.values():
-        tally.count(view)
+    counts = state_counts(views.values())
     worst = entries[0] if entries else None
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(tally, translator),
+        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(len(views), counts, translator),
         "at": worst.href if worst else "",
         "counts": translator.t("{n} abnormal", n=len(entries)) if worst else "",
-        "online": f"{tally.online}",
-        "at_speed": f"{tally.at_speed}",
-        "at_zero": f"{tally.at_zero}",
-        "ramping": f"{tally.ramping}",
-        "off_speed": f"{tally.off_speed}",
+        **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "strip": [
             [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
         ],
@@ -99,17 +94,18 @@ def line_fields(
     } | _figures(live, translator, now)
 
 
-def _all_well(tally: StateCounts, translator: Translator) -> str:
+def _all_well(units: int, counts: Counter[str], translator: Translator) -> str:
     """The verdict while nothing is abnormal."""
-    if tally.units == 0:
+    if units == 0:
         return translator.t("No unit is configured")
-    if tally.at_zero == tally.units:
-        return translator.tn("{n} unit at zero", "All {n} units at zero", tally.units)
-    if tally.ramping:
-        return translator.t("{n} of {units} ramping", n=tally.ramping, units=tally.units)
-    if tally.at_speed == tally.units:
-        return translator.tn("{n} unit at speed", "All {n} units at speed", tally.units)
-    return translator.t("{n} of {units} at speed, the others at zero", n=tally.at_speed, units=tally.units)
+    if counts["at_zero"] == units:
+        return translator.tn("{n} unit at zero", "All {n} units at zero", units)
+    if counts["ramping"]:
+        return translator.t("{n} of {units} ramping", n=counts["ramping"], units=units)
+    if counts["at_speed"] == units:
+        return translator.tn("{n} unit at speed", "All {n} units at speed", units)
+    at_speed = counts["at_speed"]
+    return translator.t("{n} of {units} at speed, the others at zero", n=at_speed, units=units)
 
 
 def holders(held_by: Mapping[str, str], translator: Translator) -> str:

@@ -128,8 +128,7 @@ class BusLive:
             case BusFigures():
                 self.figures = update
             case Reading() | UnitLink() | ParameterValue() | Staged():
-                unit = self.units.get(update.unit)
-                if unit is not None:
+                if (unit := self.units.get(update.unit)) is not None:
                     self._apply_to_unit(unit, update)
 
     def _apply_to_unit(self, unit: UnitLive, update: Reading | UnitLink | ParameterValue | Staged) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
 
 from app.errors import StoreError
 from app.live.state.age import offline_after_s, scan_s_of
@@ -26,24 +27,18 @@ StatusWords = Callable[[str, int, UnixTime, UnixTime], Awaitable[Sequence[WordSp
 OnsetKey = tuple[str, int, Condition, Onset]
 
 
+@dataclass(eq=False)
 class OnsetLookup:
-    """Corrects the onsets of all units. ``changed`` is called with bus and unit when one is news."""
+    """Corrects the onsets of all units. ``_changed`` is called with bus and unit when one is news."""
 
-    def __init__(
-        self,
-        live: LiveState,
-        words: StatusWords,
-        changed: Callable[[str, int], None],
-        clock: Clock,
-    ) -> None:
-        self._live = live
-        self._words = words
-        self._changed = changed
-        self._clock = clock
-        self._looked: dict[OnsetKey, int] = {}
-        """How often each open onset was looked up."""
-        self._requested: set[tuple[str, int]] = set()
-        """The units whose last response before this start was looked up."""
+    _live: LiveState
+    _words: StatusWords
+    _changed: Callable[[str, int], None]
+    _clock: Clock
+    _looked: dict[OnsetKey, int] = field(default_factory=dict)
+    """How often each open onset was looked up."""
+    _requested: set[tuple[str, int]] = field(default_factory=set)
+    """The units whose last response before this start was looked up."""
 
     async def follow(self) -> None:
         """Look up open conditions, as long as the server runs."""
