@@ -12,7 +12,8 @@ from app.handover.sheet import SECTIONS
 from bus.instants import UnixTime
 from bus.messages import Message
 
-TRANSITIONS = ("standing", "shelved", "out_of_service", "drift")
+TRANSITIONS = ("standing", "shelved", "suppressed", "out_of_service", "drift")
+"""A sheet that was signed by an earlier version has no `suppressed`: of those it states nothing."""
 
 
 def readable_sheet(stored: bytes) -> dict[str, Any]:
@@ -21,7 +22,7 @@ def readable_sheet(stored: bytes) -> dict[str, Any]:
     for event in _events(sheet):
         event["messages"] = msgspec.convert(event["messages"], dict[str, Message])
         event["time"] = _moment(event["time"])
-    for transition in (each for name in TRANSITIONS for each in sheet[name]):
+    for transition in (each for name in TRANSITIONS for each in sheet.get(name, ())):
         transition["time"] = _moment(transition["time"])
         transition["title"] = _title(transition)
         transition["state"] = Message(f"alarm_state_{transition['after']}")

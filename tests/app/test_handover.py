@@ -13,7 +13,7 @@ import pytest
 
 from app.commands.safeguards.limits import Limits
 from app.web.access import Person, Role
-from bus.contract import Reading
+from bus.contract import BusLink, Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
@@ -86,6 +86,24 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert found["done"]["outcomes"] == {"": 3, "unverified": 1, "verified": 2}
     assert [each["old"] for each in found["done"]["events"] if each["kind"] == "command"] == ["1"] * 3
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
+
+
+async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:
+    operator, live = await house.signed_in(Role.OPERATOR), house.services.live.buses[BUS]
+    live.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    live.apply([BusLink(at=time.time(), link="closed")])
+    await house.services.alarms.write()
+    found = await sheet(operator)
+    assert [(each["unit"], each["code"]) for each in found["suppressed"]] == [(1, "estop_active")]
+    assert {each["code"] for each in found["standing"]} == {"port_lost"}
+    page = (await operator.get(f"/shifts/{await present(operator)}")).text
+    section = page.partition('<h2 id="suppressed">')[2].partition("</section>")[0]
+    assert "Emergency stop active" in section
+    assert f'<option value="{BUS}.1.estop_active.1"' in page
+    operator.headers["Accept-Language"] = "de"
+    assert (
+        "Automatisch unterdrückte Alarme" in (await operator.get(f"/shifts/{await present(operator)}")).text
+    )
 
 
 async def test_the_page_shows_it_in_both_languages(house: House) -> None:
