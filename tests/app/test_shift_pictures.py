@@ -23,6 +23,7 @@ from app.cli.backup_store import read_backup, write_backup
 from app.database import Database
 from app.errors import StoreError
 from app.handover.pictures import FILE, MIGRATIONS
+from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
 from app.handover.rules.pictures import plain_picture
 from app.web.access import Role
 from bus.errors import CallerError
@@ -74,6 +75,62 @@ def test_a_picture_is_kept_without_metadata_and_without_what_follows_it(kind: st
     plain = plain_picture(MAKERS[kind](more=METADATA[kind]) + HTML)
     assert (plain.media_type, plain.content) == (kind, MAKERS[kind]())
     assert plain_picture(plain.content) == plain
+
+
+def tiff(*entries: bytes, order: str = ">") -> bytes:
+    """Exif data of one directory."""
+    head = {">": b"MM\0*", "<": b"II*\0"}[order] + pack(f"{order}I", 8)
+    return head + pack(f"{order}H", len(entries)) + b"".join(entries) + bytes(4)
+
+
+def entry(tag: int, value: int, *, kind: int = 3, values: int = 1, order: str = ">") -> bytes:
+    return pack(f"{order}HHIHH", tag, kind, values, value, 0)
+
+
+def with_exif(kind: str, exif: bytes) -> bytes:
+    """A picture with this Exif data, as cameras and phones place it."""
+    if kind == "image/png":
+        return png(more=chunk(b"eXIf", exif))
+    return jpeg(more=segment(0xE1, b"Exif\0\0" + exif))
+
+
+@pytest.mark.parametrize("kind", ["image/jpeg", "image/png"])
+@given(st.integers(0, 65_535), st.sampled_from("<>"), st.binary(max_size=40))
+def test_of_its_exif_data_a_picture_keeps_the_orientation_alone(
+    kind: str, turn: int, order: str, more: bytes
+) -> None:
+    place, make = entry(0x8825, 200, order=order), entry(0x010F, 77, order=order)
+    exif = tiff(make, entry(0x0112, turn, order=order), place, order=order) + PLACE + more
+    plain = plain_picture(with_exif(kind, exif)).content
+    turned = 2 <= turn <= 8
+    assert (with_exif(kind, tiff(entry(0x0112, turn))) == plain) is turned
+    assert PLACE not in plain
+    assert b"\x88\x25" not in plain
+    if not turned:
+        assert b"\x01\x12" not in plain
+    assert plain_picture(plain).content == plain
+
+
+@given(st.binary(max_size=200), st.sampled_from([b"", b"MM\0*", b"II*\0", b"MM\0*\0\0\0\x08"]))
+def test_any_bytes_have_an_orientation_and_leave_nothing_else(rest: bytes, head: bytes) -> None:
+    assert orientation_of(head + rest) in range(1, 9)
+    assert plain_exif(head + rest) in (b"", *map(exif_of, TURNED))
+
+
+@pytest.mark.parametrize(
+    "exif",
+    [
+        tiff(entry(0x0112, 6, kind=4)),
+        tiff(entry(0x0112, 6, values=2)),
+        tiff(entry(0x0112, 6))[:-8],
+        b"MM\0*" + pack(">I", 2**32 - 1),
+        b"MM\0*" + pack(">IH", 8, 65_535) + bytes(65_000),
+        b"XX\0*" + tiff(entry(0x0112, 6))[4:],
+    ],
+)
+def test_exif_data_that_is_none_leaves_a_picture_upright(exif: bytes) -> None:
+    assert orientation_of(exif) == 1
+    assert plain_picture(jpeg(more=segment(0xE1, b"Exif\0\0" + exif))).content == jpeg()
 
 
 @pytest.mark.parametrize("kind", MAKERS)

@@ -8,19 +8,21 @@ from zlib import compress, crc32
 
 from playwright.sync_api import Page, expect
 
+from app.handover.rules.orientation import exif_of
 from tests.e2e.conftest import OpensPages
 from tests.e2e.site import PASSWORD
 
 
-def png(width: int, height: int) -> bytes:
-    """A gray picture."""
+def png(width: int, height: int, more: bytes = b"") -> bytes:
+    """A gray picture; ``more``: Exif data."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return pack(">I", len(data)) + kind + data + pack(">I", crc32(kind + data))
 
     header = chunk(b"IHDR", pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
     rows = compress((b"\0" + b"\x80" * width) * height)
-    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    exif = chunk(b"eXIf", more) if more else b""
+    return b"\x89PNG\r\n\x1a\n" + header + exif + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
 def test_a_shift_is_handed_over(browser_page: OpensPages, axe: Callable[[Page], list[str]]) -> None:
@@ -43,6 +45,16 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, axe: Callable[[Page], 
     page.get_by_label("Text", exact=True).fill("Wire changed")
     page.get_by_role("button", name="Store correction").click()
     expect(page.locator("#note-1")).to_contain_text("Corrected by note 2.")
+
+    # Without the page's script, from a camera that was held upright.
+    picture = {"name": "felt.png", "mimeType": "image/png", "buffer": png(60, 40, exif_of(6))}
+    address = page.locator("#write").get_attribute("action")
+    form = {"text": "Dryer", "pictures": picture}
+    page.request.post(f"{address}", multipart=form, headers={"Origin": page.url.partition("/shifts")[0]})
+    page.goto("/shifts/present#note-3")
+    shown = page.locator("#note-3 img")
+    shown.scroll_into_view_if_needed()
+    expect(shown).to_have_js_property("naturalWidth", 40)
 
     page.goto("/shifts")
     page.locator("tbody a").nth(1).click()
