@@ -63,6 +63,7 @@ TEXTS: dict[str, EnglishText] = {
     "setting_alarm_unit": "alarm {name}: bus {bus} has no unit {unit}; name one that is configured",
     "setting_alarm_name": "alarm {name} is given twice for bus {bus}; give each its own name",
     "setting_mail_address": "write one e-mail address of ASCII characters, such as duty@plant.example",
+    "setting_day": "write a day without quotes, such as 2027-03-31",
     "setting_clock_time": "write hours and minutes of the day, such as 06:30",
     "setting_web_url": "write a URL that begins with https:// or http://",
     "setting_url_with_password": "leave user and password out of the URL",
