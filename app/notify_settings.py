@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from datetime import date
 from hashlib import blake2b
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, Field, field_serializer, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_serializer, model_validator
 from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
@@ -50,6 +51,13 @@ def check_web_url(written: str) -> str:
     return written
 
 
+def _calendar_day(written: object) -> object:
+    if type(written) is not date:
+        raise ValueError(Message("setting_day"))
+    return written
+
+
+CalendarDay = Annotated[date, BeforeValidator(_calendar_day)]
 MailAddress = Annotated[str, AfterValidator(_mail_address)]
 ClockTime = Annotated[str, AfterValidator(_clock_time)]
 WebUrl = Annotated[str, Field(max_length=2000), AfterValidator(check_web_url)]
@@ -150,6 +158,19 @@ class RuleSettings(StrictModel):
     after_s: Annotated[float, Field(strict=True, ge=0, le=86_400)] = 0.0
 
 
+class MaintenanceSettings(StrictModel):
+    """Nothing is notified on these days; ``ends`` not after ``starts``: on the next day."""
+
+    days: Annotated[tuple[DayOfWeek, ...], Field(min_length=1)] = DAYS
+    starts: ClockTime
+    ends: ClockTime
+    until: CalendarDay
+    """The last day on which it begins: what is not notified ends some day."""
+    reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
+    buses: BusNames = ()
+    """Empty: all, and the server's own alarms."""
+
+
 class NotifySettings(StrictModel):
     """The path of notification. Without any address nothing is sent."""
 
@@ -166,6 +187,7 @@ class NotifySettings(StrictModel):
     apprise: Annotated[tuple[AppriseSettings, ...], Field(max_length=20)] = ()
     group: Annotated[tuple[GroupSettings, ...], Field(max_length=50)] = ()
     rule: Annotated[tuple[RuleSettings, ...], Field(max_length=100)] = ()
+    maintenance: Annotated[tuple[MaintenanceSettings, ...], Field(max_length=20)] = ()
 
     def in_folder(self, folder: Path) -> NotifySettings:
         """The same with absolute paths; relative ones are beside the configuration."""
@@ -205,7 +227,7 @@ def _unknown_names(notify: NotifySettings, buses: set[str]) -> Iterator[tuple[An
     for index, rule in enumerate(notify.rule):
         if rule.group not in groups:
             yield Message.of("setting_rule_group", name=rule.group), "rule", index, "group"
-    for key in ("webhook", "apprise", "rule"):
+    for key in ("webhook", "apprise", "rule", "maintenance"):
         for index, each in enumerate(getattr(notify, key)):
             for bus in each.buses:
                 if bus not in buses:

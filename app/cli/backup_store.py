@@ -67,8 +67,9 @@ def restore_store(
 
 
 def write_backup(data: Path, file: Path) -> list[str]:
-    """Copy the stores of a data folder; gives their names. Raises StoreError; then there is no file."""
-    stores = sorted(data.glob("*.db"))
+    """Copy the stores of a data folder; gives their names. Raises StoreError, also where a store is damaged:
+    it could not be put back; then there is no file."""
+    stores = _in_order(data)
     if not stores:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
@@ -85,12 +86,27 @@ def write_backup(data: Path, file: Path) -> list[str]:
     return [store.name for store in stores]
 
 
+def _in_order(data: Path) -> list[Path]:
+    """The main store before that of the pictures: a picture is stored before its note, so that each note of
+    the copy has its pictures. By their names it is."""
+    return sorted(data.glob("*.db"))
+
+
 def _copy(store: Path, folder: Path) -> Path:
     copy = folder / store.name
     make_file(copy)
     with in_words(store), closing(open_for_reading(store)) as live, closing(sqlite3.connect(copy)) as target:
         live.backup(target)
+        fault = _fault_of(target)
+    if fault:
+        raise StoreError(Message.of("store_failed", path=str(store), reason=Message("store_is_damaged")))
     return copy
+
+
+def _fault_of(store: sqlite3.Connection) -> str:
+    """The first fault that SQLite finds; empty: it is sound."""
+    (verdict,) = store.execute("PRAGMA quick_check(1)").fetchone()
+    return "" if verdict == "ok" else str(verdict)
 
 
 def _manifest(copies: list[Path]) -> str:
@@ -162,9 +178,9 @@ def _prove(store: Path, digest: str, file: Path) -> None:
     if _digest(store) != digest:
         raise StoreError(Message.of("backup_damaged", file=str(file), store=store.name))
     with in_words(store), closing(open_for_reading(store)) as connection:
-        (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    if verdict != "ok":
-        raise StoreError(Message.of("backup_unsound", file=str(file), store=store.name, verdict=str(verdict)))
+        fault = _fault_of(connection)
+    if fault:
+        raise StoreError(Message.of("backup_unsound", file=str(file), store=store.name, verdict=fault))
 
 
 def _refuse_while_open(store: Path) -> None:

@@ -46,11 +46,17 @@ class SheetDocuments:
     async def document(self, found: SheetOfShift) -> str:
         """The page with its signatures and pictures as a file."""
         page = (found.signed.frozen.page if found.signed else self.page(found.sheet)).decode()
-        pictures = await self._pictures.all_of(dict.fromkeys(_PICTURE.findall(page)))
+        named = dict.fromkeys(_PICTURE.findall(page))
+        pictures = await self._pictures.all_of(named)
         style = self._assets.get(STYLE).body.decode()
         page = _PICTURE.sub(lambda named: _inline(named[1], pictures), page)
         return self._rendered(
-            "handover/document.html", page=page, style=style, shift=found.shift, signed=found.signed
+            "handover/document.html",
+            page=page,
+            style=style,
+            shift=found.shift,
+            signed=found.signed,
+            lost=len(named) - len(pictures),
         )
 
     def _rendered(self, name: str, **context: object) -> str:

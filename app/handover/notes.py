@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import astuple, dataclass, fields, replace
 
+from app.alarms.store import JournalEntry
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
@@ -44,6 +45,7 @@ class RepeatedNoteError(Exception):
 
 
 _COLUMNS = tuple(field.name for field in fields(Note) if field.name != "id")
+_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
 _SELECT = f"SELECT {', '.join(_COLUMNS)}, id FROM shift_note"
 _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 
@@ -89,12 +91,22 @@ def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
     if note.corrects is not None:
         _check_corrected(connection, note.corrects)
     if note.alarm is not None:
-        _check_alarm(connection, note.alarm)
+        occurrence(connection, note.alarm)
     if counts_of(connection, [shift])[0] >= MOST_NOTES:
         raise Problem(409, "too_many", Message.of("shift_notes_full", n=MOST_NOTES))
     there = sum(len(each.pictures.split()) for each in notes_of(connection, shift)) if note.pictures else 0
     if there + len(note.pictures.split()) > MOST_PICTURES:
         raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MOST_PICTURES))
+
+
+def occurrence(connection: sqlite3.Connection, alarm_id: str) -> JournalEntry:
+    """The last transition of an occurrence of an alarm. Raises Problem 404."""
+    alarm, _, number = alarm_id.rpartition(".")
+    query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
+    row = connection.execute(query, (alarm, number)).fetchone()
+    if row is None:
+        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id))
+    return JournalEntry(*row)
 
 
 def find(connection: sqlite3.Connection, number: int, shift: Shift) -> Note:
@@ -110,10 +122,3 @@ def _check_corrected(connection: sqlite3.Connection, number: int) -> None:
     if row is not None:
         message = Message.of("shift_note_superseded", note=number, newer=row["id"])
         raise Problem(409, "superseded", message, id=row["id"])
-
-
-def _check_alarm(connection: sqlite3.Connection, alarm_id: str) -> None:
-    alarm, _, occurrence = alarm_id.rpartition(".")
-    query = "SELECT 1 FROM alarm_journal WHERE alarm = ? AND occurrence = ?"
-    if connection.execute(query, (alarm, occurrence)).fetchone() is None:
-        raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from datetime import UTC, datetime
 from typing import Annotated, Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
 from pydantic import AwareDatetime
@@ -13,6 +14,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.shown import transition_json
 from app.auth.pages import address_of
 from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
@@ -20,7 +22,7 @@ from app.handover.pictures import MOST_OF_NOTE, PictureStore
 from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
 from app.handover.sheet import notes_json
-from app.handover.sheet_view import readable_notes, readable_sheet
+from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
 from app.handover.signing import SignRequest
 from app.web.access import Operator, Viewer
@@ -38,6 +40,8 @@ SEE_OTHER = 303
 Pictures = Annotated[PictureStore, service(PictureStore)]
 FORM_LIMITS: Any = {"max_files": MOST_OF_NOTE, "max_fields": 20}
 FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
+PinnedPlace = Annotated[OneLine, Query(max_length=100)]
+PinnedAlarm = Annotated[OneLine, Query(max_length=300)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
 
 
@@ -58,9 +62,14 @@ async def shifts_page(
 
 
 @router.get("/shifts/present")
-async def present_page(_: Viewer, shifts: Shifts) -> Response:
-    """A link to the sheet of the shift under way, whenever it is opened."""
-    return RedirectResponse(_path(shifts.present()), SEE_OTHER)
+async def present_page(
+    _: Viewer, shifts: Shifts, place: PinnedPlace = "", alarm: PinnedAlarm = ""
+) -> Response:
+    """A link to the sheet of the shift under way, whenever it is opened; with what a note is to be about, to
+    its form."""
+    pinned = urlencode({name: value for name, value in (("place", place), ("alarm", alarm)) if value})
+    path = _path(shifts.present())
+    return RedirectResponse(f"{path}?{pinned}#write" if pinned else path, SEE_OTHER)
 
 
 @router.get("/shifts/pictures/{digest}")
@@ -81,8 +90,13 @@ async def sheet_page(
     alarms: Alarms,
     shift: ShiftOfPath,
     correct: Annotated[int | None, Query(ge=1, le=2**62)] = None,
+    place: PinnedPlace = "",
+    alarm: PinnedAlarm = "",
 ) -> Response:
-    """The sheet, and the form for a note. ``correct``: the note that the form corrects."""
+    """The sheet, and the form for a note. ``correct``: the note that the form corrects; ``place`` and
+    ``alarm``: what a new one is about, as long as the person chooses nothing else."""
+    shifts.check_place(*_place(place))
+    pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
     sheet = readable_sheet(found.sheet)
     notes = [*sheet["notes"], *readable_notes(notes_json(found.later))]
@@ -97,6 +111,8 @@ async def sheet_page(
         shift=shift,
         page=_path(shift),
         corrected=corrected,
+        pinned_place=place,
+        pinned_alarm=pinned_alarm and readable_transition(transition_json(pinned_alarm)),
         places=_places(alarms),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
@@ -114,13 +130,12 @@ async def _new_note(
     key: Annotated[str | None, Form(min_length=1, max_length=200)] = None,
     pictures: Annotated[list[UploadFile] | None, File()] = None,
 ) -> NewNote:
-    bus, _, unit = place.partition("/")
-    address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
+    bus, unit = _place(place)
     return NewNote(
         text=text,
         clock=clock,
-        bus=bus or None,
-        unit=address,
+        bus=bus,
+        unit=unit,
         alarm=alarm or None,
         corrects=corrects,
         key=key,
@@ -152,6 +167,13 @@ async def sign(
     wanted = SignRequest(part, digest, name, password)
     await signing.sign(person, address_of(request), shift, wanted)
     return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
+
+
+def _place(written: str) -> tuple[str | None, int | None]:
+    """A bus, or a unit as ``dry-end/4``."""
+    bus, _, unit = written.partition("/")
+    address = int(unit) if unit.isascii() and unit.isdecimal() and len(unit) < 4 else None
+    return bus or None, address
 
 
 def _places(alarms: LineAlarms) -> list[tuple[str, Any]]:

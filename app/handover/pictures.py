@@ -7,10 +7,14 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import structlog
+
 from app.database import Database
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.handover.rules.pictures import PlainPicture, plain_picture
 from bus.messages import Message
+
+log = structlog.get_logger()
 
 FILE = "pictures.db"
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -46,28 +50,28 @@ class PictureStore:
             await database.write(lambda connection: connection.executemany(query, rows))
 
     async def find(self, digest: str) -> PlainPicture:
-        """Raises Problem 404, also for one that is not what its digest names."""
-        found = (await self.all_of([digest])).get(digest)
-        if found is None:
+        """Raises Problem 404, also for one that is not what its digest names; StoreError where the store is
+        damaged."""
+        query = "SELECT media_type, content FROM picture WHERE digest = ?"
+        row = None
+        if self._path.exists():
+            database = await self._opened()
+            row = await database.read(lambda store: store.execute(query, (digest,)).fetchone())
+        if row is None or hashlib.sha256(row["content"]).hexdigest() != digest:
             raise Problem(404, "not_found", Message("no_such_picture"))
-        return found
+        return PlainPicture(*row)
 
     async def all_of(self, digests: Iterable[str]) -> dict[str, PlainPicture]:
-        """Those of these digests that there are."""
-        wanted = list(digests)
-        if not wanted or not self._path.exists():
-            return {}
-        query = "SELECT media_type, content FROM picture WHERE digest = ?"
-        database = await self._opened()
-        rows = await database.read(
-            lambda store: [store.execute(query, (digest,)).fetchone() for digest in wanted]
-        )
-        found = {digest: PlainPicture(*row) for digest, row in zip(wanted, rows, strict=True) if row}
-        return {
-            digest: each
-            for digest, each in found.items()
-            if hashlib.sha256(each.content).hexdigest() == digest
-        }
+        """Those of these digests that can be read. Damage costs only the pictures that it is in."""
+        found = {}
+        for digest in digests:
+            try:
+                found[digest] = await self.find(digest)
+            except Problem:
+                continue
+            except StoreError as error:
+                log.error("store", picture=digest, error=str(error))
+        return found
 
     def close(self) -> None:
         if self._database is not None:

@@ -13,6 +13,7 @@ from zoneinfo import ZoneInfo
 
 import msgspec
 
+from app.alarms.store import JournalEntry
 from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem
@@ -139,7 +140,7 @@ class Handover:
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
-        self._check_place(new)
+        self.check_place(new.bus, new.unit)
         pictures = await asyncio.to_thread(judged, new.pictures)
         note = Note(
             at=await self._time_of(shift, new),
@@ -197,13 +198,18 @@ class Handover:
             raise Problem(422, "invalid", Message.of("shift_note_outside", start=start, end=end))
         return min(at, now)
 
-    def _check_place(self, new: NewNote) -> None:
-        if new.bus is not None and new.bus not in self._units:
-            raise unknown_bus(new.bus, self._units)
-        if new.unit is not None and new.bus is None:
+    def check_place(self, bus: str | None, unit: int | None) -> None:
+        """Whether a note can be about it. Raises Problem 404, and 422 for a unit without its bus."""
+        if bus is not None and bus not in self._units:
+            raise unknown_bus(bus, self._units)
+        if unit is not None and bus is None:
             raise Problem(422, "invalid", Message("shift_note_unit_without_bus"))
-        if new.bus is not None and new.unit is not None and new.unit not in self._units[new.bus]:
-            raise unknown_unit(new.bus, new.unit)
+        if bus is not None and unit is not None and unit not in self._units[bus]:
+            raise unknown_unit(bus, unit)
+
+    async def occurrence(self, alarm_id: str) -> JournalEntry:
+        """The last transition of an occurrence that a note can be about. Raises Problem 404."""
+        return await self._database.read(lambda store: notes.occurrence(store, alarm_id))
 
     def local(self, at: UnixTime) -> str:
         return site_time(at, self.zone)

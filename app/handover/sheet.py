@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, NotRequired
 from zoneinfo import ZoneInfo
 
 from pydantic import Field
@@ -80,6 +80,12 @@ class ShiftSheetShown(TypedDict):
         Field(description="Alarms that were not normal, each with its last transition; nothing hides them."),
     ]
     shelved: list[AlarmTransitionShown]
+    suppressed: NotRequired[
+        Annotated[
+            list[AlarmTransitionShown],
+            Field(description="Suppressed by design; absent from sheets that an earlier version signed."),
+        ]
+    ]
     out_of_service: list[AlarmTransitionShown]
     drift: Annotated[list[AlarmTransitionShown], Field(description="Differences from the golden sets.")]
     blocked: Annotated[list[EventShown], Field(description="Units closed to commands, as they were blocked.")]
@@ -146,6 +152,7 @@ class SheetWriter:
             "time_zone": self._site.zone,
             "standing": _transitions(entry for entry in alarms if entry.after not in HIDDEN),
             "shelved": _transitions(entry for entry in alarms if entry.after == "shelved"),
+            "suppressed": _transitions(entry for entry in alarms if entry.after == "suppressed"),
             "out_of_service": _transitions(entry for entry in alarms if entry.after == "out_of_service"),
             "drift": _transitions(entry for entry in alarms if entry.code == DRIFT),
             "blocked": [_event(each) for each in blocked],

@@ -12,7 +12,8 @@ from app.handover.sheet import SECTIONS
 from bus.instants import UnixTime
 from bus.messages import Message
 
-TRANSITIONS = ("standing", "shelved", "out_of_service", "drift")
+TRANSITIONS = ("standing", "shelved", "suppressed", "out_of_service", "drift")
+"""A sheet that was signed by an earlier version has no `suppressed`: of those it states nothing."""
 
 
 def readable_sheet(stored: bytes) -> dict[str, Any]:
@@ -21,14 +22,23 @@ def readable_sheet(stored: bytes) -> dict[str, Any]:
     for event in _events(sheet):
         event["messages"] = msgspec.convert(event["messages"], dict[str, Message])
         event["time"] = _moment(event["time"])
-    for transition in (each for name in TRANSITIONS for each in sheet[name]):
-        transition["time"] = _moment(transition["time"])
-        transition["title"] = _title(transition)
-        transition["state"] = Message(f"alarm_state_{transition['after']}")
+    for name in TRANSITIONS:
+        if name in sheet:
+            sheet[name] = [readable_transition(each) for each in sheet[name]]
     sheet["notes"] = readable_notes(sheet["notes"])
     sheet |= {name: _moment(sheet[name]) for name in ("start", "end", "until", "made_at")}
     sheet["omissions"] = msgspec.convert(sheet["omissions"], list[Message])
     return sheet
+
+
+def readable_transition(transition: Mapping[str, Any]) -> dict[str, Any]:
+    """A transition of the API, with a moment for its instant and messages for its texts."""
+    return {
+        **transition,
+        "time": _moment(transition["time"]),
+        "title": _title(transition),
+        "state": Message(f"alarm_state_{transition['after']}"),
+    }
 
 
 def readable_notes(notes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -51,7 +61,7 @@ def _moment(text: str | None) -> UnixTime | None:
     return UnixTime(datetime.fromisoformat(text).timestamp())
 
 
-def _title(transition: dict[str, Any]) -> str | Message:
+def _title(transition: Mapping[str, Any]) -> str | Message:
     """Of a built-in alarm as a message."""
     alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
     return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else str(transition["name"])

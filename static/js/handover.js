@@ -1,4 +1,4 @@
-// Pictures of a note are made small enough before they are sent. Drawn again, they have no metadata and stand upright.
+// Pictures of a note are made small enough before they are sent. Drawn again, they have no metadata and are upright.
 import "./main.js";
 
 const LONGEST_SIDE = 1600;

@@ -28,7 +28,8 @@ let retry = 0;
 let interest = { units: [], trace: "" };
 let frames = () => {};
 
-export const isLive = () => body.dataset.link === "live";
+export const link = () => body.dataset.link;
+export const isLive = () => link() === "live";
 
 /** Send to the server which units this page shows and whose frames it follows. */
 export function follow(units, trace = "", onFrames = () => {}) {

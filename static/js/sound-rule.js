@@ -6,20 +6,26 @@ export const TONES = {
   high: { tones: 2, hertz: 660, everyS: 4 },
   medium: { tones: 1, hertz: 520, everyS: 8 },
   low: { tones: 1, hertz: 390, everyS: 20 },
+  lost: { tones: 4, hertz: 290, everyS: 5 },
 };
-const PRIORITIES = Object.keys(TONES);
+const PRIORITIES = ["urgent", "high", "medium", "low"];
 
-/** The priority whose tones are due on this panel, or "". `settings`: whether sound is on, and the least important
- * priority that has it. `alarms`: the priority that sounds, and when the newest of those that do began. `mutedUntil`:
- * those up to this time were silenced here. */
-export function soundingNow(settings, alarms, mutedUntil, isLive) {
-  if (!settings.on || !isLive || !(alarms.priority in TONES) || alarms.at <= mutedUntil) return "";
+/** The priority whose tones are due on this panel, "lost" for those of a lost server, or "". `settings`: whether sound
+ * is on, the least important priority that has it, and whether a lost server has. `alarms`: the priority that sounds,
+ * and when the newest of those that do began. `muted`: `until`, those up to this time were silenced here; `lost`, this
+ * loss was. `link`: "live", "lost" or on the way to it. */
+export function soundingNow(settings, alarms, muted, link) {
+  if (!settings.on) return "";
+  if (link === "lost") return settings.lost && !muted.lost ? "lost" : "";
+  if (link !== "live" || !PRIORITIES.includes(alarms.priority) || alarms.at <= muted.until) return "";
   return PRIORITIES.indexOf(alarms.priority) <= PRIORITIES.indexOf(settings.from) ? alarms.priority : "";
 }
 
-/** What this panel tells of its sound: off, blocked (the browser waits for a press), sounding or ready. */
-export function soundState(settings, hasLeave, priority) {
+/** What this panel shows of its sound: off, blocked (the browser waits for a press), sounding or ready. Of a lost server
+ * that has no sound it shows nothing. */
+export function soundState(settings, hasLeave, priority, link) {
   if (!settings.on) return "off";
+  if (link === "lost" && !settings.lost) return "ready";
   if (!hasLeave) return "blocked";
   return priority ? "sounding" : "ready";
 }
@@ -31,9 +37,9 @@ export const isDue = (priority, sounded, now) =>
 /** What was stored, or sound off. */
 export function settingsOf(text) {
   try {
-    const { on, from } = JSON.parse(text) ?? {};
-    return { on: on === true, from: PRIORITIES.includes(from) ? from : "low" };
+    const { on, from, lost } = JSON.parse(text) ?? {};
+    return { on: on === true, from: PRIORITIES.includes(from) ? from : "low", lost: lost === true };
   } catch {
-    return { on: false, from: "low" };
+    return { on: false, from: "low", lost: false };
   }
 }

@@ -1,6 +1,7 @@
-// Sound for alarms to acknowledge, on a device whose user has switched it on. Browsers allow it only after a press.
+// Sound for alarms to acknowledge, and for a lost server, on a device whose user has switched it on. Browsers allow it
+// only after a press.
 import { listen } from "./bind.js";
-import { isLive } from "./live.js";
+import { link } from "./live.js";
 import { isDue, settingsOf, soundingNow, soundState, TONES } from "./sound-rule.js";
 import { word } from "./words.js";
 
@@ -14,14 +15,14 @@ const find = (name) => document.querySelector(`[data-sound-${name}]`);
 let settings = settingsOf(null);
 let audio = null;
 let alarms = { priority: "", at: 0 };
-let mutedUntil = 0;
+const muted = { until: 0, lost: false };
 let sounded = { priority: "", at: 0 };
 /** Of several pages of one browser the first that may sound does. */
 let isFirst = !navigator.locks;
 let isQueued = false;
 
 const hasLeave = () => audio?.state === "running";
-const sounding = () => soundingNow(settings, alarms, mutedUntil, isLive());
+const sounding = () => soundingNow(settings, alarms, muted, link());
 
 function read() {
   try {
@@ -86,43 +87,66 @@ function sound() {
 let drawn = "";
 
 function draw() {
-  const state = soundState(settings, hasLeave(), sounding());
-  if (state === drawn) return;
-  drawn = state;
+  const state = soundState(settings, hasLeave(), sounding(), link());
+  const shownNow = `${state} ${link()}`;
+  if (shownNow === drawn) return;
+  drawn = shownNow;
   const [strip, button, shown] = [find("strip"), find("press"), find("state")];
   strip.hidden = state !== "blocked" && state !== "sounding";
   find("text").textContent = state === "blocked" ? word("alarmSoundBlocked") : "";
-  button.textContent = word(state === "blocked" ? "alarmSoundAllow" : "alarmSoundSilence");
+  button.textContent = word(
+    state === "blocked" ? "alarmSoundAllow" : link() === "lost" ? "lostSoundSilence" : "alarmSoundSilence",
+  );
   const names = { off: "alarmSoundOff", blocked: "alarmSoundBlocked" };
   if (shown) shown.textContent = word(names[state] ?? "alarmSoundOn");
 }
 
 /** On this panel at once, and for everybody where the user may. */
 function silence() {
-  mutedUntil = alarms.at;
+  if (link() === "lost") {
+    muted.lost = true;
+    return draw();
+  }
+  muted.until = alarms.at;
   draw();
   const body = new URLSearchParams({ until: alarms.at });
   if ("soundActs" in find("strip").dataset) fetch("/alarms/silence", { method: "POST", body }).catch(() => {});
 }
 
 async function press() {
-  if (drawn === "sounding") silence();
+  if (drawn.startsWith("sounding")) silence();
   else await open();
 }
 
 function bindSettings() {
-  const [on, from, test] = [find("on"), find("from"), find("test")];
+  const [on, from, lost, test] = [find("on"), find("from"), find("lost"), find("test")];
   if (!on) return;
   on.checked = settings.on;
   from.value = settings.from;
+  lost.checked = settings.lost;
   on.addEventListener("change", () => {
     store({ on: on.checked });
     open();
   });
   from.addEventListener("change", () => store({ from: from.value }));
+  lost.addEventListener("change", () => store({ lost: lost.checked }));
   test.addEventListener("click", async () => {
     await open();
     if (hasLeave()) play(from.value);
+  });
+}
+
+/** The overlay for a lost server covers the page: the strip is in it as long as it is there. */
+function followLink() {
+  const [strip, gone] = [find("strip"), document.querySelector(".gone")];
+  document.addEventListener("lineside:lost", () => {
+    gone.querySelector(".gone__box").append(strip);
+    sound();
+  });
+  document.addEventListener("lineside:found", () => {
+    gone.before(strip);
+    muted.lost = false;
+    sound();
   });
 }
 
@@ -130,6 +154,7 @@ export function start() {
   if (!find("strip")) return;
   settings = settingsOf(read());
   bindSettings();
+  followLink();
   find("press").addEventListener("click", press);
   // Another page of this browser has changed them.
   addEventListener("storage", ({ key, newValue }) => {

@@ -71,6 +71,7 @@ TYPED_BY_PEOPLE = {
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
+    *("RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
 IN_THE_READERS_LANGUAGE = {
     *(f"HistoryMarkText.{name}" for name in ("what", "old", "new")),
@@ -83,6 +84,7 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
+    *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
     *("covered_from", "covered_to", "AlarmSimulation.first", "AlarmSimulation.last"),
 }
 NUMBERS_AND_BYTES = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import re
 import time
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime, timedelta
@@ -13,11 +15,11 @@ import pytest
 
 from app.commands.safeguards.limits import Limits
 from app.web.access import Person, Role
-from bus.contract import Reading
+from bus.contract import BusLink, Reading
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
-from tests.app.played_line import BUS, REMOTE, played_line
+from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 
 API = "/api/v1/shifts"
 SET_SPEED = Message("event_set_speed")
@@ -86,6 +88,24 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert found["done"]["outcomes"] == {"": 3, "unverified": 1, "verified": 2}
     assert [each["old"] for each in found["done"]["events"] if each["kind"] == "command"] == ["1"] * 3
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
+
+
+async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:
+    operator, live = await house.signed_in(Role.OPERATOR), house.services.live.buses[BUS]
+    live.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    live.apply([BusLink(at=time.time(), link="closed")])
+    await house.services.alarms.write()
+    found = await sheet(operator)
+    assert [(each["unit"], each["code"]) for each in found["suppressed"]] == [(1, "estop_active")]
+    assert {each["code"] for each in found["standing"]} == {"port_lost"}
+    page = (await operator.get(f"/shifts/{await present(operator)}")).text
+    section = page.partition('<h2 id="suppressed">')[2].partition("</section>")[0]
+    assert "Emergency stop active" in section
+    assert f'<option value="{BUS}.1.estop_active.1"' in page
+    operator.headers["Accept-Language"] = "de"
+    assert (
+        "Automatisch unterdrückte Alarme" in (await operator.get(f"/shifts/{await present(operator)}")).text
+    )
 
 
 async def test_the_page_shows_it_in_both_languages(house: House) -> None:
@@ -162,6 +182,56 @@ async def test_a_note_is_about_an_occurrence_that_was(house: House) -> None:
     assert (await write(operator, "x", bus=BUS, unit=9)).json()["code"] == "unknown_unit"
     assert (await write(operator, "x", bus="wet-end")).json()["code"] == "unknown_bus"
     assert (await write(operator, "x", unit=1)).status_code == 422
+
+
+def link_to_note(page: str) -> str:
+    """The address of the link that leads to the form of a note."""
+    (found,) = re.findall(r'href="(/shifts/present[^"]*)"', page)
+    return html.unescape(found)
+
+
+def chosen(page: str) -> dict[str, str]:
+    """The choices of the form, by the names of its lists."""
+    form = page.partition('id="write"')[2]
+    lists = re.findall(r'name="(place|alarm)".*?</select>', form, re.DOTALL)
+    values = re.findall(r'<option value="([^"]*)" selected>', form)
+    return dict(zip(lists, values, strict=True))
+
+
+async def test_the_page_of_an_alarm_and_of_a_unit_open_the_form_with_what_they_are_about(
+    house: House,
+) -> None:
+    operator, viewer = await house.signed_in(Role.OPERATOR), await house.signed_in(Role.VIEWER)
+    estop = f"{BUS}.1.estop_active.1"
+    for status in (0, HEALTHY):
+        house.services.live.buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, status)])
+    await operator.post("/alarms/acknowledge", data={"id": estop})
+    await house.services.alarms.write()
+    assert estop not in {each["alarm"] for each in (await sheet(operator))["standing"]}
+    for path, expected in (
+        (f"/alarms/{estop}", {"place": f"{BUS}/1", "alarm": estop}),
+        (f"/units/{BUS}/2", {"place": f"{BUS}/2", "alarm": ""}),
+    ):
+        shown = await operator.get(link_to_note((await operator.get(path)).text))
+        assert shown.headers["location"].endswith("#write")
+        assert chosen((await operator.get(shown.headers["location"])).text) == expected
+        assert "/shifts/present?" not in (await viewer.get(path)).text
+    assert "/shifts/present?" not in (await operator.get(f"/alarms/{BUS}.2.estop_active.0")).text
+
+
+async def test_a_link_to_the_form_names_what_there_is(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    path = f"/shifts/{await present(operator)}"
+    for wrong, status in (
+        ({"alarm": f"{BUS}.1.estop_active.7"}, 404),
+        ({"alarm": "no such"}, 404),
+        ({"place": "wet-end"}, 404),
+        ({"place": f"{BUS}/9"}, 404),
+        ({"place": "x" * 101}, 422),
+        ({"alarm": "x" * 301}, 422),
+        ({"alarm": "left to \u202eright"}, 422),
+    ):
+        assert (await operator.get(path, params=wrong)).status_code == status, wrong
 
 
 async def test_a_key_stores_one_note_and_serves_one(house: House) -> None:

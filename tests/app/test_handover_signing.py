@@ -111,6 +111,28 @@ async def test_a_signed_sheet_does_not_change_with_what_it_was_made_from(house: 
     assert corrected.status_code == 201
 
 
+async def test_a_sheet_that_an_earlier_version_signed_states_nothing_of_suppressed_alarms(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann, sheets = await house.signed_in(Role.OPERATOR, "ann"), house.services.handover._sheets
+    now_written = sheets.write
+
+    def as_before(*given: Any) -> dict[str, Any]:
+        return {name: value for name, value in now_written(*given).items() if name != "suppressed"}
+
+    monkeypatch.setattr(sheets, "write", as_before)
+    await sign(ann)
+    monkeypatch.undo()
+    found = await sheet(ann)
+    assert "suppressed" not in found
+    assert found["signed"]["altered"] is False
+    page = await ann.get(f"/shifts/{await last(ann)}")
+    assert page.status_code == 200
+    assert 'id="shelved"' in page.text
+    assert 'id="suppressed"' not in page.text
+    assert (await ann.get(f"{API}/{await last(ann)}/sheet.html")).status_code == 200
+
+
 async def test_another_person_signs_at_a_panel_with_name_and_password(house: House) -> None:
     ann, program = await house.signed_in(Role.OPERATOR, "ann"), await house.program(Role.OPERATOR)
     await house.add("bob", Role.ENGINEER)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import random
+import sqlite3
 import stat
 import zlib
 from base64 import b64encode
@@ -15,6 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.cli import backup_store
+from app.cli.backup_store import read_backup, write_backup
+from app.database import Database
+from app.errors import StoreError
+from app.handover.pictures import FILE, MIGRATIONS
+from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
 from app.handover.rules.pictures import plain_picture
 from app.web.access import Role
 from bus.errors import CallerError
@@ -66,6 +75,62 @@ def test_a_picture_is_kept_without_metadata_and_without_what_follows_it(kind: st
     plain = plain_picture(MAKERS[kind](more=METADATA[kind]) + HTML)
     assert (plain.media_type, plain.content) == (kind, MAKERS[kind]())
     assert plain_picture(plain.content) == plain
+
+
+def tiff(*entries: bytes, order: str = ">") -> bytes:
+    """Exif data of one directory."""
+    head = {">": b"MM\0*", "<": b"II*\0"}[order] + pack(f"{order}I", 8)
+    return head + pack(f"{order}H", len(entries)) + b"".join(entries) + bytes(4)
+
+
+def entry(tag: int, value: int, *, kind: int = 3, values: int = 1, order: str = ">") -> bytes:
+    return pack(f"{order}HHIHH", tag, kind, values, value, 0)
+
+
+def with_exif(kind: str, exif: bytes) -> bytes:
+    """A picture with this Exif data, as cameras and phones place it."""
+    if kind == "image/png":
+        return png(more=chunk(b"eXIf", exif))
+    return jpeg(more=segment(0xE1, b"Exif\0\0" + exif))
+
+
+@pytest.mark.parametrize("kind", ["image/jpeg", "image/png"])
+@given(st.integers(0, 65_535), st.sampled_from("<>"), st.binary(max_size=40))
+def test_of_its_exif_data_a_picture_keeps_the_orientation_alone(
+    kind: str, turn: int, order: str, more: bytes
+) -> None:
+    place, make = entry(0x8825, 200, order=order), entry(0x010F, 77, order=order)
+    exif = tiff(make, entry(0x0112, turn, order=order), place, order=order) + PLACE + more
+    plain = plain_picture(with_exif(kind, exif)).content
+    turned = 2 <= turn <= 8
+    assert (with_exif(kind, tiff(entry(0x0112, turn))) == plain) is turned
+    assert PLACE not in plain
+    assert b"\x88\x25" not in plain
+    if not turned:
+        assert b"\x01\x12" not in plain
+    assert plain_picture(plain).content == plain
+
+
+@given(st.binary(max_size=200), st.sampled_from([b"", b"MM\0*", b"II*\0", b"MM\0*\0\0\0\x08"]))
+def test_any_bytes_have_an_orientation_and_leave_nothing_else(rest: bytes, head: bytes) -> None:
+    assert orientation_of(head + rest) in range(1, 9)
+    assert plain_exif(head + rest) in (b"", *map(exif_of, TURNED))
+
+
+@pytest.mark.parametrize(
+    "exif",
+    [
+        tiff(entry(0x0112, 6, kind=4)),
+        tiff(entry(0x0112, 6, values=2)),
+        tiff(entry(0x0112, 6))[:-8],
+        b"MM\0*" + pack(">I", 2**32 - 1),
+        b"MM\0*" + pack(">IH", 8, 65_535) + bytes(65_000),
+        b"XX\0*" + tiff(entry(0x0112, 6))[4:],
+    ],
+)
+def test_exif_data_that_is_none_leaves_a_picture_upright(exif: bytes) -> None:
+    assert orientation_of(exif) == 1
+    assert plain_picture(jpeg(more=segment(0xE1, b"Exif\0\0" + exif))).content == jpeg()
 
 
 @pytest.mark.parametrize("kind", MAKERS)
@@ -211,6 +276,109 @@ async def test_a_refused_note_stores_no_picture(house: House, tmp_path: Path) ->
     )
     assert refused.json()["reason"]["code"] == "picture_not_base64"
     assert not (tmp_path / "data" / "pictures.db").exists()
+
+
+def noise(number: int) -> bytes:
+    """A picture of many pages of the store."""
+    return png(more=chunk(b"IDAT", random.Random(number).randbytes(60_000)))
+
+
+async def with_pictures(folder: Path) -> list[str]:
+    """A house in which three notes with a picture each were written; their digests."""
+    async with complete_app(folder) as house:
+        operator = await house.program(Role.OPERATOR)
+        return [(await write(operator, noise(n))).json()["pictures"][0] for n in range(3)]
+
+
+def restored(folder: Path, backup: Path) -> None:
+    read_backup(backup, folder / "data", [folder / "lineside.audit.key"])
+
+
+async def test_a_backup_brings_notes_and_pictures_back_together(tmp_path: Path) -> None:
+    digests, backup, elsewhere = await with_pictures(tmp_path), tmp_path / "one.tar", tmp_path / "elsewhere"
+    async with complete_app(tmp_path):
+        assert write_backup(tmp_path / "data", backup) == ["history.db", "lineside.db", "pictures.db"]
+    elsewhere.mkdir()
+    await asyncio.to_thread(restored, elsewhere, backup)
+    async with complete_app(elsewhere) as house:
+        viewer = await house.program(Role.VIEWER)
+        notes = (await viewer.get(f"{API}/{await present(viewer)}")).json()["notes"]
+        assert [note["pictures"] for note in notes] == [[digest] for digest in digests]
+        for number, digest in enumerate(digests):
+            assert (await viewer.get(f"/shifts/pictures/{digest}")).content == noise(number)
+
+
+async def test_each_note_of_a_backup_has_its_pictures_when_one_is_written_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backup, elsewhere, copy = tmp_path / "one.tar", tmp_path / "elsewhere", backup_store._copy
+    async with complete_app(tmp_path) as house:
+        operator, loop = await house.program(Role.OPERATOR), asyncio.get_running_loop()
+        await write(operator, noise(0))
+        numbers = iter(range(1, 9))
+
+        def copy_and_write(store: Path, folder: Path) -> Path:
+            copied = copy(store, folder)
+            writing = asyncio.run_coroutine_threadsafe(write(operator, noise(next(numbers))), loop)
+            assert writing.result().status_code == 201
+            return copied
+
+        monkeypatch.setattr(backup_store, "_copy", copy_and_write)
+        await asyncio.to_thread(write_backup, tmp_path / "data", backup)
+    elsewhere.mkdir()
+    await asyncio.to_thread(restored, elsewhere, backup)
+    async with complete_app(elsewhere) as house:
+        viewer = await house.program(Role.VIEWER)
+        notes = (await viewer.get(f"{API}/{await present(viewer)}")).json()["notes"]
+        assert len(notes) == 2
+        for note in notes:
+            assert (await viewer.get(f"/shifts/pictures/{note['pictures'][0]}")).status_code == 200
+
+
+def test_the_pictures_of_an_earlier_version_are_there_and_stay(tmp_path: Path) -> None:
+    folder = tmp_path / "migrations"
+    folder.mkdir()
+    first = MIGRATIONS / "0001_pictures.sql"
+    (folder / first.name).write_text(first.read_text("utf-8"), "utf-8")
+    row = ("0" * 64, "image/png", png())
+    earlier = Database(tmp_path / FILE, folder)
+    earlier.write_now(lambda store: store.execute("INSERT INTO picture VALUES (?, ?, ?)", row))
+    earlier.close()
+    present = Database(tmp_path / FILE, MIGRATIONS)
+    found = present.read_now(lambda store: store.execute("SELECT * FROM picture").fetchall())
+    assert [tuple(each) for each in found] == [row]
+    for change in ("DELETE FROM picture", "UPDATE picture SET content = x''"):
+        with pytest.raises(sqlite3.IntegrityError, match="never"):
+            present.write_now(lambda store, change=change: store.execute(change))
+    present.close()
+
+
+@pytest.mark.parametrize("damage", ["a page", "the head"])
+async def test_a_damaged_store_of_pictures_is_reported_and_costs_its_pictures_only(
+    tmp_path: Path, damage: str
+) -> None:
+    digests, path = await with_pictures(tmp_path), tmp_path / "data" / "pictures.db"
+    content = path.read_bytes()
+    inside = content.index(noise(1)[30_000:30_016])
+    first = 0 if damage == "the head" else inside - inside % 4096
+    path.write_bytes(content[:first] + bytes([255]) * 64 + content[first + 64 :])
+    async with complete_app(tmp_path) as house:
+        operator = await house.signed_in(Role.OPERATOR, "ann")
+        sheet = f"{API}/{await present(operator)}"
+        served = [(await operator.get(f"/shifts/pictures/{digest}")).status_code for digest in digests]
+        file = await operator.get(f"{sheet}/sheet.html")
+        assert file.status_code == 200
+        assert served.count(200) == file.text.count("data:image/png") == (0 if damage == "the head" else 2)
+        assert f"<p>{3 - served.count(200)} picture" in file.text
+        assert (await operator.get(f"/shifts/{await present(operator)}")).status_code == 200
+        assert (await write(operator)).status_code == 201
+        if damage == "the head":
+            refused = await write(operator, png())
+            assert (refused.status_code, refused.json()["code"]) == (503, "store")
+            assert "move it away" in refused.json()["detail"]
+        with pytest.raises(StoreError, match=r"pictures\.db: it is .*damaged; restore a backup"):
+            await asyncio.to_thread(write_backup, tmp_path / "data", tmp_path / "one.tar")
+        assert not (tmp_path / "one.tar").exists()
 
 
 async def test_the_pictures_of_a_shift_are_bounded(house: House) -> None:

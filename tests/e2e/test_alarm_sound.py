@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from typing import Any
 
 import httpx
+import pytest
 from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import GERMAN, OpensPages
@@ -63,6 +65,40 @@ def test_sound_is_switched_on_tested_allowed_by_a_press_and_silenced(
             assert _estop(client)["acknowledged"] is False
     finally:
         site.line.remote.do("input", unit=5, input="estop", on=False)
+
+
+@pytest.mark.provokes("WebSocket", "fetch", "ERR_")
+def test_a_lost_server_sounds_where_that_was_chosen_until_it_is_silenced(
+    site: Site, browser_page: OpensPages
+) -> None:
+    page = browser_page()
+    page.add_init_script(COUNTING)
+    page.goto("/alarms")
+    lost = page.locator("[data-sound-lost]")
+    expect(lost).not_to_be_checked()
+    lost.focus()
+    page.keyboard.press("Space")
+    page.locator("[data-sound-on]").check()
+    page.reload()
+    expect(lost).to_be_checked()
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    page.keyboard.press("Shift")
+    expect(page.locator(".sound")).to_be_hidden()
+    before = tones(page)
+    site.stop(signal.SIGKILL)
+    try:
+        silence = page.get_by_role("button", name="Silence sound")
+        expect(silence).to_be_visible()
+        eventually(lambda: tones(page) > before, "the lost server sounds")
+        expect(page.locator(".gone")).to_be_focused()
+        page.keyboard.press("Tab")
+        expect(silence).to_be_focused()
+        page.keyboard.press("Enter")
+        expect(silence).to_be_hidden()
+    finally:
+        site.start()
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    expect(page.locator(".gone .sound")).to_have_count(0)
 
 
 def _estop(client: httpx.Client) -> dict[str, Any]:

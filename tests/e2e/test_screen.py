@@ -25,8 +25,6 @@ PAGES = [
     "/alarms/performance",
     "/alarms/own?place=line/1&value=actual&above=1&days=1",
     "/notifications",
-    "/shifts",
-    "/shifts/present",
     "/alarms/line.1.estop_active.0",
 ]
 PHONE = {"width": 360, "height": 740}

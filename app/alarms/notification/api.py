@@ -9,13 +9,14 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.notification.endpoints import EndpointKind
-from app.alarms.notification.maintenance import MOST_MINUTES
+from app.alarms.notification.maintenance import MOST_MINUTES, MaintenanceWindow
 from app.alarms.notification.notice import NoticeKind
 from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.overview import EndpointStatus, duties, endpoint_statuses
+from app.alarms.notification.overview import EndpointStatus, clock_text, duties, endpoint_statuses
 from app.alarms.notification.rules.delivery import DeliveryState
 from app.alarms.notification.service import Notification
 from app.alarms.notification.store import QuietRow
+from app.notify_settings import DAYS, DayOfWeek
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service, unknown_bus
@@ -31,6 +32,7 @@ Notifying = Annotated[Notification, service(Notification)]
 MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 MaintenanceMinutes = Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a day, 1440.")]
 EndpointKindShown = TypeAliasType("EndpointKindShown", EndpointKind)
+DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
 DeliveryStateShown = TypeAliasType("DeliveryStateShown", DeliveryState)
 NoticeKindShown = TypeAliasType("NoticeKindShown", NoticeKind)
 
@@ -85,12 +87,27 @@ class MaintenanceShown(TypedDict):
     reason: str
 
 
+class RecurringMaintenanceShown(TypedDict):
+    """A recurring maintenance of the configuration; times by the clock of the site."""
+
+    days: Annotated[list[DayOfWeekShown], Field(description="On which it begins.")]
+    starts: Annotated[str, Field(description="Local time, such as 22:00.")]
+    ends: Annotated[str, Field(description="Local time; not after starts: on the next day.")]
+    last_day: Annotated[str, Field(description="The last day on which it begins, ISO 8601.")]
+    buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
+    reason: str
+    present: Annotated[bool, Field(description="Whether it is under way.")]
+    since: Annotated[str | None, Field(description="Of the present or next one, ISO 8601; null: no more.")]
+    until: Annotated[str | None, Field(description="Its end, ISO 8601; null: no more.")]
+
+
 class NotificationShown(TypedDict):
     """The path of notification, current."""
 
     endpoints: list[NotificationEndpointShown]
     groups: list[NotificationGroupShown]
     maintenance: list[MaintenanceShown]
+    recurring: list[RecurringMaintenanceShown]
 
 
 class DeliveryShown(TypedDict):
@@ -136,6 +153,7 @@ async def get_notification(_: Engineer, notification: Notifying) -> Notification
             for each in duties(notification)
         ],
         "maintenance": [_maintenance(row) for row in notification.maintenance.present()],
+        "recurring": [_recurring(window) for window in notification.maintenance.windows()],
     }
 
 
@@ -208,6 +226,21 @@ def _maintenance(row: QuietRow) -> MaintenanceShown:
         "until": iso(span.ends),
         "who": row.who,
         "reason": row.reason,
+    }
+
+
+def _recurring(window: MaintenanceWindow) -> RecurringMaintenanceShown:
+    recurring, span = window.recurring, window.span
+    return {
+        "days": [DAYS[day] for day in sorted(recurring.days)],
+        "starts": clock_text(recurring.starts),
+        "ends": clock_text(recurring.ends),
+        "last_day": recurring.until.isoformat(),
+        "buses": [bus for bus in recurring.buses if bus is not None],
+        "reason": recurring.reason,
+        "present": window.is_present,
+        "since": _time(span.starts if span else None),
+        "until": _time(span.ends if span else None),
     }
 
 

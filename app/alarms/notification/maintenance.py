@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+from app.alarms.notification.outbox import KEPT_S
 from app.alarms.notification.rules.notices import QuietSpan
+from app.alarms.notification.rules.recurring import RecurringMaintenance
 from app.alarms.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
 from app.audit.log import EventLog
 from app.errors import Problem
+from app.notify_settings import DAYS, MaintenanceSettings, minute_of_day
 from app.web.access import Person
-from bus.instants import Clock, unix_now
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 MINUTE_S = 60
@@ -15,13 +23,52 @@ MOST_MINUTES = 1440
 """A day: it is begun again by who still needs it."""
 
 
-class Maintenance:
-    """``rows``: those of the last weeks, as an alarm may count its times from the end of one."""
+_AHEAD = timedelta(days=14)
+"""On each day of the week twice: one of them may be skipped with the clocks."""
 
-    def __init__(self, store: NotificationStore, events: EventLog, clock: Clock = unix_now) -> None:
+
+@dataclass(frozen=True, slots=True)
+class MaintenanceWindow:
+    """A recurring maintenance, and its span that is under way or comes next; None: there are no more."""
+
+    recurring: RecurringMaintenance
+    span: QuietSpan | None
+    is_present: bool
+
+
+def recurring_of(settings: Iterable[MaintenanceSettings]) -> list[RecurringMaintenance]:
+    """Those of the configuration."""
+    return [
+        RecurringMaintenance(
+            days=frozenset(map(DAYS.index, each.days)),
+            starts=minute_of_day(each.starts),
+            ends=minute_of_day(each.ends),
+            until=each.until,
+            buses=each.buses or (None,),
+            reason=each.reason,
+        )
+        for each in settings
+    ]
+
+
+class Maintenance:
+    """``rows``: those of the last weeks, as an alarm may count its times from the end of one; ``recurring``:
+    those of the configuration, by the clock of ``zone``."""
+
+    def __init__(
+        self,
+        store: NotificationStore,
+        events: EventLog,
+        recurring: Sequence[RecurringMaintenance],
+        zone: ZoneInfo,
+        clock: Clock = unix_now,
+    ) -> None:
         self._store = store
         self._events = events
+        self._recurring = recurring
+        self._zone = zone
         self._clock = clock
+        self._spans_of: tuple[date, list[QuietSpan]] | None = None
         self.rows: list[QuietRow] = []
 
     async def load(self) -> None:
@@ -30,12 +77,35 @@ class Maintenance:
 
     def spans(self) -> list[QuietSpan]:
         """The times in which nothing is notified."""
-        return [row.span for row in self.rows]
+        return [*(row.span for row in self.rows), *self._recurring_spans()]
+
+    def windows(self) -> list[MaintenanceWindow]:
+        """Each recurring maintenance as it is now."""
+        now = self._clock()
+        day = self._day(now)
+        return [self._window(each, day, now) for each in self._recurring]
 
     def present(self) -> list[QuietRow]:
         """Those under way."""
         now = self._clock()
         return [row for row in self.rows if row.span.starts <= now < row.span.ends]
+
+    def _window(self, recurring: RecurringMaintenance, day: date, now: UnixTime) -> MaintenanceWindow:
+        spans = recurring.spans(day - timedelta(days=1), day + _AHEAD, self._zone)
+        span = next((span for span in spans if now < span.ends), None)
+        return MaintenanceWindow(recurring, span, span is not None and span.starts <= now)
+
+    def _recurring_spans(self) -> list[QuietSpan]:
+        """Found once a day: notification looks at them each second."""
+        day = self._day(self._clock())
+        if self._spans_of is None or self._spans_of[0] != day:
+            first = day - timedelta(seconds=KEPT_S)
+            spans = (each.spans(first, day, self._zone) for each in self._recurring)
+            self._spans_of = day, [span for several in spans for span in several]
+        return self._spans_of[1]
+
+    def _day(self, at: UnixTime) -> date:
+        return datetime.fromtimestamp(float(at), self._zone).date()
 
     async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
         """From now on, of a bus or (None) of everything."""

@@ -70,14 +70,15 @@ def gap_messages(plan: NotificationPlan, group: str) -> list[Message]:
             "notify_roster_gap",
             group=group,
             first_day=Message(f"day_{first // MINUTES_OF_DAY}"),
-            first=_clock(first),
+            first=clock_text(first),
             last_day=Message(f"day_{(end - 1) // MINUTES_OF_DAY}"),
-            last=_clock(end) if end % MINUTES_OF_DAY else "24:00",
+            last=clock_text(end) if end % MINUTES_OF_DAY else "24:00",
         )
         for first, end in plan.rosters[group].gaps()
     ]
 
 
-def _clock(minute: int) -> str:
+def clock_text(minute: int) -> str:
+    """390 → ``06:30``; of a week, the time of its day."""
     hours, minutes = divmod(minute % MINUTES_OF_DAY, 60)
     return f"{hours:02}:{minutes:02}"

@@ -13,7 +13,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.api import Notifying, begin
 from app.alarms.notification.dispatcher import subject_of
 from app.alarms.notification.maintenance import MOST_MINUTES
-from app.alarms.notification.overview import duties, endpoint_statuses
+from app.alarms.notification.overview import clock_text, duties, endpoint_statuses
 from app.errors import Problem
 from app.web.access import Engineer, Operator, Viewer
 from app.web.templating import render
@@ -45,6 +45,9 @@ async def notification_page(
         endpoints=await endpoint_statuses(notification),
         groups=duties(notification),
         maintenance=notification.maintenance.present(),
+        windows=notification.maintenance.windows(),
+        clock_text=clock_text,
+        days={day: Message(f"day_{day}") for day in range(7)},
         buses=notification.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
         deliveries=[

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
+from zoneinfo import ZoneInfo
 
 from app.alarms.alarm_list import AlarmList
 from app.alarms.notification.acknowledge_link import acknowledge_link, check_link
 from app.alarms.notification.compose import Composer
 from app.alarms.notification.dispatcher import Dispatcher
 from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.alarms.notification.maintenance import Maintenance
+from app.alarms.notification.maintenance import Maintenance, recurring_of
 from app.alarms.notification.notifier import AlarmNotifier
 from app.alarms.notification.outbox import NotificationOutbox
 from app.alarms.notification.senders import Senders
@@ -40,7 +41,8 @@ class Notification:
         self.plan = NotificationPlan(settings.notify)
         self.store = NotificationStore(database)
         self.outbox = NotificationOutbox(database)
-        self.maintenance = Maintenance(self.store, events, clock)
+        recurring = recurring_of(settings.notify.maintenance)
+        self.maintenance = Maintenance(self.store, events, recurring, ZoneInfo(settings.site.zone), clock)
         self.buses = [bus.name for bus in settings.bus]
         self.local_time = local_time
         self._clock = clock

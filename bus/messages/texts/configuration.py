@@ -67,6 +67,7 @@ TEXTS: dict[str, EnglishText] = {
     "setting_built_in_empty": "alarm {name}: nothing is set; write one of {keys}",
     "setting_built_in_twice": "alarm {name} is set twice for one place; write one entry for both",
     "setting_mail_address": "write one e-mail address of ASCII characters, such as duty@plant.example",
+    "setting_day": "write a day without quotes, such as 2027-03-31",
     "setting_clock_time": "write hours and minutes of the day, such as 06:30",
     "setting_web_url": "write a URL that begins with https:// or http://",
     "setting_url_with_password": "leave user and password out of the URL",
