@@ -75,7 +75,7 @@ development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 # is tested with the tools beside it, so it takes the versions that they leave.
 lock: development
 	$(BIN)/pip install -q uv
-	$(LOCK) --extra parquet --group build --group dev pyproject.toml -o requirements-dev.lock
+	$(LOCK) --extra apprise --extra parquet --group build --group dev pyproject.toml -o requirements-dev.lock
 	$(LOCK) --group build -c requirements-dev.lock pyproject.toml -o requirements.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -112,6 +113,7 @@ def test_check_reports_a_server_that_refuses_and_one_that_hangs(
 ) -> None:
     monkeypatch.setattr(mail, "SOCKET_S", 0.2)
     monkeypatch.setattr(webhook, "SOCKET_S", 0.2)
+    monkeypatch.setitem(sys.modules, "apprise", None)
     (tmp_path / "hook.key").write_text("key")
     with ExitStack() as stack:
         smtp = stack.enter_context(served(mail_server(greeting="554 no service for you")))

@@ -6,8 +6,7 @@ import asyncio
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 
@@ -23,6 +22,7 @@ from app.notify_settings import AppriseSettings
 from app.web.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message
+from tests.app.notification_servers import receiver
 
 NOW = UnixTime(1_800_000_000.0)
 EVIL = "Dryer\r\nBcc: evil@example.org\r\n\r\nAcknowledge: https://evil.example"
@@ -94,19 +94,6 @@ def test_the_body_of_a_webhook_has_texts_as_data() -> None:
     assert "alarm" not in hook_body("Mill 7", delivery(OutboxItem("k", "e", "heartbeat", NOW)), NOW)
 
 
-class PlayedApprise:
-    """As the package's class, as far as it is used."""
-
-    sent: ClassVar[list[tuple[str, str]]] = []
-
-    def add(self, url: str) -> bool:
-        return url.startswith("json://")
-
-    def notify(self, *, title: str, body: str) -> bool:
-        self.sent.append((title, body))
-        return "refuse" not in title
-
-
 @pytest.fixture
 def settings(tmp_path: Path) -> AppriseSettings:
     file = tmp_path / "url"
@@ -114,20 +101,25 @@ def settings(tmp_path: Path) -> AppriseSettings:
     return AppriseSettings(url_file=file)
 
 
-async def test_apprise_is_used_where_it_is_installed(
-    settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_apprise_is_an_extra(settings: AppriseSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "apprise", None)
     with pytest.raises(NotDeliveredError, match="is not installed"):
         await apprise_url.notify(settings, composer().letter(delivery(item()), NOW))
-    package = ModuleType("apprise")
-    package.Apprise = PlayedApprise  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "apprise", package)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the plug-ins of apprise
+async def test_apprise_delivers(settings: AppriseSettings) -> None:
     letter: Letter = composer().letter(delivery(item()), NOW)
-    await apprise_url.notify(settings, letter)
-    assert PlayedApprise.sent == [(letter.subject, letter.body)]
-    with pytest.raises(NotDeliveredError, match="did not take the message"):
-        await apprise_url.notify(settings, composer().letter(delivery(item(name="refuse")), NOW))
-    settings.url_file.write_text("mailto://x")
+    async with receiver() as hooks:
+        settings.url_file.write_text(hooks.url.replace("http://", "json://"))
+        await apprise_url.notify(settings, letter)
+        sent = await hooks.body()
+    assert (sent["title"], sent["message"]) == (letter.subject, letter.body.rstrip())
+    async with receiver(response=b"HTTP/1.1 500 Broken\r\nContent-Length: 0\r\n\r\n") as hooks:
+        settings.url_file.write_text(hooks.url.replace("http://", "json://"))
+        with pytest.raises(NotDeliveredError, match="did not take the message"):
+            await apprise_url.notify(settings, letter)
+    settings.url_file.write_text("plant")
     with pytest.raises(NotDeliveredError, match="holds no URL that apprise knows"):
         await apprise_url.notify(settings, letter)
 

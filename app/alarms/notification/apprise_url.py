@@ -1,4 +1,4 @@
-"""What the package apprise reaches. It is installed by those who want it."""
+"""What the package apprise reaches: the extra ``lineside[apprise]``."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ from bus.messages import Message
 
 async def notify(settings: AppriseSettings, letter: Letter) -> None:
     """Deliver a message. Raises NotDeliveredError; apprise does not give the reason."""
-    service = opened(settings)
-    if not await in_thread(lambda: bool(service.notify(title=letter.subject, body=letter.body))):
+
+    def send() -> bool:
+        return bool(opened(settings).notify(title=letter.subject, body=letter.body))
+
+    # The thread also imports the package, which takes as long as a tenth of a second.
+    if not await in_thread(send):
         raise NotDeliveredError(Message.of("notify_apprise_refused", name=settings.url_file.name))
 
 

@@ -81,7 +81,7 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "notify_http_refused": "{host}:{port} refused with status {status}. Check the URL and its log.",
     "notify_apprise_missing": (
-        "The package apprise is not installed. Install it beside Lineside: pip install apprise"
+        "The package apprise is not installed. Install the extra: pip install lineside[apprise]"
     ),
     "notify_apprise_url": "{path} holds no URL that apprise knows. Check it by its documentation.",
     "notify_apprise_refused": "The service of {name} did not take the message. Check its URL.",
