@@ -67,7 +67,8 @@ class Language:
         return compiled(self._path, self._kept_in)
 
 
-_DIGEST_BYTES = 32
+DIGEST_BYTES = 32
+"""Of the source, before the catalog that was compiled from it."""
 
 
 def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
@@ -79,8 +80,8 @@ def compiled(path: Path, kept_in: Path | None) -> gettext.GNUTranslations:
     if kept is not None:
         with suppress(OSError):
             data = kept.read_bytes()
-            if data[:_DIGEST_BYTES] == digest:
-                return gettext.GNUTranslations(BytesIO(data[_DIGEST_BYTES:]))
+            if data[:DIGEST_BYTES] == digest:
+                return gettext.GNUTranslations(BytesIO(data[DIGEST_BYTES:]))
     data = _parsed(source, path.stem)
     if kept is not None:
         with suppress(OSError):
