@@ -106,6 +106,15 @@ def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does(
                 assert change(facts, AlarmAttributes(), UnixTime(1))[0].base == target.plain
 
 
+@pytest.mark.parametrize("word", [word for word in ACTS if not word.endswith("suppress")])
+def test_nothing_can_be_ended_that_has_not_begun(word: str) -> None:
+    facts, once = AlarmFacts(), word in ("shelve", "remove")
+    if once:
+        facts, _ = act(facts, AlarmAttributes(), word, 1.0, 9.0, False)
+    with pytest.raises(NoTransitionError):
+        act(facts, AlarmAttributes(), word, 2.0, 9.0, False)
+
+
 def test_an_unknown_condition_stops_a_delay_and_changes_nothing_else() -> None:
     how = AlarmAttributes(on_delay_s=2)
     facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(1))

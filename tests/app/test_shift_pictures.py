@@ -95,7 +95,7 @@ def with_exif(kind: str, exif: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("kind", ["image/jpeg", "image/png"])
-@given(st.integers(0, 65_535), st.sampled_from("<>"), st.binary(max_size=40))
+@given(st.integers(0, 9) | st.integers(0, 65_535), st.sampled_from("<>"), st.binary(max_size=40))
 def test_of_its_exif_data_a_picture_keeps_the_orientation_alone(
     kind: str, turn: int, order: str, more: bytes
 ) -> None:
@@ -120,6 +120,7 @@ def test_any_bytes_have_an_orientation_and_leave_nothing_else(rest: bytes, head:
 @pytest.mark.parametrize(
     "exif",
     [
+        tiff(entry(0x010F, 77)),
         tiff(entry(0x0112, 6, kind=4)),
         tiff(entry(0x0112, 6, values=2)),
         tiff(entry(0x0112, 6))[:-8],
