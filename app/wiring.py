@@ -18,6 +18,8 @@ from app.alarms.control_watch import ControlWatch, HeldControl
 from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarmStore
 from app.alarms.shown import alarm_json
 from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
@@ -98,6 +100,7 @@ class Services:
     sources: Sources
     history: History
     alarms: LineAlarms
+    own_alarms: OwnAlarmBook
     expiry: ExpiryWatch
     control_watch: ControlWatch
     simulator: Simulator
@@ -211,6 +214,7 @@ def build(settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -
         sources=sources,
         history=history,
         alarms=alarms,
+        own_alarms=OwnAlarmBook(settings, alarms, OwnAlarmStore(database), events),
         expiry=expiry,
         control_watch=ControlWatch(
             of_buses, {name: partial(_held_control, bus) for name, bus in buses.items()}, hub.people
@@ -321,6 +325,7 @@ async def _begin(services: Services) -> None:
         )
     for bus in services.buses.values():
         await bus.load()
+    await services.own_alarms.load()
     await services.alarms.load()
     await services.notification.load()
     await services.restores.load()
