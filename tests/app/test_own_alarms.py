@@ -218,6 +218,50 @@ async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_pat
         assert (await engineer.get(PATH)).json()["left_aside"] == []
 
 
+FORM = {"name": "Too fast", "place": f"{BUS}/1", "value": "actual", "above": "105.0", "days": "1"}
+
+
+async def test_the_page_adds_changes_and_removes_without_script(house: House) -> None:
+    engineer = await house.signed_in(Role.ENGINEER)
+    simulated = (await engineer.get("/alarms/own", params=FORM)).text
+    assert 'name="above" value="105.0"' in simulated
+    assert "Add alarm" in simulated
+    assert (await engineer.post("/alarms/own", data=FORM)).status_code == 303
+    book = house.services.own_alarms
+    (own,) = book.added.values()
+    page = (await engineer.get("/alarms/own")).text
+    assert f'name="change" value="{own.key}"' in page
+    german = {"Accept-Language": "de"}
+    change = {**FORM, "above": "103,5", "change": own.key, "version": str(own.version)}
+    assert (await engineer.post("/alarms/own", data=change, headers=german)).status_code == 303
+    assert str(book.added[own.key].settings.above) == "103.5"
+    stale = await engineer.post("/alarms/own", data=change, headers=german)
+    assert (stale.status_code, "seither geändert" in stale.text) == (409, True)
+    form = {"alarm": own.key, "version": str(book.added[own.key].version)}
+    assert (await engineer.post("/alarms/own/remove", data=form)).status_code == 422
+    assert (await engineer.post("/alarms/own/remove", data=form | {"reason": "done"})).status_code == 303
+    assert "There are no alarms of the site." in (await engineer.get("/alarms/own")).text
+
+
+async def test_a_change_on_the_page_keeps_what_the_form_has_no_field_for(house: House) -> None:
+    program, engineer = await house.program(Role.ENGINEER), await house.signed_in(Role.ENGINEER)
+    own = await added(program, latch=True, response="Slow down.")
+    change = {**FORM, "change": own["id"], "version": str(own["version"]), "above": "110"}
+    assert (await engineer.post("/alarms/own", data=change)).status_code == 303
+    (after,) = (await program.get(PATH)).json()["alarms"]
+    assert (after["above"], after["latch"], after["response"]) == ("110", True, "Slow down.")
+
+
+async def test_the_page_states_why_an_alarm_is_refused(house: House) -> None:
+    engineer, operator = await house.signed_in(Role.ENGINEER), await house.signed_in(Role.OPERATOR)
+    refused = await engineer.post("/alarms/own", data=FORM | {"on_delay_s": "-1"})
+    assert (refused.status_code, "on_delay_s = -1.0" in refused.text) == (422, True)
+    assert (await engineer.post("/alarms/own", data=FORM | {"name": " "})).status_code == 422
+    assert (await operator.post("/alarms/own", data=FORM)).status_code == 403
+    assert (await operator.post("/alarms/own/remove", data={"alarm": "x", "version": "1"})).status_code == 403
+    assert not house.services.own_alarms.added
+
+
 ACTS = st.lists(
     st.tuples(st.sampled_from(("add", "change", "remove", "read")), st.integers(0, 3), st.integers(90, 110)),
     min_size=20,
