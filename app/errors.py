@@ -41,6 +41,7 @@ ProblemCode = Literal[
     "same_person",
     "store",
     "superseded",
+    "taken",
     "too_costly",
     "too_large",
     "too_long",

@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import api as alarms_api
-from app.alarms import occurrences_api, performance_api
+from app.alarms import occurrences_api, own_api, performance_api
 from app.alarms import pages as alarms_pages
 from app.alarms.notification import api as notification_api
 from app.alarms.notification import pages as notification_pages
@@ -72,6 +72,7 @@ FEATURES = (
     stream_route,
     performance_api,
     occurrences_api,
+    own_api,
     alarms_api,
     simulation_api,
     simulation_pages,

@@ -17,6 +17,8 @@ from app.alarms.control_watch import ControlWatch, HeldControl
 from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarmStore
 from app.alarms.shown import alarm_json
 from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
@@ -136,6 +138,7 @@ class Services:
             conditions, site_values(self.expiry), alarm_store, tuned=settings.built_in_alarm
         )
         self.alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
+        self.own_alarms = OwnAlarmBook(settings, self.alarms, OwnAlarmStore(database), events)
         self.simulator = Simulator(history)
         self.pictures = PictureStore(settings.server.data)
         self.handover = Handover(settings, database, events, self.pictures)
@@ -254,6 +257,7 @@ async def _begin(services: Services) -> None:
         )
     for bus in services.buses.values():
         await bus.load()
+    await services.own_alarms.load()
     await services.alarms.load()
     await services.notification.load()
     await services.restores.load()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
+from collections import ChainMap, Counter
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -27,6 +27,9 @@ TICK_S = 1.0
 OBSERVED_EVERY_S = 60.0
 """How often the store learns that the alarms are still observed."""
 
+MOST_WITHDRAWN = 500
+"""Alarms whose definition ended, as long as what follows the journal may still need them."""
+
 AlarmSubscriber = Callable[[Alarm], None]
 """Called with an alarm after it has changed."""
 log = structlog.get_logger()
@@ -40,6 +43,9 @@ class AlarmList:
         self, definitions: Iterable[AlarmDefinition], store: AlarmStore, bus: str | None = None
     ) -> None:
         self.alarms = {definition.key: Alarm(definition) for definition in definitions}
+        self._withdrawn: dict[str, Alarm] = {}
+        self.known: Mapping[str, Alarm] = ChainMap(self.alarms, self._withdrawn)
+        """Also those whose definition has ended; the journal may be followed a moment later."""
         self._place = bus or SITE
         self._store = store
         self._entries: list[JournalEntry] = []
@@ -70,6 +76,19 @@ class AlarmList:
             alarm.facts = replace(kept.facts, unknown_since=unknown_since)
             alarm.first_out, alarm.hidden_by, alarm.reason = kept.first_out, kept.hidden_by, kept.reason
             self._schedule(alarm)
+
+    def put(self, alarm: Alarm) -> None:
+        """Take in an alarm while running, or another definition of one."""
+        self.alarms[alarm.definition.key] = alarm
+        self._withdrawn.pop(alarm.definition.key, None)
+        self._schedule(alarm)
+
+    def take_out(self, key: str) -> None:
+        """Its definition has ended, and it is normal."""
+        self._due.pop(key, None)
+        self._withdrawn[key] = self.alarms.pop(key)
+        if len(self._withdrawn) > MOST_WITHDRAWN:
+            del self._withdrawn[next(iter(self._withdrawn))]
 
     # --- what happens to an alarm ---------------------------------------------------------------------
 

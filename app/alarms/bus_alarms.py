@@ -81,21 +81,38 @@ class BusAlarms:
 
     def _monitor(self, unit: int, has_drift: Callable[[int], bool]) -> UnitMonitor:
         alarms = {code: self.list.alarms[key_of(self.bus, unit, code)] for code in UNIT_ALARMS}
-        own = [
-            (self.list.alarms[key], condition)
-            for key, condition in self._own.items()
-            if condition.settings.unit == unit
-        ]
         live = self._live.units[unit]
         return UnitMonitor(
             self._live,
             live,
             alarms,
             lambda code: tuning_of(self._tuned, code, self.bus, unit),
-            own,
+            self._own_of(unit),
             self._observe,
             has_drift,
         )
+
+    def _own_of(self, unit: int) -> list[tuple[Alarm, OwnCondition]]:
+        return [
+            (self.list.alarms[key], condition)
+            for key, condition in self._own.items()
+            if condition.settings.unit == unit
+        ]
+
+    def add_own(self, settings: AlarmSettings, alarm: Alarm) -> None:
+        """Observe an alarm of the site from the next reading on."""
+        key = alarm.definition.key
+        self.list.put(alarm)
+        self._own[key] = OwnCondition(settings)
+        self._by_unit[settings.unit].append(alarm)
+        self._monitors[settings.unit].observe_own(self._own_of(settings.unit))
+
+    def end_own(self, alarm: Alarm) -> None:
+        """Observe an alarm of the site no longer; it stays in the list."""
+        unit = self._own.pop(alarm.definition.key).settings.unit
+        self._by_unit[unit].remove(alarm)
+        self._monitors[unit].observe_own(self._own_of(unit))
+        alarm.holds = None
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from heapq import nsmallest
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed, NoTransitionError
+from app.alarms.rules.changes import Act, Changed, NoTransitionError
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.priority import PRIORITIES
@@ -28,7 +28,6 @@ from bus.messages import Message
 MINUTE_S = 60
 PAUSE_EVERY = 100
 """Alarms, in a change of many: what else the server does comes between."""
-Act = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
 
 
 class FoundAlarm(NamedTuple):

@@ -249,7 +249,7 @@ async def shelve(
     reason: TypedReason = "",
 ) -> Response:
     """Hide it for a time."""
-    await alarms.shelve(person, alarm_id, _given(reason), minutes)
+    await alarms.shelve(person, alarm_id, given_reason(reason), minutes)
     return _to(alarm_id)
 
 
@@ -263,7 +263,7 @@ async def unshelve(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
 @router.post("/alarms/{alarm_id}/out-of-service")
 async def remove(person: Engineer, alarms: Alarms, alarm_id: str, reason: TypedReason = "") -> Response:
     """Take it out of service."""
-    await alarms.remove(person, alarm_id, _given(reason))
+    await alarms.remove(person, alarm_id, given_reason(reason))
     return _to(alarm_id)
 
 
@@ -274,7 +274,8 @@ async def return_to_service(person: Engineer, alarms: Alarms, alarm_id: str) -> 
     return _to(alarm_id)
 
 
-def _given(reason: str) -> str:
+def given_reason(reason: str) -> str:
+    """Raises Problem 422 where it is blank."""
     if not reason.strip():
         raise Problem(422, "invalid", Message("alarm_needs_reason"))
     return reason.strip()

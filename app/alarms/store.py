@@ -97,6 +97,10 @@ class AlarmStore:
         """The stored facts of each alarm, by its key."""
         return await self._database.read(_load)
 
+    async def find(self, key: str) -> StoredAlarm | None:
+        """The stored facts of one alarm; None: it never left its first state."""
+        return (await self._database.read(lambda connection: _load(connection, key))).get(key)
+
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
         """Transitions in order, and the facts that they led to, in one transaction."""
         await self._database.write(JournalWriting(entries, alarms))
@@ -152,9 +156,10 @@ def _row_of(alarm: Alarm) -> tuple[object, ...]:
     return (alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm))
 
 
-def _load(connection: sqlite3.Connection) -> dict[str, StoredAlarm]:
+def _load(connection: sqlite3.Connection, key: str | None = None) -> dict[str, StoredAlarm]:
     columns = ", ".join(("alarm", *_STORED_FACTS, *_OF_ALARM))
-    return {row["alarm"]: _stored(row) for row in connection.execute(f"SELECT {columns} FROM alarm_facts")}
+    query = f"SELECT {columns} FROM alarm_facts WHERE :key IS NULL OR alarm = :key"
+    return {row["alarm"]: _stored(row) for row in connection.execute(query, {"key": key})}
 
 
 def _stored(row: sqlite3.Row) -> StoredAlarm:

@@ -22,7 +22,7 @@ _NEVER = UnixTime(0.0)
 
 class UnitMonitor:
     """Of one unit. ``alarms``: the built-in ones by code, ``tuning`` their limits; ``own``: those of the
-    configuration."""
+    site, which may change while it runs."""
 
     def __init__(
         self,
@@ -37,9 +37,7 @@ class UnitMonitor:
         self._bus = bus
         self._unit = unit
         self._alarms = alarms
-        self._own = own
-        self._own_states = [each for each in own if each[1].of_state]
-        self._own_values = [each for each in own if not each[1].of_state]
+        self.observe_own(own)
         self._observe = observe
         self._has_drift = has_drift
         self._by_reading = [(alarms[code], holds) for code, holds in BY_READING.items()]
@@ -48,6 +46,13 @@ class UnitMonitor:
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
         self._window = CountWindow()
+
+    def observe_own(self, own: OwnAlarms) -> None:
+        """Observe these alarms of the site from the next reading on, and no others."""
+        self._own = own
+        self._own_states = [each for each in own if each[1].of_state]
+        self._own_values = [each for each in own if not each[1].of_state]
+        self._own_are_new = True
 
     @property
     def is_known(self) -> bool:
@@ -67,7 +72,8 @@ class UnitMonitor:
             return
         self._read_at = reading.at
         status = (reading.outputs, reading.inputs, unit.motion.state)
-        if status != self._status:
+        if status != self._status or self._own_are_new:
+            self._own_are_new = False
             if self._status is None:
                 self._observe(self._alarms["unit_offline"], False, now)
             self._status = status

@@ -28,6 +28,7 @@ SCHEMAS = {
     "FigureShown": "AlarmFigure",
     "GoldenMark": "GoldenSetRequest",
     "GoldenShown": "GoldenSet",
+    "LeftAsideShown": "OwnAlarmLeftAside",
     "LeftOutShown": "RestoreOmission",
     "LimitsBody": "SpeedLimits",
     "LoadRecipe": "LoadRecipeRequest",

@@ -93,6 +93,35 @@ def test_random_histories_equal_the_model_of_the_standard(
     ]
 
 
+@given(st.sampled_from((0.0, 2.5)), st.booleans(), st.booleans(), HISTORIES)
+def test_an_alarm_whose_definition_ends_is_normal_as_the_standard_leads_there(
+    on_delay: float, latching: bool, needs_ack: bool, history: list[tuple[int, tuple[str, object]]]
+) -> None:
+    how = AlarmAttributes(on_delay, latching=latching, needs_acknowledgement=needs_ack)
+    model, facts, at = ModelAlarm(on_delay, 0, FOREVER, latching, needs_ack), AlarmFacts(), 0.0
+    for wait_s, (word, details) in history:
+        at += wait_s
+        facts, _ = changes.advance(facts, how, UnixTime(at))
+        if word == "observe":
+            model.observed.append((at, details))  # type: ignore[arg-type]
+            facts, _ = changes.observe(facts, how, details, UnixTime(at))  # type: ignore[arg-type]
+        elif model.allows(word, at):
+            facts, _ = act(facts, how, word, at, FOREVER, once=False)
+            model.acts.append((at, word, FOREVER, False))
+    before = facts
+    facts, done = changes.withdraw(facts, how, UnixTime(at))
+    for each in done:
+        if each.trigger == "clear":
+            model.observed.append((at, False))
+        else:
+            model.acts.append((at, each.trigger, FOREVER, False))
+    assert (facts.state, model.state(at), facts.occurrence) == ("normal", "normal", model.occurrences(at))
+    assert due_at(facts, how) is None
+    assert bool(done) == (before.state != "normal")
+    assert not any(each.after in ("unack_active", "latched_unack") for each in done)
+    assert [each.before for each in done[1:]] == [each.after for each in done[:-1]]
+
+
 def test_every_base_state_has_its_own_facts_and_leads_only_where_the_table_does() -> None:
     assert len(set(FACTS_OF.values())) == len(FACTS_OF)
     for base in FACTS_OF:

@@ -70,6 +70,7 @@ TYPED_BY_PEOPLE = {
     *("analog", "analog_unit", "bus", "comment", "group", "id", "input", "measure", "name", "output", "port"),
     *("CommandBlock.reason", "site", "unit", "who", "by", "changed_by", "holder"),
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason"),
+    *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
     *("RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
@@ -89,6 +90,7 @@ TIMES = {
 }
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),
+    *(f"OwnAlarm.{name}" for name in ("above", "below", "deadband", "change_per_s")),
     *("recipe", "staged", "HistorySeries.value", "RecipeDryRunStep.new", "RecipeSetpoint.value"),
 }
 NO_TEXT = CODES | IN_THE_READERS_LANGUAGE | TYPED_BY_PEOPLE | TIMES | NUMBERS_AND_BYTES

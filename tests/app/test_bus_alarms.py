@@ -7,6 +7,9 @@ import threading
 
 import pytest
 
+from app.alarm_settings import AlarmSettings
+from app.alarms.alarm import Alarm
+from app.alarms.own import own_definition
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
@@ -172,6 +175,38 @@ def test_drift_ratio_and_staged_setpoint(bus: AlarmBus) -> None:
     assert bus.present() == {"2.parameter_drift", "1.ratio_out_of_limits"}
     bus.wait(60, 1, 2, 3)
     assert "3.staged_left" in bus.present()
+
+
+def add(bus: AlarmBus, **own: object) -> Alarm:
+    settings = AlarmSettings.model_validate({"name": "Later", "bus": BUS, "unit": 1, "value": "actual"} | own)
+    alarm = Alarm(own_definition(settings))
+    bus.alarms.add_own(settings, alarm)
+    return alarm
+
+
+@pytest.mark.parametrize("own", [{"above": "90"}, {"value": "run", "state": "on"}])
+def test_an_alarm_of_the_site_is_detected_from_the_reading_after_it_was_added(
+    bus: AlarmBus, own: dict[str, object]
+) -> None:
+    alarm = add(bus, **own)
+    bus.wait(0.5)
+    assert (alarm.facts.state, alarm.holds) == ("normal", None)
+    bus.wait(0.5, 1)
+    assert alarm.facts.state == "unack_active"
+    bus.alarms.end_own(alarm)
+    bus.wait(1, 1, actual=500, inputs=HEALTHY)
+    assert alarm.facts.state == "unack_active"
+    bus.alarms.list.take_out(alarm.definition.key)
+    bus.wait(1, 1, 2, 3)
+    assert alarm not in bus.alarms.list.alarms.values()
+    assert bus.alarms.list.known[alarm.definition.key] is alarm
+
+
+def test_an_added_alarm_is_suppressed_as_the_others_are(bus: AlarmBus) -> None:
+    alarm = add(bus, below="90")
+    bus.wait(2, 1, actual=700)
+    bus.wait(1, 1, actual=700, inputs=RUN)
+    assert alarm.facts.state == "suppressed"
 
 
 def figures(bus: AlarmBus, polls: int, timeouts: int = 0, foreign: int = 0) -> None:

@@ -141,6 +141,22 @@ async def test_an_alarm_at_once_after_the_first_start_is_notified(
         assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop active"
 
 
+async def test_the_end_of_an_alarm_that_is_removed_reaches_who_was_notified(path: Path_) -> None:
+    services, anna = path.house.services, Person("anna", Role.ENGINEER, "session")
+    written = {"name": "Stopped", "bus": BUS, "unit": 1, "value": "run", "state": "off", "priority": "urgent"}
+    own = await services.own_alarms.add(anna, written)
+    live = services.live.buses[BUS]
+    live.apply([Reading(1, UnixTime(time.time()), 0, 0, 0, REMOTE, HEALTHY)])
+    await path.advance()
+    mail = await path.mail.mail()
+    assert mail["Subject"] == "urgent: Unwind · Stopped"
+    await services.own_alarms.remove(anna, own.key, own.version, "no longer needed")
+    await path.advance()
+    mail, hook = await path.mail.mail(2), await path.hooks.body(2)
+    assert mail["Subject"] == "Cleared: Unwind · Stopped"
+    assert hook["kind"] == "clear"
+
+
 async def test_nothing_is_notified_twice(path: Path_) -> None:
     await path.estop(active=True)
     for _ in range(3):

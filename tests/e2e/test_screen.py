@@ -96,6 +96,27 @@ def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPa
     expect(page.locator("#simulation pre")).to_contain_text('name = "Too fast"')
 
 
+def test_an_engineer_adds_changes_and_removes_an_alarm(
+    shared_page: OpensPages, flaws: Callable[..., list[str]]
+) -> None:
+    page = opened(shared_page("engineer", viewport=PHONE), "/alarms/own")
+    page.get_by_label("Name", exact=True).fill("Far too fast")
+    page.get_by_label("Above", exact=True).fill("90000")
+    page.get_by_role("button", name="Simulate alarm").press("Enter")
+    page.locator("#simulation").get_by_role("button", name="Add alarm").press("Enter")
+    page.get_by_role("button", name="Change alarm: Far too fast").press("Enter")
+    expect(page.get_by_label("Name", exact=True)).not_to_be_editable()
+    page.get_by_label("Above", exact=True).fill("80000")
+    page.get_by_role("button", name="Change without simulation").press("Enter")
+    row = page.get_by_role("row").filter(has_text="Far too fast")
+    expect(row).to_contain_text("80000")
+    row.locator("summary").press("Enter")
+    row.get_by_label("Reason").fill("no longer needed")
+    assert flaws(page, ENGLISH) == []
+    row.get_by_role("button", name="Confirm removal").press("Enter")
+    expect(page.get_by_role("row").filter(has_text="Far too fast")).to_have_count(0)
+
+
 def test_a_line_with_faults_is_accessible_and_names_them(
     site: Site, shared_page: OpensPages, axe: Callable[[Page], list[str]]
 ) -> None:

@@ -42,7 +42,7 @@ class AlarmNotifier:
     ) -> None:
         self._bus = bus
         self._source = SITE if bus is None else bus
-        self._alarms = alarms.alarms
+        self._alarms = alarms.known
         self._plan = plan
         self._store = store
         self._maintenance = maintenance

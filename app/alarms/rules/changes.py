@@ -18,6 +18,7 @@ from app.alarms.rules.states import ON_RETURN, TRANSITIONS, AlarmTrigger, BaseSt
 from bus.instants import UnixTime
 
 Changed = tuple[AlarmFacts, tuple[Transition, ...]]
+Act = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
 Unhiding = Literal["unshelve", "unsuppress", "return"]
 
 _ENDED: dict[Unhiding, Callable[[AlarmFacts], AlarmFacts]] = {
@@ -122,6 +123,36 @@ def return_to_service(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTi
     if not facts.out_of_service:
         raise NoTransitionError
     return _unhide(facts, attributes, "return", at)
+
+
+def withdraw(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
+    """Its definition ends, and with it the alarm: it goes out of service, ends there, and is normal on its
+    return. An active alarm clears; nothing is annunciated on the way. No transition where it is normal."""
+    facts = replace(facts, changing_since=None, unknown_since=None)
+    if facts.state == "normal":
+        return facts, ()
+    done: tuple[Transition, ...] = ()
+    while (step := _next_withdrawal(facts)) is not None:
+        facts, transitions = step(facts, attributes, at)
+        done += transitions
+    return facts, done
+
+
+def _next_withdrawal(facts: AlarmFacts) -> Act | None:
+    if facts.state == "normal":
+        return None
+    if not facts.out_of_service:
+        return lambda facts, _, at: remove_from_service(facts, at)
+    if facts.active:
+        return lambda facts, attributes, at: _base(facts, attributes, "clear", at)
+    if facts.latched:
+        trigger: BaseTrigger = "reset" if facts.acknowledged else "acknowledge"
+        return lambda facts, attributes, at: _base(facts, attributes, trigger, at)
+    if facts.shelved_until is not None:
+        return unshelve
+    if facts.suppressed:
+        return lambda facts, attributes, at: suppress(facts, attributes, False, at)
+    return return_to_service
 
 
 def suppress(facts: AlarmFacts, attributes: AlarmAttributes, suppressed: bool, at: UnixTime) -> Changed:

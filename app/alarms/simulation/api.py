@@ -32,12 +32,11 @@ WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")
 SimulatedTime = Annotated[str | None, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
-class AlarmSimulationBody(StrictBody):
-    """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
+class WrittenAlarmBody(StrictBody):
+    """An alarm as ``[[alarm]]`` of lineside.toml has it."""
 
-    model_config = ConfigDict(str_strip_whitespace=True, populate_by_name=True)
+    model_config = ConfigDict(str_strip_whitespace=True)
 
-    name: Annotated[str, Field(max_length=200)] = "Proposed"
     bus: Annotated[str, Field(max_length=80)]
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
     value: OwnValue
@@ -50,6 +49,14 @@ class AlarmSimulationBody(StrictBody):
     off_delay_s: WrittenDelay = 0
     priority: AlarmPriority = "medium"
     latch: bool = False
+
+
+class AlarmSimulationBody(WrittenAlarmBody):
+    """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    name: Annotated[str, Field(max_length=200)] = "Proposed"
     since: Annotated[AwareDatetime | None, Field(alias="from", strict=False)] = None
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
 

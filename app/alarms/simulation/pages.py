@@ -1,16 +1,20 @@
-"""The page of the site's own alarms: those configured, and a simulation of another."""
+"""The page of the site's own alarms: those that there are, and a simulation of another before it is added."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, get_args
 
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Form, Query
+from pydantic import BaseModel, Field
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
 from app.alarm_settings import AlarmSettings, OwnValue
-from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.own_api import OwnBook
+from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.simulation.api import SimulatorOf
 from app.alarms.simulation.outcome import Simulated
@@ -19,88 +23,137 @@ from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.settings import Settings
 from app.web.access import Engineer
-from app.web.services import service
+from app.web.services import service, service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
 from bus.instants import unix_now
-from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
 SPANS = (1, 7, 31)
 _NUMBERS = ("above", "below", "deadband", "change_per_s")
 _DELAYS = ("on_delay_s", "off_delay_s")
+_WITHOUT_FIELD = {"realarm_s", "latch", "cause", "consequence", "response"}
 SettingsOf = Annotated[Settings, service(Settings)]
-WrittenField = Annotated[str, Query(max_length=80)]
+WrittenField = Annotated[str, Field(max_length=80)]
 
 
-async def written_alarm(
-    name: WrittenField = "",
-    place: WrittenField = "",
-    value: WrittenField = "actual",
-    above: WrittenField = "",
-    below: WrittenField = "",
-    deadband: WrittenField = "",
-    change_per_s: WrittenField = "",
-    state: WrittenField = "",
-    on_delay_s: WrittenField = "",
-    off_delay_s: WrittenField = "",
-    priority: WrittenField = "medium",
-    days: WrittenField = "7",
-) -> dict[str, str]:
-    """The form as it was filled in; without ``place``: not at all."""
-    return {
-        "name": name,
-        "place": place,
-        "value": value,
-        "above": above,
-        "below": below,
-        "deadband": deadband,
-        "change_per_s": change_per_s,
-        "state": state,
-        "on_delay_s": on_delay_s,
-        "off_delay_s": off_delay_s,
-        "priority": priority,
-        "days": days if days in map(str, SPANS) else "7",
-    }
+class WrittenAlarm(BaseModel):
+    """The form as it was filled in; without ``place``: not at all. ``change``: the key of the alarm to
+    change, and the ``version`` that it is changed from."""
+
+    name: WrittenField = ""
+    place: WrittenField = ""
+    value: WrittenField = "actual"
+    above: WrittenField = ""
+    below: WrittenField = ""
+    deadband: WrittenField = ""
+    change_per_s: WrittenField = ""
+    state: WrittenField = ""
+    on_delay_s: WrittenField = ""
+    off_delay_s: WrittenField = ""
+    priority: WrittenField = "medium"
+    days: WrittenField = "7"
+    change: Annotated[str, Field(max_length=200)] = ""
+    version: WrittenField = ""
 
 
 @router.get("/alarms/own")
 async def own_alarms_page(
     request: Request,
     person: Engineer,
-    alarms: Alarms,
     simulator: SimulatorOf,
     history: HistoryOf,
     configured: SettingsOf,
-    written: Annotated[dict[str, str], Depends(written_alarm)],
+    query: Annotated[WrittenAlarm, Query()],
 ) -> Response:
-    """The alarms of the configuration, the form, and what its alarm would have done."""
-    fault: Message | None = None
-    settings: AlarmSettings | None = None
-    found: Simulated | None = None
-    if written["place"]:
-        try:
-            settings = proposed(_keys(request, written), configured.bus)
-        except Problem as problem:
-            fault = problem.message
+    """The alarms of the site, the form, and what its alarm would have done."""
+    written = _written(query)
+    if not written["place"]:
+        return _page(request, written)
+    try:
+        settings = proposed({**_keys(request, written), **_name(written, "Proposed")}, configured.bus)
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    end, bus = unix_now(), history.buses[settings.bus]
+    start = end - int(written["days"]) * DAY_S
+    found = await simulator.run(bus, settings, start, end, person.account)
+    return _page(request, written, found=found, toml=in_toml(settings))
+
+
+@router.post("/alarms/own")
+async def store_own_alarm(
+    request: Request, person: Engineer, own: OwnBook, form: Annotated[WrittenAlarm, Form()]
+) -> Response:
+    """Add the alarm of the form, or change the one that it names."""
+    written = _written(form)
+    keys = _keys(request, written) | _name(written, "")
+    try:
+        if written["change"]:
+            version = parse_integer(written["version"]) or 0
+            await own.change(person, written["change"], version, _kept(own, written["change"]) | keys)
         else:
-            end, bus = unix_now(), history.buses[settings.bus]
-            start = end - int(written["days"]) * DAY_S
-            found = await simulator.run(bus, settings, start, end, person.account)
+            await own.add(person, keys)
+    except Problem as problem:
+        return _page(request, written, fault=problem)
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+@router.post("/alarms/own/remove")
+async def remove_own_alarm(
+    person: Engineer,
+    own: OwnBook,
+    alarm: Annotated[str, Form(max_length=200)],
+    version: Annotated[int, Form(ge=1, le=2**62)],
+    reason: TypedReason = "",
+) -> Response:
+    """Remove an alarm that was added."""
+    await own.remove(person, alarm, version, given_reason(reason))
+    return RedirectResponse("/alarms/own", SEE_OTHER)
+
+
+def _page(
+    request: Request,
+    written: dict[str, str],
+    *,
+    fault: Problem | None = None,
+    found: Simulated | None = None,
+    toml: str = "",
+) -> Response:
+    own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
+    rows: list[tuple[AlarmSettings, str, OwnAlarm | None]] = [
+        (each, _place(alarms, each), None) for each in own.configured.values()
+    ]
+    rows += [(each.settings, _place(alarms, each.settings), each) for each in own.added.values()]
     return render(
         request,
         "alarms/own.html",
-        configured=[(each, _place(alarms, each)) for each in configured.alarm],
-        places=_places(configured),
+        configured=rows,
+        left_aside=list(own.left_aside.values()),
+        places=_places(service_of(request, Settings)),
         values=get_args(OwnValue),
         spans=SPANS,
         written=written,
-        fault=fault,
+        fault=None if fault is None else fault.message,
         found=found,
-        toml=in_toml(settings) if settings else "",
-        status=422 if fault else 200,
+        toml=toml,
+        status=200 if fault is None else fault.status,
     )
+
+
+def _written(form: WrittenAlarm) -> dict[str, str]:
+    written: dict[str, str] = form.model_dump()
+    return written | ({} if written["days"] in map(str, SPANS) else {"days": "7"})
+
+
+def _name(written: Mapping[str, str], otherwise: str) -> dict[str, str]:
+    return {"name": written["name"].strip() or otherwise}
+
+
+def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
+    """What the form has no field for, as it is."""
+    former = own.added.get(key)
+    return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
 
 
 def _places(configured: Settings) -> list[tuple[str, str]]:
@@ -114,7 +167,6 @@ def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
     bus, _, unit = written["place"].partition("/")
     keys: dict[str, Any] = {
-        "name": written["name"].strip() or "Proposed",
         "bus": bus,
         "unit": parse_integer(unit) or 0,
         "value": written["value"],

@@ -167,6 +167,21 @@ TEXTS: dict[str, EnglishText] = {
     ),
     "alarm_unknown": "there is no alarm '{id}'",
     "alarm_not_in_state": "{name} is {state} by now. Nothing was changed.",
+    "own_alarm_taken": "bus {bus} has an alarm {name} already; nothing was changed. Choose another name.",
+    "own_alarms_full": (
+        "{n} alarms of the site were added, the most there can be; nothing was changed. Remove one first."
+    ),
+    "own_alarm_key_of_other": (
+        "the key of this request added another alarm; nothing was changed. Send a new one."
+    ),
+    "own_alarm_other_place": (
+        "the name and the unit of {name} stay; nothing was changed. Remove it and add another one."
+    ),
+    "own_alarm_superseded": (
+        "{name} has been changed since. Nothing was changed. Look at it as it is now, and change that."
+    ),
+    "own_alarm_configured": "{name} is in lineside.toml; nothing was changed. Change it there.",
+    "own_alarm_unreadable": "what is stored is not an alarm; remove it and add it again",
     "alarm_needs_reason": "a reason is missing; nothing was changed",
     "event_alarm_acknowledged": "Alarm acknowledged: {name}",
     "event_alarm_silenced": "Alarm silenced: {name}",
@@ -176,4 +191,7 @@ TEXTS: dict[str, EnglishText] = {
     "event_alarm_unshelved": "Alarm unshelved: {name}",
     "event_alarm_removed": "Alarm taken out of service: {name}",
     "event_alarm_returned": "Alarm returned to service: {name}",
+    "event_own_alarm_added": "Alarm added: {name}",
+    "event_own_alarm_changed": "Alarm changed: {name}",
+    "event_own_alarm_removed": "Alarm removed: {name}",
 }
