@@ -178,10 +178,10 @@ TEXTS: dict[str, EnglishText] = {
         "the name and the unit of {name} stay; nothing was changed. Remove it and add another one."
     ),
     "own_alarm_superseded": (
-        "{name} has been changed since. Nothing was changed. Look at it as it is now, and change that."
+        "{name} has been changed since. Nothing was changed. Change the current alarm instead."
     ),
     "own_alarm_configured": "{name} is in lineside.toml; nothing was changed. Change it there.",
-    "own_alarm_unreadable": "what is stored is not an alarm; remove it and add it again",
+    "own_alarm_unreadable": "the stored entry is no alarm; remove it and add it again",
     "alarm_needs_reason": "a reason is missing; nothing was changed",
     "event_alarm_acknowledged": "Alarm acknowledged: {name}",
     "event_alarm_silenced": "Alarm silenced: {name}",
