@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Path, Query
+from fastapi import APIRouter, Path, Query
 from pydantic import Field
 from typing_extensions import TypedDict
 
@@ -14,7 +14,7 @@ from app.alarms.own_book import OwnAlarm, OwnAlarmBook
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
 from app.web.access import Engineer
-from app.web.api_route import ApiRoute
+from app.web.api_route import ApiRoute, RequestKey
 from app.web.services import service
 from app.web.shape import MessageShown, iso, message_shown
 
@@ -26,12 +26,6 @@ WrittenText = Annotated[str, Field(max_length=300)]
 Version = Annotated[int, Field(ge=1, le=2**62, description="That the change was made from.")]
 LimitShown = Annotated[str | None, Field(description="As the unit displays it; null: none.")]
 DelayShown = Annotated[float, Field(description="Seconds.")]
-OwnAlarmRequestKey = Annotated[
-    str | None,
-    Header(
-        alias="Idempotency-Key", min_length=1, max_length=200, description="The same key adds an alarm once."
-    ),
-]
 
 
 class OwnAlarmBody(WrittenAlarmBody):
@@ -118,7 +112,7 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
 
 @router.post("", status_code=201)
 async def add_own_alarm(
-    person: Engineer, own: OwnBook, body: OwnAlarmBody, key: OwnAlarmRequestKey = None
+    person: Engineer, own: OwnBook, body: OwnAlarmBody, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
     return own_alarm_json(await own.add(person, _written(body), key))

@@ -6,7 +6,7 @@ from base64 import b64decode
 from typing import Annotated, Any
 
 import msgspec
-from fastapi import APIRouter, Depends, Header, Path, Query
+from fastapi import APIRouter, Depends, Path, Query
 from pydantic import AwareDatetime, Field
 from starlette.requests import Request
 from starlette.responses import Response
@@ -31,7 +31,7 @@ from app.handover.sheet import (
 from app.handover.signatures import SignedPart
 from app.handover.signing import Signing, SignRequest
 from app.web.access import Operator, Viewer
-from app.web.api_route import ApiRoute
+from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
@@ -54,7 +54,6 @@ SIGNED_JSON: dict[int | str, dict[str, Any]] = {
 }
 HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
 NoteText = Annotated[Lines, Field(min_length=1, max_length=LONGEST_NOTE)]
-RepeatKey = Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)]
 
 
 async def _shift_of(
@@ -175,7 +174,7 @@ async def sign_shift_sheet(
 
 @router.post("/{start}/notes", status_code=201, max_body_size=MOST_BODY_BYTES)
 async def write_shift_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteBody, key: RepeatKey = None
+    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteBody, key: RequestKey = None
 ) -> ShiftNoteShown:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
-from fastapi import params
+from fastapi import Header, params
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.routing import APIRoute
 from starlette.datastructures import QueryParams
@@ -22,6 +22,15 @@ from bus.messages import Message
 MOST_MEMBERS = 1000
 """Of a JSON object; the largest has one for each of 255 units. Each unknown one is a separate fault."""
 RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
+RequestKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=200,
+        description="A request that is sent again with its key is carried out once.",
+    ),
+]
 
 
 class ApiRoute(APIRoute):

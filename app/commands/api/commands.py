@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query
+from fastapi import APIRouter, Depends, Query
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -46,7 +46,7 @@ from app.live.api.view import parameter_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state.bus_live import LiveState
 from app.web.access import Person
-from app.web.api_route import ApiRoute
+from app.web.api_route import ApiRoute, RequestKey
 from app.web.arrival import Deadline, made_at
 from app.web.schema_problem import problems
 from bus.catalogue.parameters import PARAMETERS
@@ -121,7 +121,7 @@ def calling(kind: CommandKind[Any]) -> Any:
         bus: str,
         person: Person = sender,
         timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
-        key: Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=200)] = None,
+        key: RequestKey = None,
     ) -> CommandCall:
         return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s)
 
