@@ -12,6 +12,7 @@ from fastapi import APIRouter, FastAPI
 from starlette.requests import HTTPConnection
 from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.types import Message, Receive, Scope, Send
+from uvicorn.protocols.utils import ClientDisconnected
 
 from app.auth import rules
 from app.auth.access import COOKIE, PUBLIC_PATHS
@@ -156,6 +157,23 @@ async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
     scope = {"type": "websocket", "path": "/feed", "query_string": b"", "headers": headers, "scheme": "ws"}
     await offering(scope, receive, send)
     assert seen[2:] == ["key-worker (token)"]
+
+
+async def test_a_page_that_has_gone_ends_its_socket_without_an_error(house: House) -> None:
+    coming = [{"type": "websocket.disconnect", "code": 1005}, {"type": "websocket.connect"}]
+
+    async def receive() -> Message:
+        return coming.pop()
+
+    async def send(message: Message) -> None:
+        if message["type"] == "websocket.close":
+            raise ClientDisconnected
+
+    bearer = f"Bearer {await house.token(Role.VIEWER)}"
+    headers = [(b"host", HOST.encode()), (b"authorization", bearer.encode())]
+    scope = {"type": "websocket", "path": "/live", "query_string": b"", "headers": headers, "scheme": "ws"}
+    await house.app(scope, receive, send)
+    assert coming == []
 
 
 async def test_an_app_guards_no_routes_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

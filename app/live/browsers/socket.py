@@ -76,7 +76,7 @@ async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) 
     try:
         await _listen(websocket, browser, hub)
     except (WebSocketDisconnect, msgspec.DecodeError, TimeoutError, KeyError, RuntimeError):
-        with suppress(RuntimeError):
+        with suppress(WebSocketDisconnect, RuntimeError):
             await websocket.close()
     finally:
         hub.leave(browser)
