@@ -28,9 +28,12 @@ def state(site: Site, unit: int) -> dict[str, Any]:
 
 
 def opened(page: Page, path: str) -> Page:
-    """A page whose link is up."""
+    """A page whose link is up, of a unit with a value of this second: while no page was open, saves of
+    parameters had the wire, and a review of an older value ends at once."""
     page.goto(path)
     expect(page.locator("body[data-link=live]")).to_be_attached()
+    if re.fullmatch(r"/units/line/\d+", path):
+        expect(page.locator(".plate [data-age]").first).to_have_text(re.compile(r"^0\.\d s$"))
     return page
 
 
