@@ -202,8 +202,7 @@ class LineAlarms:
         buses = {alarm.definition.bus for alarm in silenced}
         await self._events.record(
             kind="alarm",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=first.bus if len(buses) == 1 else None,
             unit=first.unit if len(silenced) == 1 else None,
             what=what,
@@ -264,8 +263,7 @@ class LineAlarms:
         try:
             await self._events.record(
                 kind="alarm",
-                who=person.name,
-                origin=person.via,
+                **person.author,
                 bus=definition.bus,
                 unit=definition.unit,
                 what=Message.of(what, name=definition.name),

@@ -175,8 +175,7 @@ class OwnAlarmBook:
     async def _remove_aside(self, person: Person, aside: LeftAside, reason: str) -> None:
         await self._events.record(
             kind="alarm",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             what=Message.of("event_own_alarm_removed", name=aside.name),
             message=reason,
             also=OwnAlarmWriting(aside.key, None),
@@ -241,8 +240,7 @@ class OwnAlarmBook:
     ) -> None:
         await self._events.record(
             kind="alarm",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=settings.bus,
             unit=settings.unit,
             what=what,

@@ -170,8 +170,7 @@ class Handover:
             what = Message.of("event_shift_note_corrected", start=start, note=note.corrects)
         await self._events.record(
             kind="shift",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=note.bus,
             unit=note.unit,
             what=what,

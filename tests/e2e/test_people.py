@@ -24,7 +24,7 @@ WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, of which one person at a time holds control."""
-    options = AT_REST
+    options = (*AT_REST, "--speedup", "3")
     toml = "[site]\ncontrol = true\n"
     with one_site(tmp_path_factory.mktemp("people"), 3, line_options=options, toml=toml) as made:
         yield made

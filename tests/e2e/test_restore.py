@@ -34,7 +34,7 @@ NUMBERS = (5, 6, 7, 9, 10, 11, 12, 15, 22, 23, 25, 39)
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Two units at rest, and a set of the second."""
     folder = tmp_path_factory.mktemp("restore")
-    with one_site(folder, 2, line_options=("--no-script", "--speedup", "3"), turnaround_ms=1000) as made:
+    with one_site(folder, 2, line_options=("--no-script", "--speedup", "10"), turnaround_ms=1000) as made:
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [2], "name": "as it was"})
             assert taken.status_code == 201, taken.text

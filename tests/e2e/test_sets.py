@@ -22,9 +22,9 @@ PHONE = {"width": 360, "height": 740}
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
-    """Three units at rest, at three times the baud rate, so that a reading of all parameters is soon over."""
+    """Three units at rest, at ten times the baud rate, so that a reading of all parameters is soon over."""
     folder = tmp_path_factory.mktemp("sets")
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3")) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10")) as made:
         yield made
 
 
@@ -250,7 +250,7 @@ def kept_of(served: Site, unit: int, origin: str) -> list[dict[str, Any]]:
 def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     line_server: Callable[..., Site], browser_page: OpensPages
 ) -> None:
-    site = line_server(3, line_options=("--no-script", "--speedup", "3"))
+    site = line_server(3, line_options=("--no-script", "--speedup", "10"))
     with site.api("engineer") as client:
         client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
         mark = len(requests(site, 0x85, 1))

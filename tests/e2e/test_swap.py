@@ -30,7 +30,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units at rest; the third is about to die, and a set of it is stored."""
     folder = tmp_path_factory.mktemp("swap")
     # Each request to an address with two units waits for its full timeout.
-    with one_site(folder, 3, line_options=("--no-script", "--speedup", "3"), turnaround_ms=250) as made:
+    with one_site(folder, 3, line_options=("--no-script", "--speedup", "10"), turnaround_ms=250) as made:
         new_section(made, GOOD | {20: SETPOINT})
         with made.api("engineer") as client:
             taken = client.post("/buses/line/sets", json={"units": [3], "name": "the good one"})

@@ -27,7 +27,7 @@ LIVE = "body[data-link=live]"
 @pytest.fixture(scope="module")
 def own_site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     """Three units, for tests that hurt the server."""
-    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=AT_REST) as made:
+    with one_site(tmp_path_factory.mktemp("truth"), 3, line_options=AT_REST, turnaround_ms=250) as made:
         yield made
 
 

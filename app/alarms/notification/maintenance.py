@@ -113,8 +113,7 @@ class Maintenance:
         span = QuietSpan(now, now + minutes * MINUTE_S, bus)
         await self._events.record(
             kind="notification",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=bus,
             what=Message.of("event_maintenance_begun", n=minutes),
             message=reason,
@@ -129,8 +128,7 @@ class Maintenance:
             raise Problem(404, "not_found", Message("maintenance_not_present"))
         await self._events.record(
             kind="notification",
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=row.span.bus,
             what=Message("event_maintenance_ended"),
             message=row.reason,

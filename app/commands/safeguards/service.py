@@ -161,8 +161,7 @@ class Safeguards:
     ) -> None:
         await self._events.record(
             kind=kind,
-            who=person.name,
-            origin=person.via,
+            **person.author,
             bus=self._bus,
             unit=unit,
             what=what,
