@@ -27,7 +27,8 @@ free-port:
 setup: $(VENV)/.lineside
 
 # All at once, each with its output in one piece. The modules are compiled once, and not by each of the processes
-# that begin together. The browser tests come before the others in the use of the cores.
+# that begin together. The browser tests come before the others in the use of the cores; of these there is one
+# process more than cores, because half of their time is a wait for a line.
 test: development
 	$(BIN)/python -m compileall -q app bus
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
@@ -37,7 +38,7 @@ browser-tests: development
 
 other-tests: development
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
+	nice -n 5 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
 
 # What takes long, alone on the machine: it measures. Then each property with a thousand random examples.
 soak: development
