@@ -47,7 +47,7 @@ soak: development
 
 # The browser tests N times: how often each failed.
 flaky: development
-	$(BIN)/python -m tests.flaky $(N)
+	$(BIN)/python -m tests.flaky $(N) -n 2 --dist loadfile tests/e2e
 
 # Every line and branch of the pure modules, each by its own tests, and 90 % of all the rest.
 coverage: development
