@@ -32,7 +32,7 @@ IDS = re.compile(r'name="(id|raw|reviewed_at)" value="([^"]*)"')
 def lived(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Site, list[str]]]:
     """Yield a site whose unit has had every password, in every way; and the server's responses meanwhile."""
     folder = tmp_path_factory.mktemp("secret")
-    with site(folder, 1, line_options=("--no-script", "--speedup", "3")) as made:
+    with site(folder, 1, line_options=("--no-script", "--speedup", "10")) as made:
         texts: list[str] = []
         with made.api("engineer") as api, _signed_in(made) as page:
             for client in (api, page):

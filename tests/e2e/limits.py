@@ -11,6 +11,8 @@ UNIT_S = 80.0
 """A unit is read, lost, found (without response it is polled every 10 s) or at speed after a ramp of 20 s."""
 CALL_S = 90.0
 """A call of the API; a command in it may take 30 s."""
+COMMAND_S = 30.0
+"""What a command may wait for the wire at most, by the contract; by default it is 2 s."""
 START_S = 90.0
 """A process starts or ends."""
 PROCEDURE_S = 150.0

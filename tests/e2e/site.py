@@ -35,7 +35,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.simulator.demo import demo_line
 from tests import fork_server
-from tests.e2e.limits import CALL_S, START_S, UNIT_S
+from tests.e2e.limits import CALL_S, COMMAND_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
 from tests.simulator_remote import Remote
 
@@ -224,6 +224,12 @@ class Site:
         with self.api() as client:
             shown: dict[str, Any] = client.get(f"/buses/{bus}/units/{number}").json()
             return shown
+
+    def set_speed(self, unit: int, *, bus: str = "line", **body: Any) -> None:
+        """An operator sets the speed of a unit by the API, on a busy machine too: what a test begins with."""
+        with self.api("operator") as client:
+            response = client.post(f"/buses/{bus}/units/{unit}/speed", json={"timeout_s": COMMAND_S, **body})
+        assert response.status_code == 200, response.text
 
     def _responds(self) -> bool:
         assert self.server is not None

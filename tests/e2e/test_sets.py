@@ -254,7 +254,7 @@ def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     with site.api("engineer") as client:
         client.get("/buses/line/units/1/parameters", params={"refresh": "true"})
         mark = len(requests(site, 0x85, 1))
-        assert client.post("/buses/line/units/1/speed", json={"raw": 10, "execute": True}).status_code == 200
+        site.set_speed(1, raw=10)
         before = "before the first write of the day"
         [kept] = eventually(lambda: kept_of(site, 1, before), "the set before the first setpoint")
         assert all(row["frame"] or row["number"] == 21 for row in kept["units"][0]["parameters"])

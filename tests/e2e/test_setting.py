@@ -83,8 +83,7 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     page = opened(shared_page(viewport=PANEL), "/units/line/4")
     field, cancel = page.locator("#setpoint"), page.get_by_role("button", name="Cancel")
     focus(field)
-    with site.api("operator") as client:
-        client.post("/buses/line/units/4/speed", json={"value": "90.0"}).raise_for_status()
+    site.set_speed(4, value="90.0")
     expect(field).to_have_value("90.0")
     page.keyboard.type("88.0")
     expect(field).to_have_value("88.0")
@@ -101,8 +100,7 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 88.0")
     assert state(site, 4)["setpoint"] == 880
     page.get_by_role("button", name="Close").click()
-    with site.api("operator") as client:
-        client.post("/buses/line/units/4/speed", json={"value": "89.0"}).raise_for_status()
+    site.set_speed(4, value="89.0")
     expect(field).to_have_value("89.0")
 
 
@@ -141,8 +139,7 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPa
     page.locator("#setpoint").fill("66.0")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
-    with site.api("operator") as client:
-        assert client.post("/buses/line/units/6/speed", json={"value": "50.0"}).status_code == 200
+    site.set_speed(6, value="50.0")
     expect(page.locator("[data-review-act]")).to_have_count(0)
     expect(page.locator("[data-review-end]")).to_contain_text("50.0")
     assert state(site, 6)["setpoint"] == 500
@@ -345,8 +342,7 @@ def test_several_units_are_one_change(site: Site, shared_page: OpensPages) -> No
     page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()
     expect(act).to_be_visible()
-    with site.api("operator") as client:
-        assert client.post("/buses/line/units/4/speed", json={"value": "72.0"}).status_code == 200
+    site.set_speed(4, value="72.0")
     expect(page.locator("[data-review-end]")).to_contain_text("Dryer 1: The value changed to 72.0")
     page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()

@@ -105,8 +105,7 @@ def view_of(page: Page) -> dict[str, str]:
 
 def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     raw = site.unit(2)["commanded_raw"]
-    with site.api("operator") as client:
-        client.post("/buses/line/units/2/speed", json={"raw": raw + 55, "execute": True}).raise_for_status()
+    site.set_speed(2, raw=raw + 55)
     eventually(
         lambda: (raw + 55) / 10 in history(site, "commanded", 20, 2)["avg"], "the new setpoint in the history"
     )
@@ -309,8 +308,7 @@ def test_the_table_reads_at_the_cursor(site: Site, shared_page: OpensPages) -> N
 
 def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: OpensPages) -> None:
     raw = site.unit(3)["commanded_raw"]
-    with site.api("operator") as client:
-        client.post("/buses/line/units/3/speed", json={"raw": raw + 10, "execute": True}).raise_for_status()
+    site.set_speed(3, raw=raw + 10)
     page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
     page.locator("#trend-events summary").click()
     expect(page.locator("#trend-events-list li").filter(has_text="line/3").first).to_be_visible()

@@ -184,8 +184,7 @@ def test_a_page_that_slept_requests_a_snapshot(own_site: Site, browser_page: Ope
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     page.context.set_offline(True)
     expect(page.locator(LOST)).to_be_attached()
-    with own_site.api("operator") as client:
-        assert client.post("/buses/line/units/3/speed", json={"value": "33.3"}).status_code == 200
+    own_site.set_speed(3, value="33.3")
     page.context.set_offline(False)
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("33.3")
@@ -222,8 +221,7 @@ def test_a_frozen_tab_comes_back_with_the_present_and_sends_nothing(
     other = page.context.new_page()
     other.bring_to_front()
     devtools.send("Page.setWebLifecycleState", {"state": "frozen"})
-    with own_site.api("operator") as client:
-        assert client.post("/buses/line/units/3/speed", json={"value": "36.6"}).status_code == 200
+    own_site.set_speed(3, value="36.6")
     devtools.send("Page.setWebLifecycleState", {"state": "active"})
     page.bring_to_front()
     expect(page.locator(LIVE)).to_be_attached()
@@ -236,8 +234,7 @@ def test_a_hidden_tab_gets_a_snapshot_when_it_is_shown(own_site: Site, browser_p
     page = opened(browser_page(site=own_site, viewport=PANEL), "/")
     other = page.context.new_page()
     other.bring_to_front()
-    with own_site.api("operator") as client:
-        assert client.post("/buses/line/units/3/speed", json={"value": "35.5"}).status_code == 200
+    own_site.set_speed(3, value="35.5")
     page.bring_to_front()
     expect(page.locator('[data-live="line/3.commanded"]')).to_have_text("35.5")
     expect(page.locator(LIVE)).to_be_attached()

@@ -57,9 +57,8 @@ def opened(page: Page, path: str) -> Page:
 
 
 def test_each_unit_shows_the_values_of_its_bus(site: Site, shared_page: OpensPages) -> None:
-    with site.api("operator") as client:
-        assert client.post("/buses/line/units/1/speed", json={"value": "61.0"}).status_code == 200
-        assert client.post("/buses/wet/units/1/speed", json={"value": "62.0"}).status_code == 200
+    site.set_speed(1, value="61.0")
+    site.set_speed(1, bus="wet", value="62.0")
     page = opened(shared_page(viewport=PANEL), "/")
     expect(page.locator('[data-live="line/1.commanded"]')).to_have_text(re.compile("61.0"))
     expect(page.locator('[data-live="wet/1.commanded"]')).to_have_text(re.compile("62.0"))
@@ -110,9 +109,8 @@ def test_zero_covers_both_with_a_result_for_each(site: Site, shared_page: OpensP
 
 
 def test_zero_reaches_the_others_when_a_unit_refuses_the_stage(site: Site, shared_page: OpensPages) -> None:
-    with site.api("operator") as client:
-        for bus in ("line", "wet"):
-            assert client.post(f"/buses/{bus}/units/1/speed", json={"value": "50.0"}).status_code == 200
+    for bus in ("line", "wet"):
+        site.set_speed(1, bus=bus, value="50.0")
     page = opened(shared_page(viewport=PANEL), "/")
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("[data-review-act]")).to_be_visible()
@@ -144,9 +142,9 @@ def test_a_unit_that_went_to_local_meanwhile_is_in_the_result(site: Site, shared
 
 
 def test_a_blocked_unit_with_something_staged_holds_up_no_other(site: Site, shared_page: OpensPages) -> None:
+    site.set_speed(1, value="40.0")
+    site.set_speed(2, value="90.0", execute=False)
     with site.api("operator") as client:
-        client.post("/buses/line/units/1/speed", json={"value": "40.0"})
-        client.post("/buses/line/units/2/speed", json={"value": "90.0", "execute": False})
         client.post("/buses/line/units/2/block", json={"reason": "belt off"})
         try:
             page = opened(shared_page(viewport=PANEL), "/")
