@@ -28,7 +28,7 @@ from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message, in_english
 
-audit = typer.Typer(help="The event log.", no_args_is_help=True)
+audit = typer.Typer(help="Verify the event log, or begin a new key.", no_args_is_help=True)
 AnchorFile = Annotated[
     Path | None, typer.Option(help="The file with its anchors; without it, the one of the configuration.")
 ]

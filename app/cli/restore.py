@@ -137,5 +137,5 @@ def _ending_text(ended: Any) -> str:
 def _why(ended: Any) -> str | Message:
     if ended["cause"]:
         return str(ended["cause"])
-    rows: list[int | str | Message] = [f"#{row['number']}" for row in ended["remaining"] or []]
+    rows = [f"#{row['number']}" for row in ended["remaining"] or []]
     return Message.of("rows_still_differ", n=len(rows), rows=rows) if rows else Message("see_rows")

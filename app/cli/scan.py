@@ -157,7 +157,7 @@ def _report(
 
 
 def _line(one: Found) -> Message:
-    traits: list[int | str | Message] = [Message(_KINDS[one.kind])]
+    traits = [Message(_KINDS[one.kind])]
     if one.parameters:
         traits.append(Message.of("found_parameters_to", last=one.parameters[-1]))
     if one.remote is not None:

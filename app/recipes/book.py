@@ -86,7 +86,7 @@ class RecipeBook:
         """Load it as one change: staged, broadcast, read back. Problem 409 where a unit cannot take it."""
         run = self.try_out(person, recipe)
         if not run.loadable:
-            why: list[int | str | Message] = [
+            why = [
                 Message.of("of_unit", name=step.name, reason=step.obstacle)
                 for step in run.steps
                 if step.obstacle

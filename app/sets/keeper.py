@@ -87,7 +87,7 @@ class SetKeeper:
         kept = await self.store.save(
             ParameterSet(self.bus, unix_now(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
-        units: list[int | str | Message] = [unit.unit for unit in rows]
+        units = [unit.unit for unit in rows]
         what = Message.of("event_set_taken", set=kept.id, units=units, origin=term(origin))
         alone = rows[0].unit if len(rows) == 1 else None
         await self._events.record(kind="parameter_set", **person.author, bus=self.bus, unit=alone, what=what)

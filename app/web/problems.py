@@ -124,9 +124,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", Message("body_not_json"))
     found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MOST_FAULTS]]
-    faults: list[int | str | Message] = [
-        Message.of("fault_at", where=where, fault=fault) for where, fault in found
-    ]
+    faults = [Message.of("fault_at", where=where, fault=fault) for where, fault in found]
     named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
     return Problem(422, "invalid", Message.of("fields_malformed", faults=faults), errors=named)
 
