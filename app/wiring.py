@@ -85,72 +85,106 @@ class Services:
 
     def __init__(self, settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> None:
         """Open the stores and make every service, each after those that it needs. Raises StoreError."""
-        self.settings, site = settings, settings.site
+        self.settings = settings
         make_private(settings.server.data)
-        self.database = database = Database(settings.server.store)
-        keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
-        self.events = events = EventLog(database, keys=keys)
-        self.passwords = Passwords()
-        self.anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
-        self.assets = Assets(static_dir())
-        compiled = settings.server.data / "compiled"
-        self.templates = templates = Templates(
-            templates_dir(), self.assets, site, demo=demo, kept_in=compiled
+        self.database = Database(settings.server.store)
+        keys = open_keys(settings.key_files, self.database.path, self.database.read_now(head_of))
+        self.events = EventLog(self.database, keys=keys)
+        self.anchoring = (
+            None if settings.audit.anchor is None else Anchoring(self.events, settings.audit.anchor)
         )
-        names = [bus.name for bus in settings.bus]
-        self.accounts = Accounts(database, self.passwords, events, buses=names, site=site.name)
-        self.rights = Rights(database, self.accounts)
-        lifetimes = Lifetimes.of(settings.server.sessions)
-        self.sign_in = SignIn(database, self.passwords, events, lifetimes, site=site.name)
-        self.identity = Identity(database, self.sign_in, worker_tokens)
-        self.live = live = LiveState(settings.bus, unix_now())
-        self.history = history = History(settings)
-        self.recorder = ChangeRecorder(events)
-        history.on_fault(lambda kind, what, at: self.recorder.note(LineEvent(kind, None, at, what, "", "")))
-        self.sets, alarm_store = SetStore(database), AlarmStore(database)
-        local_time = partial(datetime.now, ZoneInfo(site.zone))
-        self.notification = Notification(settings, database, events, templates.languages, local_time)
+        self.turns = Turns()
+        self._make_people(worker_tokens)
+        self._make_templates(demo=demo)
+        self._make_records()
+        self._make_buses()
+        self._make_alarms()
+        self._make_parameter_services()
+        self._make_handover()
+        self._make_screen()
+
+    def _make_people(self, worker_tokens: Mapping[str, str]) -> None:
+        site, names = self.settings.site.name, [bus.name for bus in self.settings.bus]
+        self.passwords = Passwords()
+        self.accounts = Accounts(self.database, self.passwords, self.events, buses=names, site=site)
+        self.rights = Rights(self.database, self.accounts)
+        lifetimes = Lifetimes.of(self.settings.server.sessions)
+        self.sign_in = SignIn(self.database, self.passwords, self.events, lifetimes, site=site)
+        self.identity = Identity(self.database, self.sign_in, worker_tokens)
+
+    def _make_templates(self, *, demo: bool) -> None:
+        self.assets = Assets(static_dir())
+        compiled = self.settings.server.data / "compiled"
+        self.templates = Templates(
+            templates_dir(), self.assets, self.settings.site, demo=demo, kept_in=compiled
+        )
+
+    def _make_records(self) -> None:
+        """What is now, and what was."""
+        self.live = LiveState(self.settings.bus, unix_now())
+        self.history = History(self.settings)
+        self.recorder = ChangeRecorder(self.events)
+        self.history.on_fault(
+            lambda kind, what, at: self.recorder.note(LineEvent(kind, None, at, what, "", ""))
+        )
+
+    def _make_buses(self) -> None:
+        settings, database = self.settings, self.database
+        self.sets, self._alarm_store = SetStore(database), AlarmStore(database)
+        local_time = partial(datetime.now, ZoneInfo(settings.site.zone))
+        self.notification = Notification(
+            settings, database, self.events, self.templates.languages, local_time
+        )
         of_site = BusDependencies(
-            events=events,
+            events=self.events,
             database=database,
-            history=history,
+            history=self.history,
             rights=self.rights,
             sessions=self.sign_in,
             find_account=self.accounts.find,
-            control_required=site.control,
+            control_required=settings.site.control,
             sets=self.sets,
-            alarms=alarm_store,
+            alarms=self._alarm_store,
             own_alarms=settings.alarm,
             built_in_alarms=settings.built_in_alarm,
             notification=self.notification,
             local_time=local_time,
-            record=CommandRecord(events, database, unix_now),
+            record=CommandRecord(self.events, database, unix_now),
             idempotency=IdempotencyCache(),
         )
-        self.buses = buses = {name: BusService(bus, of_site) for name, bus in live.buses.items()}
+        self.buses = {name: BusService(bus, of_site) for name, bus in self.live.buses.items()}
+        self.workers = Workers({name: bus.feed for name, bus in self.buses.items()}, self.recorder)
+
+    def _make_alarms(self) -> None:
+        settings, history, store = self.settings, self.history, self._alarm_store
         self.expiry = ExpiryWatch(self.accounts.tokens, certificates_of(settings.notify))
-        anchor_status = partial(_anchor_status, self.anchoring)
         conditions = site_conditions(
-            lambda: history.status, anchor_status, self.notification.dispatcher.is_failing, self.expiry
+            lambda: history.status, self._anchor_status, self.notification.dispatcher.is_failing, self.expiry
         )
-        of_buses = {name: bus.alarms for name, bus in buses.items()}
-        site_alarms = SiteAlarms(
-            conditions, site_values(self.expiry), alarm_store, tuned=settings.built_in_alarm
-        )
-        self.alarms = LineAlarms(of_buses, site_alarms, alarm_store, events)
-        self.own_alarms = OwnAlarmBook(settings, self.alarms, OwnAlarmStore(database), events)
+        of_buses = {name: bus.alarms for name, bus in self.buses.items()}
+        of_site = SiteAlarms(conditions, site_values(self.expiry), store, tuned=settings.built_in_alarm)
+        self.alarms = LineAlarms(of_buses, of_site, store, self.events)
+        self.own_alarms = OwnAlarmBook(settings, self.alarms, OwnAlarmStore(self.database), self.events)
         self.simulator = Simulator(history)
-        self.pictures = PictureStore(settings.server.data)
-        self.handover = Handover(settings, database, events, self.pictures)
-        self.documents = SheetDocuments(templates, self.assets, self.alarms, self.pictures)
-        self.signing = Signing(self.handover, database, events, self.sign_in, self.documents.page)
-        self.workers = Workers({name: bus.feed for name, bus in buses.items()}, self.recorder)
-        commands = {name: bus.commands for name, bus in buses.items()}
-        readers = {name: bus.reader for name, bus in buses.items()}
+
+    def _make_parameter_services(self) -> None:
+        """Parameter sets, restores, swaps and recipes."""
+        commands = {name: bus.commands for name, bus in self.buses.items()}
+        readers = {name: bus.reader for name, bus in self.buses.items()}
         self.takings = Takings()
-        self.restores = RestoreService(readers, commands, events, RestoreStore(database))
-        self.swaps = SwapService(events, SwapStore(database), self.restores, unix_now)
-        self.recipes = RecipeBook(live, commands, RecipeStore(database), events)
+        self.restores = RestoreService(readers, commands, self.events, RestoreStore(self.database))
+        self.swaps = SwapService(self.events, SwapStore(self.database), self.restores, unix_now)
+        self.recipes = RecipeBook(self.live, commands, RecipeStore(self.database), self.events)
+
+    def _make_handover(self) -> None:
+        self.pictures = PictureStore(self.settings.server.data)
+        self.handover = Handover(self.settings, self.database, self.events, self.pictures)
+        self.documents = SheetDocuments(self.templates, self.assets, self.alarms, self.pictures)
+        self.signing = Signing(self.handover, self.database, self.events, self.sign_in, self.documents.page)
+
+    def _make_screen(self) -> None:
+        """What browsers and programs are sent as it changes."""
+        live, history, buses, templates = self.live, self.history, self.buses, self.templates
         self.sources = Sources(
             guards={name: bus.safeguards for name, bus in buses.items()},
             drift={name: bus.drift for name, bus in buses.items()},
@@ -160,15 +194,20 @@ class Services:
             history_fault=lambda: history.status.message,
         )
         english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
-        self.stream = LineStream(site.name, live, self.sources, english, unix_now)
+        self.stream = LineStream(self.settings.site.name, live, self.sources, english, unix_now)
         self.alarms.subscribe(self._stream_alarm)
         watchers = {name: bus.feed.watch for name, bus in buses.items()}
-        self.hub = hub = Hub(live, self.sources, templates, watchers, unix_now)
+        self.hub = Hub(live, self.sources, templates, watchers, unix_now)
         held_control = {name: partial(_held_control, bus) for name, bus in buses.items()}
-        self.control_watch = ControlWatch(of_buses, held_control, hub.people)
-        self.measured = MetricSources(live, lambda: hub.connected, Counts(events), anchor_status, self.alarms)
-        self.onsets = OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now)
-        self.turns = Turns()
+        of_buses = {name: bus.alarms for name, bus in buses.items()}
+        self.control_watch = ControlWatch(of_buses, held_control, self.hub.people)
+        self.measured = MetricSources(
+            live, lambda: self.hub.connected, Counts(self.events), self._anchor_status, self.alarms
+        )
+        self.onsets = OnsetLookup(live, partial(status_words, history), self.hub.refresh_unit, unix_now)
+
+    def _anchor_status(self) -> AnchorStatus:
+        return _status_of(self.anchoring)
 
     def _stream_alarm(self, alarm: Alarm) -> None:
         self.stream.add("alarm", alarm.definition.bus, partial(alarm_json, self.alarms, alarm))
@@ -179,7 +218,7 @@ def _held_control(bus: BusService) -> HeldControl | None:
     return None if holding is None else (holding.holder, holding.used_at)
 
 
-def _anchor_status(anchoring: Anchoring | None) -> AnchorStatus:
+def _status_of(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
@@ -187,7 +226,7 @@ def _notices(history: History, anchoring: Anchoring | None, translator: Translat
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
-        anchor_notice(_anchor_status(anchoring), translator.formats, now),
+        anchor_notice(_status_of(anchoring), translator.formats, now),
     )
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 
