@@ -120,7 +120,7 @@ class Services:
         )
 
     def _make_records(self) -> None:
-        """What is now, and what was."""
+        """Live state, history and the events of their changes."""
         self.live = LiveState(self.settings.bus, unix_now())
         self.history = History(self.settings)
         self.recorder = ChangeRecorder(self.events)

@@ -120,7 +120,7 @@ class Handover:
         now = self._clock()
         latest = now if before is None else min(now, before - 1.0)
         shifts = list(islice(shifts_until(latest, self._starts, self.zone), limit))
-        return await self._database.read(lambda connection: _summaries(connection, shifts))
+        return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
         """The sheet of a shift, as it was signed or as it would be now."""
@@ -214,9 +214,10 @@ class Handover:
         return site_time(at, self.zone)
 
 
-def _summaries(connection: sqlite3.Connection, shifts: list[Shift]) -> list[ShiftSummary]:
-    """The computed shifts, and the signed ones among them that had other times by their configuration."""
-    signed = signed_between(connection, shifts[-1].start, shifts[0].start)
+def _summaries(connection: sqlite3.Connection, shifts: list[Shift], latest: UnixTime) -> list[ShiftSummary]:
+    """The computed shifts, and the signed ones until ``latest`` that had other times by their configuration:
+    one may have begun within the newest of the computed."""
+    signed = signed_between(connection, shifts[-1].start, latest)
     starts = {shift.start: shift for shift in (*shifts, *signed)}
     listed = sorted(starts.values(), key=lambda shift: -float(shift.start))
     return [

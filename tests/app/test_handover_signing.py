@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 import sqlite3
 from collections.abc import AsyncIterator
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -215,9 +216,14 @@ async def test_the_file_needs_no_server_and_is_no_page_of_it(house: House) -> No
     assert "<b>ann</b>" in file.text
 
 
+@pytest.mark.parametrize("hour", [3, 10, 15, 23])
 async def test_a_signed_shift_keeps_its_times_when_others_are_configured(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    house: House, monkeypatch: pytest.MonkeyPatch, hour: int
 ) -> None:
+    """Also one that began within the shift that is the present one by the new times."""
+    yesterday = datetime.now(house.services.handover.zone) - timedelta(days=1)
+    at = UnixTime(yesterday.replace(hour=hour, minute=30).timestamp())
+    monkeypatch.setattr(house.services.handover, "_clock", lambda: at)
     ann = await house.signed_in(Role.OPERATOR, "ann")
     start = await last(ann)
     await sign(ann)
