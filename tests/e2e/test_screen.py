@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, WebSocketRoute, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
@@ -154,25 +154,56 @@ def test_german_is_german_with_its_decimal_sign(site: Site, shared_page: OpensPa
     expect(page.locator('[data-pad=","]')).to_be_visible()
 
 
+COUNT_SHIFTS = """async () => {
+  await new Promise((painted) => requestAnimationFrame(() => requestAnimationFrame(painted)));
+  window.shifted = [];
+  const sides = ["left", "top", "right", "bottom"];
+  const moved = (before, now) => sides.some((side) => Math.abs(before[side] - now[side]) >= 1);
+  new PerformanceObserver((list) => {
+    for (const entry of list.getEntries())
+      for (const { node, previousRect, currentRect } of entry.sources)
+        if (moved(previousRect, currentRect)) window.shifted.push(node?.outerHTML ?? node?.textContent);
+  }).observe({ type: "layout-shift" });
+}"""
+"""Counts from the next painted frame on, which shows the page as parsed."""
+
+
 def test_nothing_shifts_as_the_first_values_arrive_nor_later(browser_page: OpensPages) -> None:
     page = browser_page(viewport=PANEL)
-    page.add_init_script(
-        """window.shifted = [];
-        const sides = ["left", "top", "right", "bottom"];
-        const moved = (before, now) => sides.some(side => Math.abs(before[side] - now[side]) >= 1);
-        new PerformanceObserver(list => {
-            for (const entry of list.getEntries())
-                for (const {node, previousRect, currentRect} of entry.sources)
-                    if (moved(previousRect, currentRect))
-                        window.shifted.push(node?.outerHTML ?? node?.textContent);
-        }).observe({type: "layout-shift", buffered: true});"""
-    )
-    opened(page, "/")
+    release = hold_messages(page)
+    page.goto("/")
+    page.evaluate(COUNT_SHIFTS)
+    release()
+    expect(page.locator("body[data-link=live]")).to_be_attached()
     counted = page.locator("[data-clock]").first
     for beat in ("the heartbeat", "another heartbeat"):
         before = counted.inner_text()
         eventually(lambda before=before: counted.inner_text() != before, beat)  # type: ignore[misc]
     assert page.evaluate("window.shifted") == []
+
+
+def hold_messages(page: Page) -> Callable[[], None]:
+    """Keep the messages of the server from ``page`` until the returned function is called."""
+    held: list[tuple[WebSocketRoute, str | bytes]] = []
+    released = False
+
+    def connected(browser: WebSocketRoute) -> None:
+        def receive(message: str | bytes) -> None:
+            if released:
+                browser.send(message)
+            else:
+                held.append((browser, message))
+
+        browser.connect_to_server().on_message(receive)
+
+    def release() -> None:
+        nonlocal released
+        released = True
+        for browser, message in held:
+            browser.send(message)
+
+    page.route_web_socket("**/live?*", connected)
+    return release
 
 
 def test_the_view_is_chosen_and_remembered(shared_page: OpensPages) -> None:
