@@ -83,7 +83,7 @@ def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
     }
     assert {key: service.get(key) for key in wanted} == wanted
     assert "PrivateDevices" not in service, "the serial ports are devices"
-    assert not any("TOKEN" in value.upper() for value in service.values()), "anybody may read a command line"
+    assert not any("TOKEN" in value.upper() for value in service.values()), "all may read a command line"
 
 
 def test_every_command_of_the_service_runs_as_its_user() -> None:

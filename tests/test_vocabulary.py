@@ -15,9 +15,13 @@ def test_a_type_name_exists_once() -> None:
     assert vocabulary.duplicate_types(vocabulary.modules()) == Counter()
 
 
-def test_comments_docstrings_and_names_use_the_words_of_the_glossary() -> None:
+def test_comments_docstrings_names_and_messages_use_the_words_of_the_glossary() -> None:
     words = vocabulary.avoided_words() + vocabulary.avoided_words("source")
     assert source.found(source.AvoidedWords(words)) == []
+
+
+def test_comments_of_scripts_stylesheets_templates_and_sql_use_the_words_of_the_glossary() -> None:
+    assert source.found_in_comments(source.AvoidedWords(vocabulary.avoided_words())) == []
 
 
 @pytest.mark.parametrize(
@@ -35,12 +39,32 @@ def test_comments_docstrings_and_names_use_the_words_of_the_glossary() -> None:
         ("what_is_wired = last_wish", [(1, "what is"), (1, "wish")]),
         ("self.LAST_WISH = WishList()", [(1, "wish"), (1, "wish")]),
         ("task = essay", []),
+        ('x = 1\nassert x, "a wish"', [(2, "wish")]),
+        ('assert x == "wish", f"{x}: wishes"', [(1, "wishes")]),
     ],
 )
-def test_a_word_is_found_in_comments_docstrings_and_names_only(
+def test_a_word_is_found_in_comments_docstrings_names_and_messages_only(
     code: str, uses: list[tuple[int, str]]
 ) -> None:
     assert list(source.uses(code, source.AvoidedWords(["wish", "ask", "say", "for ever", "what is"]))) == uses
+
+
+@pytest.mark.parametrize(
+    ("suffix", "code", "uses"),
+    [
+        (".js", "const wish = 1; // a wish\n", [(1, "wish")]),
+        (".js", "// kept for\n// ever\nlet x;", [(1, "for ever")]),
+        (".js", '\ntest("a wish", () => "wish");', [(2, "wish")]),
+        (".js", 'fetch("a://wish");', []),
+        (".css", ".wish { color: red; }\n/* wishes */", [(2, "wishes")]),
+        (".html", "<p>wish</p>{#- a\nwish -#}", [(1, "wish")]),
+        (".sql", "-- kept for\n-- ever\nCREATE TABLE wish", [(1, "for ever")]),
+    ],
+)
+def test_a_word_is_found_in_comments_of_other_files(
+    suffix: str, code: str, uses: list[tuple[int, str]]
+) -> None:
+    assert list(source.uses_in_comments(suffix, code, source.AvoidedWords(["wish", "for ever"]))) == uses
 
 
 def test_classes_and_aliases_are_types_and_constants_are_not() -> None:

@@ -16,7 +16,7 @@ async function reduced(file) {
   return new File([blob], "picture.jpg", { type: "image/jpeg" });
 }
 
-// What the browser cannot draw goes as it is: the server refuses it and says why.
+// A file that the browser cannot draw is sent as it is: the server refuses it and gives the reason.
 input?.addEventListener("change", async () => {
   const button = input.form.querySelector("[type=submit]");
   const drawn = new DataTransfer();

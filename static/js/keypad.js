@@ -15,7 +15,7 @@ const hintOf = (input) =>
 
 function build() {
   pad = document.getElementById("keypad").content.firstElementChild.cloneNode(true);
-  // What is pressed here is typed there: the field keeps the focus.
+  // A key pressed here is typed there: the field keeps the focus.
   pad.addEventListener("mousedown", (event) => event.preventDefault());
   pad.addEventListener("click", ({ target }) => {
     if (target.closest("[data-keypad-done]")) field.blur();

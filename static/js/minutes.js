@@ -1,4 +1,4 @@
-// The last ten minutes of one unit on its page: commanded as a thin step, actual as a line, one scale for both.
+// The last ten minutes of one unit on its page: commanded as a fine step, actual as a line, one scale for both.
 // Gaps stay gaps. Requested every five seconds; the current values are in the numbers above.
 import { value } from "./bind.js";
 import { now } from "./clock.js";

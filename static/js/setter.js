@@ -37,7 +37,7 @@ function followUnit(input) {
     const place = document.getElementById(input.getAttribute("aria-describedby"));
     if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
   });
-  // What is half typed is not selected again: the next digit is appended.
+  // A value half typed is not selected again: the next digit is appended.
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
   const forget = () => {
     delete input.dataset.touched;

@@ -101,7 +101,7 @@ function draw() {
   if (shown) shown.textContent = word(names[state] ?? "alarmSoundOn");
 }
 
-/** On this panel at once, and for everybody where the user may. */
+/** On this panel at once, and on every panel where the user may. */
 function silence() {
   if (link() === "lost") {
     muted.lost = true;

@@ -3,7 +3,7 @@ import { formatTime } from "./trends-time.js";
 
 const SIZE = 18;
 const EDGE = 4;
-/** By priority, the most important first; `shape`: corners as parts of its size, none: a circle. */
+/** By priority, the most important first; `shape`: corners as parts of its size, none: a disc. */
 const LOOKS = {
   urgent: {
     number: "1",

@@ -1,4 +1,4 @@
-// What is shown: which values over which span. It is the page's address, so a link reopens the same view.
+// The view: which values over which span. It is the page's address, so a link reopens the same view.
 import { now } from "./clock.js";
 import { lastShift, morning } from "./trends-time.js";
 

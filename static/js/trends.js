@@ -111,7 +111,7 @@ async function fetchEvents() {
     list("alarms", alarms, active.more, (alarm) => alarmContent(alarm, words));
     picture.redraw();
   } catch (error) {
-    // None are known, which is not to say that there are none.
+    // None are known, though there may be some.
     marks = alarms = [];
     for (const name of ["events", "alarms"]) clearList(byId(`trend-${name}-list`), byId(`trend-${name}-count`));
     showFault(error);

@@ -85,7 +85,7 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live.buses["dry"].apply([reading(), ParameterValue(1, 17, NOW, 3), ParameterValue(2, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) is None
     live.buses["dry"].apply([ParameterValue(3, 17, NOW, 3)])
-    assert suspicion(bus, bus.units[1]) is None, "units whose #17 says something else"
+    assert suspicion(bus, bus.units[1]) is None, "other units have another #17"
     live.buses["dry"].apply([ParameterValue(2, 17, NOW, 2)])
     assert str(suspicion(bus, bus.units[1])) == "unit 3 may respond in its place (#17)"
     assert suspicion(bus, bus.units[2]) is None
@@ -111,7 +111,7 @@ def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     assert bus_cause(bus, 101.9) is None
     assert bus_cause(bus, 102.1) == Cause("worker_silent", "urgent", Onset(NOW))
     live.buses["dry"].apply([reading(at=102.0)])
-    assert bus_cause(bus, 102.1) is None, "a unit was heard through it"
+    assert bus_cause(bus, 102.1) is None, "a unit responded through it"
 
 
 def views(*causes: Cause | None) -> list[UnitView]:

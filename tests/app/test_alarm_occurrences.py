@@ -57,7 +57,7 @@ async def test_what_was_hidden_is_not_marked_until_it_is_annunciated(journal: Jo
 async def test_of_very_many_the_newest_are_marked(journal: Journal) -> None:
     journal.rise("a", *range(2 * MOST_OCCURRENCES))
     found = await spans(journal, 0, 5000)
-    assert len(found) == MOST_OCCURRENCES + 1, "one more than fit tells that there are more"
+    assert len(found) == MOST_OCCURRENCES + 1, "one more than fit shows that there are more"
     assert found[-1][1] == 2 * MOST_OCCURRENCES - 1
 
 

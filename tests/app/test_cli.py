@@ -134,7 +134,7 @@ def test_a_terminal_prompts_for_the_password_without_echo(lineside: Shell) -> No
         shown = b""
         for prompt in (b"Password: ", b"confirmation: "):
             while prompt not in shown.rpartition(b"\n")[2]:
-                assert select.select([master], [], [], PATIENCE_S)[0], f"nothing asked for: {shown!r}"
+                assert select.select([master], [], [], PATIENCE_S)[0], f"no prompt: {shown!r}"
                 shown += os.read(master, 1024)
             os.write(master, b"correct horse battery\n")
         assert process.wait(PATIENCE_S) == 0

@@ -153,7 +153,7 @@ def test_no_unit_is_absent_after_one_request(monkeypatch: pytest.MonkeyPatch) ->
     with line(unit(3), unit(2)) as port:
         response = scanned(port, "--baud", "9600", last=4)
     assert [one["id"] for one in response["units"]] == [2, 3]
-    assert probed == [1, 2, 3, 4, 1, 2, 3, 4, 1, 4], "and again, as that found somebody"
+    assert probed == [1, 2, 3, 4, 1, 2, 3, 4, 1, 4], "a second pass, as the first found a unit"
 
 
 @pytest.mark.parametrize(

@@ -23,10 +23,10 @@ def accepted_long_ago() -> ConnectionArrivals:
     [
         pytest.param(NOW - 0.05, 0.0, NOW, id="the loop turns: it has just come"),
         pytest.param(NOW - 0.05, 0.004, NOW - 0.004, id="the kernel knows better"),
-        pytest.param(NOW - 4, 4.0, NOW - 4, id="a stall, and the kernel says the same"),
+        pytest.param(NOW - 4, 4.0, NOW - 4, id="a stall, and the kernel agrees"),
         pytest.param(NOW - 4, 0.1, NOW - 4, id="a stall: the last byte is young, the first may not be"),
-        pytest.param(NOW - 4, 0.0, NOW - 4, id="a stall, and no kernel that says anything"),
-        pytest.param(-inf, 0.0, NOW - 60, id="nobody watches the loop: since the last read at most"),
+        pytest.param(NOW - 4, 0.0, NOW - 4, id="a stall, and no value of the kernel"),
+        pytest.param(-inf, 0.0, NOW - 60, id="the loop is not watched: since the last read at most"),
         pytest.param(NOW - ORDINARY_TURN_S, 0.0, NOW, id="a turn of the loop that is no stall"),
     ],
 )

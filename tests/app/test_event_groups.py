@@ -145,7 +145,7 @@ async def test_the_page_has_one_row_and_each_units_values_and_result_in_it(house
     assert "2 units: 1 verified, 1 not verified" in text
     assert "1 Unwind 10.0 → 11.0 verified" in text
     assert "2 Nip 20.0 → 21.0 not verified unit 2 did not respond" in text
-    assert "1: 10.0" not in text, "what stands in the parts is not said again in one long line"
+    assert "1: 10.0" not in text, "the parts are not repeated in one long line"
     german = await house.signed_in(Role.VIEWER, "jo")
     page = (await german.get("/events", params={"kind": "command"}, headers={"Accept-Language": "de"})).text
     assert "2 Regler" in page

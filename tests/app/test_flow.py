@@ -21,7 +21,7 @@ def test_what_one_wire_brings_is_never_held_up() -> None:
 def test_a_flood_is_sent_once_per_window_until_it_is_over() -> None:
     made, now = flow()
     made.came(FLOOD + 1)
-    assert made.pause_s() == 0.0, "a burst is told at once"
+    assert made.pause_s() == 0.0, "a burst is sent at once"
     made.sent()
     assert made.pause_s() == WINDOW_S, "and what follows it later"
     now[0] += WINDOW_S
@@ -38,7 +38,7 @@ def test_very_many_pages_share_what_the_server_can_send() -> None:
     made, now = flow()
     made.share(200)
     made.came()
-    assert made.pause_s() == 0.0, "the first is told at once"
+    assert made.pause_s() == 0.0, "the first is sent at once"
     made.sent()
     made.came()
     assert made.pause_s() == pytest.approx(200 / MAX_SENDS_S)

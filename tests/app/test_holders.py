@@ -14,7 +14,7 @@ OWN = Credential("worker", "dry-end", "127.0.0.1", own=True)
 @pytest.mark.parametrize("ending", Ending)
 def test_a_bus_is_reserved_for_as_long_as_its_ending_allows(ending: Ending) -> None:
     holder = Holder("w1", A)
-    assert not holder.yields_to("w2", A, 1e9), "while it is connected, another is refused for ever"
+    assert not holder.yields_to("w2", A, 1e9), "while it is connected, another is always refused"
     holder.connection_ended(ending, 100.0)
     for credential in (A, B):
         assert not holder.yields_to("w2", credential, 99.9 + ending.value)

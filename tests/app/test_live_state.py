@@ -44,7 +44,7 @@ def test_each_word_changes_what_it_is_about(live: LiveState) -> None:
 def test_the_rate_is_the_last_that_the_worker_reported(live: LiveState) -> None:
     bus = live.buses["dry-end"]
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open")])
-    assert bus.baud == 9600, "as configured where an older worker says none"
+    assert bus.baud == 9600, "as configured where an older worker reports none"
     live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=4800)])
     assert bus.baud == 4800
 

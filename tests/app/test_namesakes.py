@@ -67,7 +67,7 @@ async def test_a_key_of_one_is_not_that_of_the_other(
     await user.post(f"{BUS}/control")
     assert (await user.post(SPEED, json={"raw": 5}, headers=key)).json()["code"] == "bus_closed"
     response = await token.post(SPEED, json={"raw": 5}, headers=key)
-    assert response.json()["code"] == "controlled", "a command of its own, and refused as such"
+    assert response.json()["code"] == "controlled", "a separate command, and refused as such"
 
 
 async def test_the_events_name_which_of_them_it_was(

@@ -80,7 +80,7 @@ async def test_what_a_worker_delivers_late_is_found_later() -> None:
     assert await scene.look(1.0) == Onset(SEEN_AT, exact=False)
     assert scene.changed == []
     scene.spans = list(HELD)
-    assert await scene.look(9.0) == Onset(SEEN_AT, exact=False), "it is not asked all the time"
+    assert await scene.look(9.0) == Onset(SEEN_AT, exact=False), "history is not queried all the time"
     assert await scene.look(10.0) == Onset(CHANGED_AT)
 
 

@@ -143,7 +143,7 @@ async def test_after_a_restart_the_events_still_show_the_cause(scene: Scene) -> 
     again = BusDrift(live.buses["dry-end"], scene.store, scene.events)
     await again.load()
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=41, at=NOW, raw=7)])
-    assert again.unread(1) == 40, "what a scan asks beyond the list is none of the forty"
+    assert again.unread(1) == 40, "a parameter beyond the list is none of the forty"
     live.buses["dry-end"].apply([ParameterValue(unit=1, number=12, at=NOW + 5, raw=21)])
     [one] = await again.traced(1)
     assert one.change is not None

@@ -76,7 +76,7 @@ async def test_a_port_that_is_closed_while_its_loss_is_on_the_way() -> None:
         async with asyncio.timeout(PATIENCE_S):
             await closed
         await asyncio.sleep(0.01)
-        assert receiver.lost == [], "who closes a port is not told that it was lost"
+        assert receiver.lost == [], "closing a port does not report it as lost"
 
 
 @on_both_loops

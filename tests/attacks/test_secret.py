@@ -162,7 +162,7 @@ def test_only_parameter_sets_hold_it(lived: tuple[Site, list[str]]) -> None:
             in_sets += bool(holds) and table in SETS
             found += [] if table in SETS or not holds else [(store.name, table, row)]
     assert found == []
-    assert in_sets, "what is looked for can be found"
+    assert in_sets, "the search can find the secret"
 
 
 def test_no_other_file_holds_it(lived: tuple[Site, list[str]], tmp_path: Path) -> None:

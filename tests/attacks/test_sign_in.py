@@ -57,7 +57,7 @@ async def test_a_named_operator_cannot_be_locked_out(house: House) -> None:
     assert await sign_in(own) == 303
     for number in range(40):
         assert await sign_in(at(house, f"198.51.100.{number}"), password="wrong") in (401, 429)
-    assert (await own.get("/api/v1/me")).status_code == 200, "who is signed in stays so"
+    assert (await own.get("/api/v1/me")).status_code == 200, "a user a user who is signed in stays so"
     await own.post("/logout")
     assert await sign_in(own) == 303, "and may come back at once"
     assert await sign_in(at(house, "192.0.2.7")) == 303, "with another browser too"

@@ -177,4 +177,4 @@ def test_a_write_without_a_response_is_tried_again_too() -> None:
     assert line.next() == write
     assert line.settle(write, None), "it is tried again"
     assert line.next() == write
-    assert not line.settle(write, Ack(2)), "it was answered"
+    assert not line.settle(write, Ack(2)), "it has its response"

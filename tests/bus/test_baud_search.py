@@ -61,7 +61,7 @@ def test_a_response_after_the_try_keeps_the_line_at_its_rate() -> None:
     rate = expecting_4800()
     assert rate.look(LONG, 9600, responds=False)
     assert rate.turn(9600, responds=True) is None
-    assert rate.turn(9600, responds=False) is None, "the next look decides anew"
+    assert rate.turn(9600, responds=False) is None, "the next look decides again"
 
 
 @pytest.mark.parametrize("present", [9600, 2400])

@@ -265,7 +265,7 @@ def test_a_port_that_is_absent_at_start_is_waited_for() -> None:
         state = line.worker.snapshot(0).bus
         assert state.link == "closed"
         assert "is the adapter plugged in?" in str(state.cause)
-        assert len([u for u in line.updates if isinstance(u, BusLink)]) == 1, "told once, not at every try"
+        assert len([u for u in line.updates if isinstance(u, BusLink)]) == 1, "reported only once"
         line.plug()
         await line.until(lambda: line.readings(1), within_s=3.0)
 
@@ -345,7 +345,7 @@ def test_a_flood_that_never_frames_holds_nothing_up() -> None:
         assert result.outcome == "unverified"
         assert line.loop.time() - began < 3.0
         await asyncio.sleep(20)
-        assert len(line.written) > number + 10, "it goes on asking"
+        assert len(line.written) > number + 10, "it continues to poll"
         assert not made_up(line.updates, line.line.record, EPOCH)
         line.faults.clear()
         await line.until(lambda: unit_links(line, 1)[-1] == "online", within_s=15)
@@ -441,7 +441,7 @@ def test_a_short_timeout_does_not_cost_a_complete_list() -> None:
         result = _result_of(line, command)
         assert result.outcome == "verified"
         assert sorted(value.number for value in result.values) == list(range(1, 41))
-        assert result.values[-1].number != 40, "one was asked again at the end"
+        assert result.values[-1].number != 40, "one was requested again at the end"
 
     run(scene, 2)
 
@@ -511,7 +511,7 @@ def test_the_new_rate_is_reported_before_any_reading_at_it() -> None:
         await asyncio.sleep(1)
         reported = [update for update in line.updates if isinstance(update, BusLink)]
         assert [(each.link, each.baud) for each in reported] == [("open", 9600), ("open", 4800)]
-        assert reported[0].at == reported[1].at, "the port was not opened anew"
+        assert reported[0].at == reported[1].at, "the port was not opened again"
         assert line.worker.snapshot(0).bus == reported[-1]
         last_acted = max(at for at, _, _ in line.acted()) + EPOCH
         at_new_rate = [u for u in line.updates if isinstance(u, Reading) and u.at > last_acted]

@@ -375,7 +375,7 @@ async def test_a_broadcast_is_left_to_leave() -> None:
     line.send(ExecuteSpeedRequest(0))
     line.pass_time(0.1)
     assert line.results[-1].request == ExecuteSpeedRequest(0)
-    assert line.dropped == 0, "nobody answers it, so its end says nothing about whether it has left"
+    assert line.dropped == 0, "it has no response, so its end does not show whether it has left"
     line.send(ReadStatusRequest(1))
     line.pass_time(1.0)
     assert line.dropped == 1
@@ -384,7 +384,7 @@ async def test_a_broadcast_is_left_to_leave() -> None:
 async def test_bytes_gather_until_a_response_can_be_complete() -> None:
     line = Wires()
     line.send(ReadStatusRequest(1))
-    assert line.listens, "how fast the port is shows at its first answer"
+    assert line.listens, "how fast the port is shows at its first response"
     line.respond(after_s=0.0)
     line.send(ReadStatusRequest(2))
     assert not line.listens
@@ -414,7 +414,7 @@ async def test_a_response_found_after_a_stall_is_as_old_as_its_window() -> None:
     result = line.results[-1]
     assert result.reply == STATUS
     assert result.responded_at is not None
-    assert result.responded_at < 101.0, "a value is never said to be newer than it can be"
+    assert result.responded_at < 101.0, "a value is never newer than it can be"
 
 
 def _paced() -> Wires:

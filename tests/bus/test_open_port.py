@@ -102,7 +102,7 @@ async def test_bytes_go_and_come(line: LineServer) -> None:
     port.drop_output()
     port.close()
     await asyncio.sleep(0)
-    assert not receiver.lost, "who closes a port is not told that it was lost"
+    assert not receiver.lost, "closing a port does not report it as lost"
 
 
 @on_both_loops
@@ -143,7 +143,7 @@ async def test_closing_never_waits_for_undelivered_bytes() -> None:
         began = asyncio.get_running_loop().time()
         port.close()
         await asyncio.sleep(0.01)
-        assert asyncio.get_running_loop().time() - began < PATIENCE_S, "its bytes take for ever"
+        assert asyncio.get_running_loop().time() - began < PATIENCE_S, "its bytes never arrive"
 
 
 @on_both_loops

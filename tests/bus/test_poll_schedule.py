@@ -44,7 +44,7 @@ class Line:
             if task is None:
                 wake = self.schedule.wake_at()
                 assert wake is not None
-                assert wake > self.now, "it must not be asked again for nothing"
+                assert wake > self.now, "it must not be called again for nothing"
                 self.now = wake
                 continue
             self._carry_out(task)

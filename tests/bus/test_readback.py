@@ -327,7 +327,7 @@ def test_a_later_poll_is_fenced_too_and_its_retry_is_not() -> None:
     fence = attempts.next_request(0.0, pending)
     assert isinstance(fence, ReadParameterRequest)
     assert not attempts.settle(ExchangeResult(fence, Ack(1), 1.0, 1.5, 1.0, 1.5)), (
-        "a fence that was answered is no retry"
+        "a fence with a response is no retry"
     )
     assert attempts.next_request(0.0, PendingResponses(1, PLAIN)) == ReadStatusRequest(1)
     assert attempts.settle(miss(ReadStatusRequest(1))), "now it is tried again"

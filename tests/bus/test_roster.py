@@ -45,7 +45,7 @@ def test_a_response_makes_it_online_and_gives_a_reading(roster: Roster) -> None:
     updates = roster.take_response(ReadStatusRequest(1), STATUS, 101.0, b"")
     assert links(updates) == ["online"]
     assert Reading(1, 101.0, 500, 498, 77, 0xC1, 0x03) in updates
-    assert links(roster.take_response(ReadStatusRequest(1), STATUS, 102.0, b"")) == [], "only news is told"
+    assert links(roster.take_response(ReadStatusRequest(1), STATUS, 102.0, b"")) == [], "changes only"
 
 
 def test_one_miss_is_not_reported_two_are_stale_three_are_offline(roster: Roster) -> None:

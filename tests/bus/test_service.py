@@ -74,7 +74,7 @@ def test_an_id_is_carried_out_once_and_its_result_repeated() -> None:
         results = [update for update in line.updates if isinstance(update, Result)]
         assert len(results) == 2
         assert results[0].frames
-        assert results[1] == replace(results[0], frames=[]), "what carried it is told once"
+        assert results[1] == replace(results[0], frames=[]), "its frames are reported once"
         assert line.plant.unit(1).setpoint == 640
 
     run(scene, 2)

@@ -52,7 +52,7 @@ def test_stage_all_one_broadcast_read_back_all() -> None:
         requests = [e.data for e in line.line.record.since(began, Happened.RECEIVED)]
         first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
         commands = [body[1] for body in requests[first : first + 12]]
-        assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h that all heard"
+        assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h for all"
         assert len(received(line, 0x83, began)) == 1
         for unit in result.units:
             assert unit.sent_at is not None
@@ -86,7 +86,7 @@ def test_one_that_cannot_stops_it_before_the_broadcast(fault: str) -> None:
         line.faults.clear()
         line.plant.unit(3).memory[numbers.CONTROL_MODE] = Mode.REMOTE
         result = await line.perform(ExecuteAll())
-        assert setpoints(line) == before, "a stray execute surprises nobody"
+        assert setpoints(line) == before, "a stray execute changes nothing"
         assert line.worker.line.roster[1].staged is None
 
     run(scene, 4)

@@ -116,7 +116,7 @@ def set_clock(site: Site, clock: Path, step: float) -> None:
     eventually(lambda: set_speed(site, 10) == 200, "a command", within=PROCEDURE_S)
     assert site.unit(1)["age_ms"] < 10_000
     eventually(lambda: readings(site, now, now + 60), "readings by the new clock", within=PROCEDURE_S)
-    assert readings(site, before - 10, before + 1), "what was heard before the step is still there"
+    assert readings(site, before - 10, before + 1), "readings from before the step are still there"
     assert state(site) == "ok"
 
 
@@ -130,7 +130,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
     before = site.unit(1)["commanded_raw"]
     resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, NOTHING_WRITTEN)
     try:
-        eventually(lambda: state(site) == "failed", "history says that it cannot be kept", within=PROCEDURE_S)
+        eventually(lambda: state(site) == "failed", "the page shows the fault", within=PROCEDURE_S)
         assert "no history is stored; everything else works" in notice(site)
         goes_on(site)
         assert set_speed(site, 20) >= 500
@@ -203,7 +203,7 @@ def test_on_a_disk_that_fills_the_events_are_the_last_to_suffer(tmp_path: Path) 
         one_site(tmp_path, 2, line_options=("--no-script",)) as site,
     ):
         eventually(
-            lambda: state(site) == "scarce", "it is said that the disk is nearly full", within=PROCEDURE_S
+            lambda: state(site) == "scarce", "the page shows that the disk is nearly full", within=PROCEDURE_S
         )
         assert "nearly full" in notice(site)
         fill(data, leave=60_000_000)

@@ -142,7 +142,7 @@ def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     page = panel("wall", "/")
     button = page.locator("[data-full-screen]")
     button.tap()
-    eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the whole screen")
+    eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the complete screen")
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")
 

@@ -94,7 +94,7 @@ def test_control_is_taken_seen_handed_over_and_given_back(
     anna.evaluate("document.addEventListener('htmx:after:swap', () => document.body.dataset.swapped = '')")
     ben = opened(browser_page("engineer", viewport=PANEL), "/bus/line")
     expect(anna.locator("body[data-swapped]")).to_be_attached()
-    assert anna.evaluate("scrollY") == 0, "a page must not move because somebody came"
+    assert anna.evaluate("scrollY") == 0, "a page must not move because a user came"
     looks = opened(browser_page("viewer", viewport=PANEL), "/units/line/1")
     expect(anna.locator("[data-people]")).to_contain_text("engineer · engineer")
     expect(looks.locator("[data-live='people.count']")).to_have_text("3")
@@ -390,12 +390,12 @@ def test_a_form_that_was_held_up_on_the_way_is_not_carried_out(site: Site, brows
 # --- screen reader texts, and where the focus stays -----------------------------------------------
 
 LISTEN = """() => {
-    window.said = [];
+    window.announced = [];
     new MutationObserver(changes => {
         for (const {target} of changes) {
             const region = (target.nodeType === 3 ? target.parentElement : target)
                 ?.closest("[aria-live]:not([aria-live=off]), [role=status], [role=alert]");
-            if (region) window.said.push(region.textContent.trim());
+            if (region) window.announced.push(region.textContent.trim());
         }
     }).observe(document.body, {subtree: true, childList: true, characterData: true});
 }"""
@@ -412,9 +412,9 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
         holder.post("/api/v1/buses/line/units/2/speed", json={"raw": 300})
         holder.post("/api/v1/buses/line/units/2/speed", json={"raw": 350})
         eventually(
-            lambda: any("LOCAL" in text for text in page.evaluate("window.said")), "the verdict was said"
+            lambda: any("LOCAL" in text for text in page.evaluate("window.announced")), "it was announced"
         )
-        spoken = page.evaluate("window.said")
+        spoken = page.evaluate("window.announced")
     finally:
         site.line.remote.do("mode", unit=3, to="remote")
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken

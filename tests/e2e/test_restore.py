@@ -42,7 +42,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 
 
 @pytest.fixture(autouse=True)
-def mended(site: Site) -> Iterator[None]:
+def repaired_afterwards(site: Site) -> Iterator[None]:
     """Whatever a test did to the line, and wherever it ended."""
     yield
     site.line.remote.do("clear")
@@ -128,7 +128,7 @@ def test_a_restore_stopped_half_way_lists_rows_done_and_a_second_run_finishes(
     if fault is pull_the_cable:
         line_remote.do("plug")
     left = page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 2"))
-    eventually(lambda: requested_again(page, left), "the unit answers again", within=PROCEDURE_S)
+    eventually(lambda: requested_again(page, left), "the unit responds again", within=PROCEDURE_S)
     assert set(outcomes(page)) == {number for number in wanted if parameter(site, number) != wanted[number]}
     left.click()
     expect_proof(page)

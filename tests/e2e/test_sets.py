@@ -100,7 +100,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
         }
         eventually(
             lambda: client.get("/buses/line/units/3/drift").json()["unread"] == 0,
-            "the whole unit was read",
+            "every parameter of the unit was read",
             within=PROCEDURE_S,
         )
         for number, raw in ((12, 10), (7, ramp)):
@@ -151,7 +151,7 @@ def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, shared_pa
         assert client.post("/buses/line/baud", json={"baud": 2400}).json()["code"] == "dangerous"
     switch_off_and_on(site)
     expect(
-        page.get_by_text("of the capacity of 4800 baud"), "told, and not only when loaded"
+        page.get_by_text("of the capacity of 4800 baud"), "shown, and not only when loaded"
     ).to_be_attached()
     page.goto("/bus/line")
     expect(page.locator("body[data-link=live]")).to_be_attached()
@@ -275,7 +275,7 @@ def test_scheduled_sets_with_a_unit_that_does_not_respond_when_they_are_due(
     assert kept_of(site, 2, "on schedule") == []
     page = browser_page("engineer", site=site, viewport=OFFICE)
     overdue = page.get_by_text("Infeed nip was not read: the unit does not respond")
-    eventually(lambda: page.goto("/sets") and overdue.count(), "the silent unit is named", within=PROCEDURE_S)
+    eventually(lambda: page.goto("/sets") and overdue.count(), "the unit is named", within=PROCEDURE_S)
 
 
 def requests(served: Site, command: int, unit: int) -> list[dict[str, Any]]:

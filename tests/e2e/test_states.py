@@ -190,7 +190,7 @@ def test_the_tab_key_reaches_the_end_with_a_visible_focus(
             break
         hidden += [behind] if behind else []
     else:
-        pytest.fail("the Tab key does not come to the end of the page")
+        pytest.fail("the Tab key does not reach the end of the page")
     assert hidden == []
 
 

@@ -41,7 +41,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
 def new_section(site: Site, parameters: dict[int, int], **traits: Any) -> None:
     """Replace the unit at address 3 by a new one, and wait until the site has its response."""
     line_remote = site.line.remote
-    eventually(lambda: not removed(site), "nobody at address 3")
+    eventually(lambda: not removed(site), "no unit at address 3")
     eventually(lambda: site.unit(3)["link"] == "offline", "the address stops responding")
     line_remote.do("spare", parameters={17: 3} | parameters, **traits)
     eventually(lambda: site.unit(3)["link"] == "online", "the unit of section 3")

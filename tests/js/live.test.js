@@ -74,7 +74,7 @@ test("a page whose server speaks is live", async () => {
   assert.deepEqual(page.lost, []);
 });
 
-test("a server that says nothing is lost within the time promised", async () => {
+test("a server that sends nothing is lost within the time promised", async () => {
   const page = await openLive();
   page.run(3000, 1000);
   page.run(PROMISED_MS);
@@ -82,7 +82,7 @@ test("a server that says nothing is lost within the time promised", async () => 
   assert.ok(page.lost[0] - 3000 <= PROMISED_MS, `${page.lost[0]}`);
 });
 
-test("a page that stood still hears first what was said meanwhile", async () => {
+test("a page that stood still first receives what was sent meanwhile", async () => {
   const page = await openLive();
   page.run(3000, 1000);
   page.stand(2500);
@@ -92,7 +92,7 @@ test("a page that stood still hears first what was said meanwhile", async () => 
   assert.ok(page.isLive());
 });
 
-test("a page that stood still and has heard nothing is lost before the next check", async () => {
+test("a page that stood still and has received nothing is lost before the next check", async () => {
   const page = await openLive();
   page.run(3000, 1000);
   page.stand(2500);

@@ -33,7 +33,7 @@ test("a lost server sounds where it was chosen, until it is silenced, and the al
   assert.equal(soundingNow(ON, { priority: "lost", at: 10 }, LOUD, "live"), "", "no priority of an alarm");
 });
 
-test("a page says whether its sound is off, waits for a press, sounds or is ready", () => {
+test("a page shows whether its sound is off, waits for a press, sounds or is ready", () => {
   assert.equal(soundState(settingsOf(null), true, ""), "off");
   assert.equal(soundState(ON, false, "urgent"), "blocked");
   assert.equal(soundState(ON, true, "urgent"), "sounding");

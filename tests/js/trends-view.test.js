@@ -53,7 +53,7 @@ test("a view that has no value any more stays empty", () => {
   assert.deepEqual(open(location.search).series, []);
 });
 
-test("no more values than can be told apart, and none twice", () => {
+test("no more values than can be distinguished, and none twice", () => {
   const view = open(`?${KNOWN.map((name) => `s=${name}`).join("&")}`);
   assert.equal(view.series.length, MOST_VALUES);
   view.add("line/40/actual");
@@ -109,7 +109,7 @@ test("a preset is what it is called, and is known to be chosen", () => {
   assert.deepEqual([view.isPreset("morning"), view.isPreset("shift"), view.live], [false, true, false]);
 });
 
-test("each change says what it changed", () => {
+test("each change reports what it changed", () => {
   const view = open();
   const changes = [];
   view.addEventListener("change", ({ detail }) => changes.push(detail));

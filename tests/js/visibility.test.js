@@ -25,11 +25,11 @@ start(
 );
 const see = (unit, isIntersecting) => observe([{ target: { dataset: { unit } }, isIntersecting }]);
 
-test("a unit that was never out of sight never waits", () => {
+test("a unit that was always visible never waits", () => {
   assert.equal(mayWait("line/1"), false);
 });
 
-test("a unit out of sight is due once a second", () => {
+test("a unit that is not visible is due once a second", () => {
   for (let turn = 0; turn < 3; turn++) see(`line/${turn}`, false);
   see("line/8", false);
   const waits = [999, 1000, 1001, 1999, 2000].map((ms) => {
@@ -47,7 +47,7 @@ test("units that leave together are not due together", () => {
   assert.deepEqual(due, [10, 11]);
 });
 
-test("a unit that comes into sight is drawn and waits no more", () => {
+test("a unit that becomes visible is drawn and waits no more", () => {
   const before = drawn.some;
   see("line/8", true);
   assert.equal(drawn.some, before + 1);

@@ -390,7 +390,7 @@ def test_the_trace_shows_what_was_sent(plant: Dashboard) -> None:
     read = fork_server.run("decode", "--json", "--file", path)
     decoded = json.loads(read.stdout)
     kept = [line for line in text.splitlines() if line.split("\t")[2]]
-    assert len(decoded) >= len(kept), "every frame of it that is no secret, whole"
+    assert len(decoded) >= len(kept), "every frame of it that is no secret, complete"
     assert all(frame["checksum_ok"] for frame in decoded)
     assert {frame["uid"] for frame in decoded if frame["fields"].get("raw") == 2700} == {1}
 

@@ -120,7 +120,7 @@ def test_it_goes_away_while_a_write_is_on_its_way(plant: Dashboard, deaf: bool, 
         assert (result["read_back"], unit.commanded) == (wanted, wanted)
     done = len(unit.writes)
     _wait_for_responses(plant)
-    assert len(unit.writes) == done, "nothing is sent once the fate was told"
+    assert len(unit.writes) == done, "nothing is sent once the result was reported"
     event = plant.call("GET", "/events?kind=command&limit=1").json()["events"][0]
     assert event["outcome"] == result["outcome"]
 

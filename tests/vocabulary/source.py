@@ -1,8 +1,10 @@
-"""Words that the glossary replaces in comments, docstrings and names of the source code."""
+"""Words that the glossary replaces in comments, docstrings, names and messages of assertions."""
 
 from __future__ import annotations
 
+import ast
 import io
+import re
 import tokenize
 from collections.abc import Iterable, Iterator
 from itertools import groupby
@@ -10,9 +12,17 @@ from itertools import groupby
 from tests.vocabulary import ROOT, words_of
 
 FOLDERS = ("app", "bus", "tests", "benchmarks")
+COMMENTED = ("app", "static/css", "static/js", "templates", "tests/js")
 _ENDINGS = ("", "s", "es")
 _BEFORE_A_DOCSTRING = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, None)
 _NO_STATEMENT = (tokenize.NL, tokenize.COMMENT)
+_COMMENTS = {
+    ".css": re.compile(r"/\*.*?\*/", re.DOTALL),
+    ".html": re.compile(r"\{#.*?#\}", re.DOTALL),
+    ".js": re.compile(r"/\*.*?\*/|(?:(?<!\S)//[^\n]*\s*)+|(?<!\S)test\(\"[^\"]*\"", re.DOTALL),
+    ".sql": re.compile(r"(?:^--[^\n]*\s*)+", re.MULTILINE),
+}
+"""Suffix of a file → its comments; of JavaScript also the names of tests."""
 
 
 class AvoidedWords:
@@ -34,10 +44,19 @@ class AvoidedWords:
 
 
 def uses(source: str, avoided: AvoidedWords) -> Iterator[tuple[int, str]]:
-    """Yield the line and the word of each use. String literals other than docstrings are data."""
+    """Yield the line and the word of each use. String literals are data, other than docstrings and the
+    messages of assertions.
+    """
     if any(avoided.in_words(words_of(source), is_name=True)):
-        for line, text, is_name in _parts(source):
+        for line, text, is_name in (*_parts(source), *_messages(source)):
             yield from ((line, word) for word in avoided.in_words(words_of(text), is_name=is_name))
+
+
+def uses_in_comments(suffix: str, source: str, avoided: AvoidedWords) -> Iterator[tuple[int, str]]:
+    """Yield the line and the word of each use in a comment of a file that is not Python."""
+    for comment in _COMMENTS[suffix].finditer(source):
+        line = 1 + source.count("\n", 0, comment.start())
+        yield from ((line, word) for word in avoided.in_words(words_of(comment[0]), is_name=False))
 
 
 def _parts(source: str) -> Iterator[tuple[int, str, bool]]:
@@ -57,6 +76,14 @@ def _parts(source: str) -> Iterator[tuple[int, str, bool]]:
             before = token.type
 
 
+def _messages(source: str) -> Iterator[tuple[int, str, bool]]:
+    """Yield the line and the text of the message of each assertion."""
+    for statement in ast.walk(ast.parse(source)):
+        if isinstance(statement, ast.Assert) and statement.msg is not None:
+            texts = (part for part in ast.walk(statement.msg) if isinstance(part, ast.Constant))
+            yield from ((part.lineno, str(part.value), False) for part in texts)
+
+
 def found(avoided: AvoidedWords) -> list[str]:
     """Return ``file:line: word`` of each use in the repository; line 0 is the name of the file."""
     places: list[str] = []
@@ -65,3 +92,13 @@ def found(avoided: AvoidedWords) -> list[str]:
         in_text = uses(path.read_text(encoding="utf-8"), avoided)
         places += [f"{path.relative_to(ROOT)}:{line}: {word}" for line, word in [*in_name, *in_text]]
     return places
+
+
+def found_in_comments(avoided: AvoidedWords) -> list[str]:
+    """Return ``file:line: word`` of each use in the comments of scripts, stylesheets, templates and SQL."""
+    paths = (path for folder in COMMENTED for path in (ROOT / folder).rglob("*") if path.suffix in _COMMENTS)
+    return [
+        f"{path.relative_to(ROOT)}:{line}: {word}"
+        for path in sorted(paths)
+        for line, word in uses_in_comments(path.suffix, path.read_text(encoding="utf-8"), avoided)
+    ]

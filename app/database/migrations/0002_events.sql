@@ -1,5 +1,5 @@
 -- Who did what. Each entry holds the hash of the one before; an entry is never changed or removed.
--- The fate of a command is an entry of its own that says what it is about.
+-- The outcome of a command is a separate entry, with the id of the command in `about`.
 CREATE TABLE events (
     id       INTEGER PRIMARY KEY,
     time     REAL    NOT NULL,

@@ -33,7 +33,7 @@ CREATE TABLE restore_left_out (
     PRIMARY KEY (restore_id, number)
 ) WITHOUT ROWID;
 
--- The unit's whole list: as asked for, as it was before, and as the full read afterwards found it.
+-- Every value of the unit: as requested, as it was before, and as the full read afterwards found it.
 CREATE TABLE restore_value (
     restore_id TEXT NOT NULL REFERENCES restore (id),
     side TEXT NOT NULL CHECK (side IN ('wanted', 'before', 'proven')),

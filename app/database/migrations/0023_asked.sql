@@ -1,5 +1,5 @@
--- Commands whose asker gave them an id, kept so that the id, given again, is never carried out a second time.
--- command: what was asked, as a hash. fate: the result as JSON; NULL while it is not known.
+-- Commands whose sender gave them an id, kept so that the id, given again, is never carried out a second time.
+-- command: what was requested, as a hash. The last column is the result as JSON; NULL while it is not known.
 CREATE TABLE asked (
     id       TEXT PRIMARY KEY,
     asked_at REAL NOT NULL,

@@ -1,5 +1,5 @@
 -- Commands whose sender gave them a key, kept so that the key, given again, is never carried out a second time.
--- command: what was asked, as a digest made with the server's key. result: as JSON; NULL while it is not known.
+-- command: what was requested, as a digest made with the server's key. result: as JSON; NULL while it is not known.
 CREATE TABLE idempotency (
     sender       TEXT NOT NULL,
     key          TEXT NOT NULL,
@@ -11,8 +11,8 @@ CREATE TABLE idempotency (
 CREATE INDEX idempotency_by_time ON idempotency (requested_at);
 CREATE INDEX idempotency_by_sender ON idempotency (sender, requested_at);
 
--- Keys from before say neither whose they are nor, of a secret, what was asked: they are refused to everybody
--- until they are forgotten. Their results may hold a secret, which must not be left in free pages.
+-- Keys from before name neither their sender nor, of a secret, what was requested: they are refused to every
+-- sender until they are forgotten. Their results may hold a secret, which must not be left in free pages.
 PRAGMA secure_delete = ON;
 INSERT INTO idempotency SELECT '', id, asked_at, '', NULL FROM asked;
 DROP TABLE asked;

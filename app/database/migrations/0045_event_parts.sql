@@ -6,7 +6,7 @@ CREATE TABLE event_parts (
 ) STRICT;
 CREATE INDEX event_parts_by_whole ON event_parts (whole);
 
--- Until now a part was known by its words, and stood right behind its whole.
+-- Until now a part was known by its words, and came right after the event of the complete change.
 INSERT INTO event_parts (event, whole)
 SELECT part.id, whole.id
 FROM events AS part

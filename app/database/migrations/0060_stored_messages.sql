@@ -1,4 +1,4 @@
--- What restores and swaps say, as codes and values (JSON). A text from before is kept as it is, in English.
+-- The texts of restores and swaps, as codes and values (JSON). A text from before is kept as it is, in English.
 UPDATE restore SET cause = CASE cause WHEN '' THEN '[]'
     ELSE json_array(json_object('code', 'term', 'params', json_object('text', cause))) END;
 UPDATE restore_row SET message = CASE message WHEN '' THEN '[]'

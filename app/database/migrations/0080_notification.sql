@@ -1,4 +1,4 @@
--- What is to be notified (items), the messages that it leaves in (deliveries), and how far the journal of alarms
+-- Transitions to be notified (items), the messages that it leaves in (deliveries), and how far the journal of alarms
 -- was followed. An item is made once: its key names the transition, the rule and the address.
 CREATE TABLE notification_cursor (
     source TEXT    PRIMARY KEY,

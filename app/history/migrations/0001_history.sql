@@ -1,4 +1,4 @@
--- Times are µs since the epoch, values as on the wire. A bus has a row of its own, number 0.
+-- Times are µs since the epoch, values as on the wire. A bus has a row too, number 0.
 CREATE TABLE unit (
     id INTEGER PRIMARY KEY,
     bus TEXT NOT NULL,
@@ -39,7 +39,7 @@ CREATE TABLE hours (
     PRIMARY KEY (unit, start)
 ) STRICT, WITHOUT ROWID;
 
--- Output and input bits (ST2 × 256 + ST1) from the first reading that said so to the last.
+-- Output and input bits (ST2 × 256 + ST1) from the first reading that has them to the last.
 CREATE TABLE bits (
     unit INTEGER NOT NULL REFERENCES unit (id),
     at INTEGER NOT NULL,
@@ -48,7 +48,7 @@ CREATE TABLE bits (
     PRIMARY KEY (unit, at, word)
 ) STRICT, WITHOUT ROWID;
 
--- What was said of a unit, or of a bus's port: online, stale, offline, unknown, open, closed.
+-- The state of a unit, or of a bus's port: online, stale, offline, unknown, open, closed.
 CREATE TABLE link (
     unit INTEGER NOT NULL REFERENCES unit (id),
     at INTEGER NOT NULL,

@@ -1,5 +1,5 @@
--- Blocks that could not be read, out of the way of the rest and kept for whoever may still read something of
--- them. A row with tier 'store' and unit 0 says that the whole store was written anew from what was readable.
+-- Blocks that could not be read, out of the way of the rest and kept because another program may still read
+-- some of them. A row with tier 'store' and unit 0: the complete store was rewritten from what was readable.
 CREATE TABLE damaged (
     tier TEXT NOT NULL,
     unit INTEGER NOT NULL,
