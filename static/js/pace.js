@@ -33,12 +33,14 @@ export function usedUp(until, began, cost) {
 /** When the next drawing may start, from the share used so far. */
 export const readyAt = (until) => until - AHEAD_MS;
 
-/** Measure from the writing to the end of the frame: the browser lays out and paints after the frame's callbacks. */
+/** Measure from the writing to the end of the frame: the browser paints after the callbacks of the frame, and lays out
+    before them where a pointer is over the page, to find the element below it. */
 function measure(wrote) {
   if (measuring || document.hidden) return;
   measuring = true;
-  requestAnimationFrame(() => {
-    const began = performance.now();
+  const written = performance.now();
+  requestAnimationFrame((frame) => {
+    const began = Math.max(written, frame);
     after.port1.onmessage = () => {
       measuring = false;
       costs.push(wrote + performance.now() - began);
