@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -21,6 +21,7 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
+from app.lifespan import Lifespan
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
 from app.pipeline import HistoryIntake, Pipeline
@@ -40,6 +41,7 @@ SERVER = Person("server", Role.ENGINEER, "worker")
 class BusDependencies:
     """What every bus needs of its site."""
 
+    lifespan: Lifespan
     events: EventLog
     database: Database
     history: HistoryIntake
@@ -58,8 +60,7 @@ class BusDependencies:
 
 
 class BusService:
-    """One bus: its live state, its worker's reports, and its commands. Call :meth:`load` before the
-    first command."""
+    """One bus: its live state, its worker's reports, and its commands, in the lifespan of the site."""
 
     def __init__(self, live: BusLive, site: BusDependencies) -> None:
         name = live.settings.name
@@ -94,21 +95,22 @@ class BusService:
         self.notifier = site.notification.notifier(name, self.alarms.list, self.alarms.place)
         self.set_schedule = SetSchedule(live, self.sets, site.events, site.local_time)
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
-
-    async def load(self) -> None:
-        await self.safeguards.load()
-        await self.drift.load()
-
-    def works(self) -> Iterable[Callable[[], Awaitable[None]]]:
-        """What runs as long as the server does."""
-        return (
+        site.lifespan.add(
+            f"bus {name}",
             self.recorder.follow,
             self.alarms.follow,
             self.notifier.follow,
             partial(self.set_schedule.follow, SERVER),
             partial(self.sets.learn_marked, SERVER),
+            start=self._load,
+            finish=self.recorder.recorded,
+            end=self._close,
         )
 
-    async def close(self) -> None:
+    async def _load(self) -> None:
+        await self.safeguards.load()
+        await self.drift.load()
+
+    async def _close(self) -> None:
         await self.first_writes.background.close()
         await self.drift.background.close()

@@ -1,15 +1,13 @@
-"""Makes every service once, starts them, and ends them in order."""
+"""Makes every service once, and adds each to the lifespan of the server where it is made."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
 from datetime import datetime
 from functools import partial
 from zoneinfo import ZoneInfo
-
-import structlog
 
 from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
@@ -23,7 +21,7 @@ from app.alarms.shown import alarm_json
 from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
-from app.audit.anchoring import AT_END_S, Anchoring, AnchorStatus, anchor_notice
+from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
 from app.audit.configuration import change_since_last
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
@@ -48,6 +46,7 @@ from app.handover.signing import Signing
 from app.history.pages import warm
 from app.history.service import History, status_words
 from app.history.status import store_notice
+from app.lifespan import Lifespan
 from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder
@@ -73,12 +72,6 @@ from app.web.turns import Turns
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
-log = structlog.get_logger()
-
-AGAIN_AFTER_S = 1.0
-RECORDED_WITHIN_S = 1.0
-"""What the end waits for the last changes of the line to be written down."""
-
 
 class Services:
     """Every service, once. A route finds one by its type."""
@@ -86,14 +79,11 @@ class Services:
     def __init__(self, settings: Settings, *, demo: bool, worker_tokens: Mapping[str, str]) -> None:
         """Open the stores and make every service, each after those that it needs. Raises StoreError."""
         self.settings = settings
-        make_private(settings.server.data)
-        self.database = Database(settings.server.store)
-        keys = open_keys(settings.key_files, self.database.path, self.database.read_now(head_of))
-        self.events = EventLog(self.database, keys=keys)
-        self.anchoring = (
-            None if settings.audit.anchor is None else Anchoring(self.events, settings.audit.anchor)
-        )
+        self.lifespan = Lifespan()
         self.turns = Turns()
+        make_private(settings.server.data)
+        self._make_stores()
+        self._make_event_log()
         self._make_people(worker_tokens)
         self._make_templates(demo=demo)
         self._make_records()
@@ -103,11 +93,32 @@ class Services:
         self._make_handover()
         self._make_screen()
 
+    def _make_stores(self) -> None:
+        """They are closed last, once an event states that the server ended."""
+        self.database = Database(self.settings.server.store)
+        self.lifespan.add("store", end=partial(asyncio.to_thread, self.database.close))
+        self.history = history = History(self.settings)
+        close_history = partial(asyncio.to_thread, history.close)
+        self.lifespan.add("history", history.inspect_daily, start=self._start_history, end=close_history)
+
+    def _make_event_log(self) -> None:
+        settings, database = self.settings, self.database
+        keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
+        self.events = events = EventLog(database, keys=keys)
+        self.anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
+        if self.anchoring is not None:
+            self.lifespan.add("audit anchor", self.anchoring.follow, end=self.anchoring.end)
+        self.lifespan.add("event log", start=self._record_start, once=events.index, end=self._record_end)
+        record_all = partial(events.repeated.record_due, everything=True)
+        self.lifespan.add("repeated events", events.repeated.follow, end=record_all)
+
     def _make_people(self, worker_tokens: Mapping[str, str]) -> None:
         site, names = self.settings.site.name, [bus.name for bus in self.settings.bus]
         self.passwords = Passwords()
+        self.lifespan.add("passwords", end=partial(asyncio.to_thread, self.passwords.close))
         self.accounts = Accounts(self.database, self.passwords, self.events, buses=names, site=site)
         self.rights = Rights(self.database, self.accounts)
+        self.lifespan.add("rights", self.rights.watch)
         lifetimes = Lifetimes.of(self.settings.server.sessions)
         self.sign_in = SignIn(self.database, self.passwords, self.events, lifetimes, site=site)
         self.identity = Identity(self.database, self.sign_in, worker_tokens)
@@ -120,10 +131,10 @@ class Services:
         )
 
     def _make_records(self) -> None:
-        """Live state, history and the events of their changes."""
+        """Live state, and the events of its changes."""
         self.live = LiveState(self.settings.bus, unix_now())
-        self.history = History(self.settings)
-        self.recorder = ChangeRecorder(self.events)
+        self.recorder = recorder = ChangeRecorder(self.events)
+        self.lifespan.add("changes of the site", recorder.follow, finish=recorder.recorded)
         self.history.on_fault(
             lambda kind, what, at: self.recorder.note(LineEvent(kind, None, at, what, "", ""))
         )
@@ -136,6 +147,7 @@ class Services:
             settings, database, self.events, self.templates.languages, local_time
         )
         of_site = BusDependencies(
+            lifespan=self.lifespan,
             events=self.events,
             database=database,
             history=self.history,
@@ -158,6 +170,7 @@ class Services:
     def _make_alarms(self) -> None:
         settings, history, store = self.settings, self.history, self._alarm_store
         self.expiry = ExpiryWatch(self.accounts.tokens, certificates_of(settings.notify))
+        self.lifespan.add("expiry", self.expiry.follow)
         conditions = site_conditions(
             lambda: history.status, self._anchor_status, self.notification.dispatcher.is_failing, self.expiry
         )
@@ -166,18 +179,29 @@ class Services:
         self.alarms = LineAlarms(of_buses, of_site, store, self.events)
         self.own_alarms = OwnAlarmBook(settings, self.alarms, OwnAlarmStore(self.database), self.events)
         self.simulator = Simulator(history)
+        # The site's own alarms first: the state of each is loaded after its definition. Notification last.
+        self.lifespan.add("own alarms", start=self.own_alarms.load)
+        self.lifespan.add("alarms", of_site.follow, start=self.alarms.load, end=self.alarms.write)
+        notifier = self.notification.notifier(None, of_site.list, lambda _: "")
+        works = (notifier.follow, self.notification.dispatcher.follow)
+        self.lifespan.add("notification", *works, start=self.notification.load)
 
     def _make_parameter_services(self) -> None:
         """Parameter sets, restores, swaps and recipes."""
         commands = {name: bus.commands for name, bus in self.buses.items()}
         readers = {name: bus.reader for name, bus in self.buses.items()}
         self.takings = Takings()
-        self.restores = RestoreService(readers, commands, self.events, RestoreStore(self.database))
-        self.swaps = SwapService(self.events, SwapStore(self.database), self.restores, unix_now)
+        self.lifespan.add("readings of sets", end=self.takings.background.close)
+        self.restores = restores = RestoreService(readers, commands, self.events, RestoreStore(self.database))
+        self.lifespan.add("restores", start=restores.load, end=restores.background.close)
+        self.swaps = SwapService(self.events, SwapStore(self.database), restores, unix_now)
+        self.lifespan.add("swaps", start=self.swaps.load)
         self.recipes = RecipeBook(self.live, commands, RecipeStore(self.database), self.events)
+        self.lifespan.add("recipes", start=self.recipes.load_marks)
 
     def _make_handover(self) -> None:
         self.pictures = PictureStore(self.settings.server.data)
+        self.lifespan.add("pictures", end=partial(asyncio.to_thread, self.pictures.close))
         self.handover = Handover(self.settings, self.database, self.events, self.pictures)
         self.documents = SheetDocuments(self.templates, self.assets, self.alarms, self.pictures)
         self.signing = Signing(self.handover, self.database, self.events, self.sign_in, self.documents.page)
@@ -195,16 +219,42 @@ class Services:
         )
         english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
         self.stream = LineStream(self.settings.site.name, live, self.sources, english, unix_now)
+        self.lifespan.add("stream", self.stream.follow)
         self.alarms.subscribe(self._stream_alarm)
         watchers = {name: bus.feed.watch for name, bus in buses.items()}
         self.hub = Hub(live, self.sources, templates, watchers, unix_now)
+        self.lifespan.add("browsers", self.hub.beat)
         held_control = {name: partial(_held_control, bus) for name, bus in buses.items()}
         of_buses = {name: bus.alarms for name, bus in buses.items()}
         self.control_watch = ControlWatch(of_buses, held_control, self.hub.people)
+        self.lifespan.add("control", self.control_watch.follow)
         self.measured = MetricSources(
             live, lambda: self.hub.connected, Counts(self.events), self._anchor_status, self.alarms
         )
         self.onsets = OnsetLookup(live, partial(status_words, history), self.hub.refresh_unit, unix_now)
+        self.lifespan.add("onsets", self.onsets.follow)
+        language = self.settings.site.language
+        self.lifespan.add("warming", once=partial(warm, history, templates, self.assets, language))
+
+    async def _start_history(self) -> None:
+        self.history.start()
+
+    async def _record_start(self) -> None:
+        """Close what the last run left open, then record what this one begins with."""
+        events, data = self.events, self.settings.server.data
+        await events.close_open_intents()
+        if self.database.migrated:
+            await events.record(kind="server", what=_store_changed(self.database.migrated))
+        await events.record(kind="server", what=Message("event_server_started"))
+        if events.keys.path is not None and events.keys.path.is_relative_to(data):
+            await events.record(kind="audit", what=Message("event_audit_key_in_data"))
+        settings = self.settings.model_dump(mode="json")
+        if changed := await asyncio.to_thread(change_since_last, data, settings):
+            what = Message("event_configuration_changed")
+            await events.record(kind="configuration", what=what, message=changed)
+
+    async def _record_end(self) -> None:
+        await self.events.record(kind="server", what=Message("event_server_ended"))
 
     def _anchor_status(self) -> AnchorStatus:
         return _status_of(self.anchoring)
@@ -231,43 +281,9 @@ def _notices(history: History, anchoring: Anchoring | None, translator: Translat
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 
 
-@asynccontextmanager
-async def running(services: Services) -> AsyncIterator[None]:
+def running(services: Services) -> AbstractAsyncContextManager[None]:
     """From the first request to the last: open commands are closed, and background tasks run."""
-    site_notifier = services.notification.notifier(None, services.alarms.site.list, lambda _: "")
-    await _begin(services)
-    works = (
-        *((services.anchoring.follow,) if services.anchoring else ()),
-        services.events.repeated.follow,
-        services.recorder.follow,
-        services.alarms.site.follow,
-        services.expiry.follow,
-        services.control_watch.follow,
-        site_notifier.follow,
-        services.notification.dispatcher.follow,
-        *(work for bus in services.buses.values() for work in bus.works()),
-        services.hub.beat,
-        services.stream.follow,
-        services.onsets.follow,
-        services.history.inspect_daily,
-        services.rights.watch,
-    )
-    tasks = [asyncio.create_task(_restarted(work)) for work in works]
-    language = services.settings.site.language
-    tasks.append(asyncio.create_task(services.events.index()))
-    tasks.append(asyncio.create_task(warm(services.history, services.templates, services.assets, language)))
-    try:
-        yield
-    finally:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(RECORDED_WITHIN_S):
-                recorders = (services.recorder, *(bus.recorder for bus in services.buses.values()))
-                await asyncio.gather(*(recorder.recorded() for recorder in recorders))
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        await services.alarms.write()
-        await _end(services)
+    return services.lifespan.running()
 
 
 def _store_changed(steps: Sequence[Migration]) -> Message:
@@ -276,56 +292,3 @@ def _store_changed(steps: Sequence[Migration]) -> Message:
         return Message("event_store_created")
     names = ", ".join(f"{step.number:04d} {step.name}" for step in steps)
     return Message.of("event_store_updated", steps=names)
-
-
-async def _begin(services: Services) -> None:
-    services.history.start()
-    await services.events.close_open_intents()
-    if services.database.migrated:
-        await services.events.record(kind="server", what=_store_changed(services.database.migrated))
-    await services.events.record(kind="server", what=Message("event_server_started"))
-    key_file = services.events.keys.path
-    if key_file is not None and key_file.is_relative_to(services.settings.server.data):
-        await services.events.record(kind="audit", what=Message("event_audit_key_in_data"))
-    changed = await asyncio.to_thread(
-        change_since_last, services.settings.server.data, services.settings.model_dump(mode="json")
-    )
-    if changed:
-        await services.events.record(
-            kind="configuration", what=Message("event_configuration_changed"), message=changed
-        )
-    for bus in services.buses.values():
-        await bus.load()
-    await services.own_alarms.load()
-    await services.alarms.load()
-    await services.notification.load()
-    await services.restores.load()
-    await services.swaps.load()
-    await services.recipes.load_marks()
-
-
-async def _end(services: Services) -> None:
-    await services.takings.background.close()
-    for bus in services.buses.values():
-        await bus.close()
-    await services.restores.background.close()
-    await services.events.repeated.record_due(everything=True)
-    await services.events.record(kind="server", what=Message("event_server_ended"))
-    if services.anchoring is not None:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(AT_END_S):
-                await services.anchoring.export(AT_END_S)
-    await asyncio.to_thread(services.history.close)
-    services.passwords.close()
-    await asyncio.to_thread(services.pictures.close)
-    await asyncio.to_thread(services.database.close)
-
-
-async def _restarted(work: Callable[[], Awaitable[None]]) -> None:
-    """Run ``work``; a failure is logged, and it starts again."""
-    while True:
-        try:
-            await work()
-        except Exception:
-            log.exception("failed, goes on")
-        await asyncio.sleep(AGAIN_AFTER_S)

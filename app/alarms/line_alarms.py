@@ -80,10 +80,10 @@ class LineAlarms:
 
     async def write(self) -> None:
         """Bring to disk what is not there yet, as far as it can be; the server ends."""
-        with suppress(StoreError):
-            for each in self._lists:
-                await each.write()
-                await each.record_observed()
+        for each in self._lists:
+            for work in (each.write, each.record_observed):
+                with suppress(StoreError):
+                    await work()
 
     def subscribe(self, subscriber: AlarmSubscriber) -> None:
         """Call ``subscriber`` with each alarm that has changed, of every bus and of the site, on the event

@@ -59,6 +59,12 @@ class Anchoring:
             await self.export()
             await asyncio.sleep(EVERY_S)
 
+    async def end(self) -> None:
+        """Write the head of the log as the server leaves it, where the medium is quick."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(AT_END_S):
+                await self.export(AT_END_S)
+
     async def export(self, within_s: float = WITHIN_S) -> None:
         """Write the head where it has changed. A failure is an event and :attr:`status`, and is retried."""
         async with self._one_at_a_time:

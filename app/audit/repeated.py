@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from app.audit.kinds import EventKind
+from app.errors import StoreError
 from bus.instants import Clock, UnixTime
 from bus.messages import Message
 
@@ -103,9 +104,18 @@ class RepeatedEvents:
             await self.record_due()
 
     async def record_due(self, *, everything: bool = False) -> None:
-        """Record what was counted in minutes that are over; when the server ends, ``everything``."""
+        """Record what was counted in minutes that are over; when the server ends, ``everything``.
+
+        Raises StoreError once each was tried.
+        """
+        failed: StoreError | None = None
         for counted in self._tally.due(self._clock(), everything=everything):
-            await self._record_counted(counted)
+            try:
+                await self._record_counted(counted)
+            except StoreError as error:
+                failed = error
+        if failed is not None:
+            raise failed
 
     async def _record_counted(self, counted: Counted[_RepeatedEvent]) -> None:
         kind, what, who, origin, message = counted.item

@@ -20,6 +20,7 @@ from app.server.stamping import StampingProtocol
 from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
+from app.wiring import Services, running
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
@@ -36,7 +37,7 @@ class Server(uvicorn.Server):
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
-        self._end_streams = app.state.services.stream.end
+        self._services: Services = app.state.services
         super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()
@@ -45,12 +46,17 @@ class Server(uvicorn.Server):
     def end(self) -> None:
         """Close all connections, then return from serving."""
         self.should_exit = True
-        self._end_streams()
+        self._services.stream.end()
         self._ended.set()
 
     def capture_signals(self) -> Any:
         """The workers must end before the server does."""
         return nullcontext()
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        """Serve until :meth:`end`. Raises StartError where a service cannot start."""
+        async with running(self._services):
+            await super().serve(sockets)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """As it is, then the word that it serves."""
@@ -101,6 +107,6 @@ def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Con
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
         log_level="error",  # a warning for each malformed request would let anyone fill the disk
         server_header=False,
-        lifespan="on",
+        lifespan="off",
         timeout_graceful_shutdown=GRACEFUL_S,
     )

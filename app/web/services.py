@@ -27,12 +27,18 @@ S = TypeVar("S")
 
 
 class Registry:
-    """The services of an app, one of each type; ``buses``: those of each bus, by its name."""
+    """The services of an app, one of each type; ``buses``: those of each bus, by its name.
+
+    Raises RuntimeError for two services of one type: a route could not choose between them.
+    """
 
     def __init__(
         self, services: Iterable[object], buses: Mapping[str, Iterable[object]] | None = None
     ) -> None:
-        self._services = {type(each): each for each in services}
+        self._services: dict[type[object], object] = {}
+        for each in services:
+            if self._services.setdefault(type(each), each) is not each:
+                raise RuntimeError(f"two services of the type {type(each).__qualname__}")
         self._buses = {bus: Registry(of_bus) for bus, of_bus in (buses or {}).items()}
 
     def __getitem__(self, kind: type[S]) -> S:

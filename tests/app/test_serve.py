@@ -8,12 +8,13 @@ import os
 import re
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
+from app.database import Database
 from app.settings import load
 from tests import fork_server
 from tests.fork_server import ForkedProcess
@@ -258,6 +260,20 @@ def test_two_servers_never_share_their_data(config: Path) -> None:
         done = fork_server.run("serve", "--config", config)
     assert done.returncode == 1
     assert "another Lineside server uses" in done.stderr
+
+
+def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
+    store = load(config).server.store
+    Database(store).close()
+    with closing(sqlite3.connect(store)) as connection:
+        connection.execute("ALTER TABLE swap RENAME TO lost")
+    done = fork_server.run("serve", "--config", config)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.splitlines()[-1].startswith("lineside: the dashboard could not start: swaps: ")
+    assert "Traceback" not in done.stderr
+    with closing(sqlite3.connect(store)) as connection:
+        (last,) = connection.execute("SELECT what FROM events ORDER BY id DESC LIMIT 1").fetchone()
+    assert last == "server stopped"
 
 
 def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:

@@ -46,6 +46,12 @@ def test_a_service_is_found_by_its_type() -> None:
         registry[float]
 
 
+def test_two_services_of_one_type_are_refused() -> None:
+    with pytest.raises(RuntimeError, match="two services of the type int"):
+        Registry(("text", 1, 2))
+    Registry(("text",), {"dry-end": (1,), "wet-end": (2,)})
+
+
 def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
     tree = ast.parse(Path(wiring.__file__).read_text())
     stored = [

@@ -35,6 +35,7 @@ TEXTS: dict[str, EnglishText] = {
         "nothing can be written to {folder}: {error}; give the server's user write access to it, or name "
         "another folder as data in [server]"
     ),
+    "part_not_started": "the dashboard could not start: {part}: {reason}",
     "dashboard_not_started": "the dashboard could not start; see the messages above",
     "simulator_not_started": "the simulated line could not start; see the messages above",
     "not_serving": (
