@@ -35,6 +35,8 @@ __all__ = ["ConfigurationError", "ServerSettings", "Sessions", "Settings", "Site
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
 
+STORE_FILE = "lineside.db"
+"""The main store, in the data folder."""
 KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
@@ -136,7 +138,7 @@ class ServerSettings(StrictModel):
     @property
     def store(self) -> Path:
         """The main store: users, events, sets, recipes, limits."""
-        return self.data / "lineside.db"
+        return self.data / STORE_FILE
 
 
 class HistorySettings(StrictModel):

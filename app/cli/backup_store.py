@@ -11,8 +11,8 @@ import json
 import sqlite3
 import tarfile
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -20,18 +20,19 @@ from typing import Annotated
 import typer
 
 from app.auth.withheld import Withheld
+from app.cli.backup_archive import MANIFEST, STORES, BackupArchive, open_archive
 from app.cli.ending import ending, report
 from app.cli.restored_store import Backup, consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
-from app.database.private import make_file, make_private, restrict
+from app.database.migrating import is_store
+from app.database.private import make_file, make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
-from app.settings import load
-from bus.instants import UnixTime, unix_now
+from app.settings import STORE_FILE, load
+from bus.instants import unix_now
 from bus.messages import Message
 
-MANIFEST = "manifest.json"
 ASIDE = ".before-restore"
 _COMPANIONS = ("-wal", "-shm")
 
@@ -60,7 +61,7 @@ def restore_store(
             typer.confirm(
                 str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True
             )
-        names, withheld = read_backup(file, server.data, settings.key_files, server.store.name)
+        names, withheld = read_backup(file, server.data, settings.key_files)
     report(Message.of("stores_restored", folder=str(server.data), names=[*names], suffix=ASIDE))
     for consequence in consequences(withheld) if withheld is not None else ():
         report(consequence)
@@ -69,7 +70,7 @@ def restore_store(
 def write_backup(data: Path, file: Path) -> list[str]:
     """Copy the stores of a data folder; gives their names. Raises StoreError, also where a store is damaged:
     it could not be put back; then there is no file."""
-    stores = _in_order(data)
+    stores = [store for name in STORES if (store := data / name).exists()]
     if not stores:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
@@ -84,12 +85,6 @@ def write_backup(data: Path, file: Path) -> list[str]:
                 archive.add(copy, copy.name)
         tar_file.rename(file)
     return [store.name for store in stores]
-
-
-def _in_order(data: Path) -> list[Path]:
-    """The main store before that of the pictures: a picture is stored before its note, so that each note of
-    the copy has its pictures. By their names it is."""
-    return sorted(data.glob("*.db"))
 
 
 def _copy(store: Path, folder: Path) -> Path:
@@ -126,66 +121,55 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
     archive.addfile(entry, io.BytesIO(data))
 
 
-def read_backup(
-    file: Path, data: Path, key_files: Sequence[Path], main: str = "lineside.db"
-) -> tuple[list[str], Withheld | None]:
-    """Put the stores of a backup into a data folder; return their names, and what was withheld from the
-    ``main``
+def read_backup(file: Path, data: Path, key_files: Sequence[Path]) -> tuple[list[str], Withheld | None]:
+    """Put the stores of a backup into a data folder; return their names, and what was withheld from the main
     one where the backup contains it, whose log continues under the key in the first of ``key_files``.
 
     Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
     main one prepared, before the first is put in its place.
     """
-    make_private(data)
-    with in_words(file), tempfile.TemporaryDirectory(dir=data) as folder:
-        proved, taken_at = _unpack(file, Path(folder))
-        for store in sorted(data.glob("*.db")):
-            _refuse_while_open(store)
-        withheld = None
-        if (fresh := Path(folder) / main) in proved:
-            withheld = make_ready(fresh, data / main, Backup(file.name, taken_at, _digest(file)), key_files)
-        for fresh in proved:
-            _put(fresh, data / fresh.name)
+    with in_words(file), open_archive(file) as archive:
+        make_private(data)
+        with tempfile.TemporaryDirectory(dir=data) as folder:
+            proved = archive.unpack(Path(folder))
+            for fresh in proved:
+                _prove(fresh, file)
+            for store in (data / name for name in STORES):
+                _refuse_while_open(store)
+            withheld = None
+            if (fresh := Path(folder) / STORE_FILE) in proved:
+                withheld = _ready(fresh, data / STORE_FILE, archive, key_files)
+            for fresh in proved:
+                _put(fresh, data / fresh.name)
     return [fresh.name for fresh in proved], withheld
 
 
-def _unpack(file: Path, folder: Path) -> tuple[list[Path], UnixTime]:
-    """Return the checked stores, and the time of the backup."""
-    with _archive(file) as archive:
-        extracted = archive.extractfile(MANIFEST)
-        assert extracted is not None
-        manifest = json.loads(extracted.read())
-        stores: dict[str, str] = manifest["stores"]
-        taken_at = UnixTime(manifest["time"])
-        for name in stores:
-            archive.extract(archive.getmember(name), folder, filter="data")
-            restrict(folder / name)
-    for name, digest in stores.items():
-        _prove(folder / name, digest, file)
-    return [folder / name for name in sorted(stores)], taken_at
-
-
-@contextmanager
-def _archive(file: Path) -> Iterator[tarfile.TarFile]:
-    try:
-        with tarfile.open(file, "r:") as archive:
-            yield archive
-    except (tarfile.TarError, KeyError, AssertionError, ValueError) as error:
-        raise StoreError(Message.of("backup_malformed", file=str(file), error=str(error))) from error
-
-
-def _prove(store: Path, digest: str, file: Path) -> None:
-    if _digest(store) != digest:
-        raise StoreError(Message.of("backup_damaged", file=str(file), store=store.name))
+def _prove(store: Path, file: Path) -> None:
+    """A store of a backup is sound, and one that Lineside made."""
     with in_words(store), closing(open_for_reading(store)) as connection:
-        fault = _fault_of(connection)
+        fault = _fault_of(connection) or ("" if is_store(connection) else "no store of Lineside")
     if fault:
-        raise StoreError(Message.of("backup_unsound", file=str(file), store=store.name, verdict=fault))
+        raise StoreError(_unsound(file, store.name, fault))
+
+
+def _ready(fresh: Path, present: Path, archive: BackupArchive, key_files: Sequence[Path]) -> Withheld:
+    backup = Backup(archive.path.name, archive.taken_at, archive.digest())
+    try:
+        return make_ready(fresh, present, backup, key_files)
+    except (sqlite3.Error, ValueError) as error:
+        raise StoreError(_unsound(archive.path, present.name, str(error))) from error
+
+
+def _unsound(file: Path, store: str, verdict: str) -> Message:
+    return Message.of("backup_unsound", file=str(file), store=store, verdict=verdict)
 
 
 def _refuse_while_open(store: Path) -> None:
     """A store in WAL mode gives the exclusive lock only to a sole user. A damaged one has no
-    users: a backup is to take its place."""
+    users: a backup is to take its place. Raises StoreError for a link, which may lead anywhere."""
+    refuse_link(store)
+    if not store.exists():
+        return
     try:
         with closing(sqlite3.connect(store, timeout=0, isolation_level=None)) as connection:
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")

@@ -71,9 +71,14 @@ def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -
     return missing
 
 
-def _applied(connection: sqlite3.Connection) -> dict[int, str]:
+def is_store(connection: sqlite3.Connection) -> bool:
+    """Whether Lineside made the store, and not another program."""
     exists = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'migrations'"
-    if connection.execute(exists).fetchone() is None:
+    return connection.execute(exists).fetchone() is not None
+
+
+def _applied(connection: sqlite3.Connection) -> dict[int, str]:
+    if not is_store(connection):
         return {}
     return dict(connection.execute("SELECT number, name FROM migrations"))
 

@@ -67,6 +67,9 @@ TEXTS: dict[str, EnglishText] = {
     "stores_missing": "there is no store in {folder}; nothing was served with this configuration yet",
     "backup_exists": "{file} exists already; name another file",
     "backup_malformed": "{file} is not a backup of Lineside's stores, or damaged: {error}",
+    "backup_needs_space": (
+        "the stores of {file} need {needed} bytes, and the disk has {free} free; make room, then restore"
+    ),
     "backup_damaged": "{file} is damaged: {store} is not what was backed up; take another backup",
     "backup_unsound": "{file}: {store} is not sound ({verdict}); take another backup",
     "store_in_use": "{store} is in use: end the dashboard, then restore",
