@@ -25,6 +25,7 @@ from app.cli.ending import ending, report
 from app.cli.restored_store import Backup, consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
+from app.database.copies import COMPANIONS
 from app.database.migrating import is_store
 from app.database.private import make_file, make_private, refuse_link
 from app.database.words import in_words
@@ -34,7 +35,6 @@ from bus.instants import unix_now
 from bus.messages import Message
 
 ASIDE = ".before-restore"
-_COMPANIONS = ("-wal", "-shm")
 
 
 def backup_store(
@@ -182,6 +182,6 @@ def _refuse_while_open(store: Path) -> None:
 def _put(fresh: Path, place: Path) -> None:
     if place.exists():
         place.replace(place.with_name(place.name + ASIDE))
-    for companion in _COMPANIONS:
+    for companion in COMPANIONS:
         place.with_name(place.name + companion).unlink(missing_ok=True)
     fresh.replace(place)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from app.database.copies import copy_of, remove_older_copies
 from app.database.private import make_file, make_folder
 from app.errors import StoreError
 from bus.instants import unix_now
@@ -83,16 +84,12 @@ def _applied(connection: sqlite3.Connection) -> dict[int, str]:
     return dict(connection.execute("SELECT number, name FROM migrations"))
 
 
-def copy_name(path: Path, step: Migration) -> Path:
-    """Where the store is copied to before a step."""
-    return path.with_name(f"{path.name}.before-{step.number:04d}")
-
-
 def _copy(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
-    copy = copy_name(path, step)
+    copy = copy_of(path, "before", f"{step.number:04d}")
     copy.unlink(missing_ok=True)
     make_file(copy)
     connection.execute("VACUUM INTO ?", (str(copy),))
+    remove_older_copies(path, "before")
 
 
 def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:

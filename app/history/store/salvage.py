@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from app.database.connection import Database
+from app.database.copies import COMPANIONS, copy_of, remove_older_copies
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.store import tables
 from app.history.store.damage import sound
 from bus.instants import unix_now
 
 _SMALL = ("unit", "parameter", "fact", "journal")
-_SUFFIXES = ("", "-wal", "-shm")
 _LARGE = {
     "raw": ("start, unit, span, points, data", MINUTE),
     "minutes": ("start, unit, data", HOUR),
@@ -35,12 +35,12 @@ Copy = Callable[[tables.StoreConnection], int]
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a closed store with its log; return its new name."""
-    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    aside = path.with_name(f"{path.name}.damaged-{stamp}")
-    for suffix in _SUFFIXES:
+    """Rename a closed store with its log; return its new name. Of those put aside the newest two stay."""
+    aside = copy_of(path, "damaged", time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()))
+    for suffix in ("", *COMPANIONS):
         with suppress(FileNotFoundError):
             path.with_name(path.name + suffix).rename(aside.with_name(aside.name + suffix))
+    remove_older_copies(path, "damaged")
     return aside
 
 
