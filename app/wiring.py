@@ -35,6 +35,7 @@ from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusDependencies, BusService
+from app.commands.catalogue import ROLES_BY_COMMAND
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
@@ -116,7 +117,12 @@ class Services:
         self.assets = Assets(static_dir())
         compiled = self.settings.server.data / "compiled"
         self.templates = Templates(
-            templates_dir(), self.assets, self.settings.site, demo=demo, kept_in=compiled
+            templates_dir(),
+            self.assets,
+            self.settings.site,
+            demo=demo,
+            kept_in=compiled,
+            command_roles=ROLES_BY_COMMAND,
         )
 
     def _make_records(self) -> None:

@@ -30,7 +30,7 @@ from bus.contract import (
 from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, bus_settings, responding, result_of
 
-ANNA = Person("anna", Role.OPERATOR, "token")
+ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
 
 

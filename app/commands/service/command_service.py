@@ -27,7 +27,7 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Person
+from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
 from bus.instants import UnixTime, unix_now
@@ -85,10 +85,10 @@ class CommandService:
         kind takes.
 
         Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
-        403 ``rights_withdrawn`` when the account has lost a right that it had when the person was
-        authenticated, 503 ``not_sent`` where its deadline has passed. A task of many writes sends each as a
-        command and stops there.
+        configured, 403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when
+        the account has lost a right that it had when the person was authenticated, 422 ``invalid``, 409
+        ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` where its
+        deadline has passed. A task of many writes sends each as a command and stops there.
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -140,8 +140,8 @@ class CommandService:
         async with self._rejection_recorded(request):
             request.deadline.refuse_passed()
             await self._rights.check(request.person)
-            # Before anything is read for it: a user without control learns that, not the unit's values.
-            self._use_control(request.person, request.action)
+            # Before anything is read for it: a user without the right learns that, not the unit's values.
+            self._require_right(request.person, request.action)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._object(request.person, request.action, confirm)
 
@@ -156,13 +156,15 @@ class CommandService:
             raise
 
     def _object(self, person: Person, action: Action, confirm: bool) -> None:
-        self._use_control(person, action)
+        self._require_right(person, action)
         try:
             check(action, self._circumstances(confirm))
         except ObjectionError as error:
             raise problem_of(error) from error
 
-    def _use_control(self, person: Person, action: Action) -> None:
+    def _require_right(self, person: Person, action: Action) -> None:
+        """The role of the kind, whichever way the command came, then control of the bus."""
+        refuse_without(kind_of_command(action).role, person)
         try:
             if action.writes:
                 self._guards.control.use(person.account, unix_now())
