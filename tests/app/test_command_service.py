@@ -124,7 +124,7 @@ async def withdraw(stage: Stage) -> str:
 
 async def hand_over(stage: Stage) -> str:
     stage.guards.control.required = True
-    stage.guards.control.hand_over("", "ben", time.time(), by_force=True)
+    stage.guards.control.hand_over("", "ben", time.monotonic(), time.time(), by_force=True)
     return "ben has control of this line"
 
 

@@ -30,7 +30,7 @@ from app.live.state.bus_live import BusLive
 from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
-from bus.instants import UnixTime, unix_now
+from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
@@ -54,6 +54,7 @@ class CommandService:
     _cache: IdempotencyCache
     _guards: Safeguards
     _rights: Authority
+    _monotonic: MonotonicClock = monotonic_now
     _moves: Moves = field(default_factory=Moves)
     _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
     _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
@@ -167,7 +168,7 @@ class CommandService:
         refuse_without(kind_of_command(action).role, person)
         try:
             if action.writes:
-                self._guards.control.use(person.account, unix_now())
+                self._guards.use_control(person.account)
         except ControlledError as error:
             raise Problem(
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
@@ -178,7 +179,7 @@ class CommandService:
             bus=self._live,
             limits=self._guards.limits.of,
             block=self._guards.blocks.of,
-            moved=lambda unit: self._moves.within_a_minute(unit, unix_now()),
+            moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
 
@@ -187,7 +188,7 @@ class CommandService:
         if already is not None:
             return already
         # Noted before another command can be checked: two at once must not both pass the limit of a minute.
-        steps, at = _steps(request.action, self._live), unix_now()
+        steps, at = _steps(request.action, self._live), self._monotonic()
         for unit, step in steps.items():
             self._moves.note(unit, step, at)
         task = asyncio.create_task(self._follow(request, steps, at), name=f"command {request.id}")
@@ -198,7 +199,7 @@ class CommandService:
             self._cache.keep(request.person, request.key, kept)
         return kept
 
-    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: UnixTime) -> Result:
+    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:
@@ -256,7 +257,7 @@ class CommandService:
             block = self._guards.blocks.of(unit)
             if block is not None:
                 return block.refusal(unit)
-        return self._guards.control.objection(request.person.account, unix_now())
+        return self._guards.objection(request.person.account)
 
 
 def _refuse_other(id: str | None, same: bool) -> None:
