@@ -30,6 +30,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
+from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
@@ -108,9 +109,12 @@ class Services:
         site, names = self.settings.site.name, [bus.name for bus in self.settings.bus]
         self.passwords = Passwords()
         self.accounts = Accounts(self.database, self.passwords, self.events, buses=names, site=site)
-        self.rights = Rights(self.database, self.accounts)
+        self.rechecks = Rechecks()
+        self.rights = Rights(self.database, self.accounts, self.rechecks)
         lifetimes = Lifetimes.of(self.settings.server.sessions)
-        self.sign_in = SignIn(self.database, self.passwords, self.events, lifetimes, site=site)
+        self.sign_in = SignIn(
+            self.database, self.passwords, self.events, lifetimes, site=site, rechecks=self.rechecks
+        )
         self.identity = Identity(self.database, self.sign_in, worker_tokens)
 
     def _make_templates(self, *, demo: bool) -> None:
