@@ -33,8 +33,8 @@ from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.web.access import Person, Role
 
-SERVER = Person("server", Role.ENGINEER, "worker")
-"""Author of automatic actions: the schedule of parameter sets."""
+SERVER = Person("server", Role.VIEWER, "worker")
+"""Author of automatic actions: the daily sets, and reading what is compared with a golden set. It reads."""
 
 
 @dataclass(frozen=True, slots=True)

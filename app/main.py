@@ -132,7 +132,7 @@ def create_app(
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(AnonymousInTurn)
-    app.add_middleware(Identify, identity=services.identity, rechecks=services.rights.rechecks, demo=demo)
+    app.add_middleware(Identify, identity=services.identity, rechecks=services.rechecks, demo=demo)
     app.add_middleware(BoundedRequest)
     app.add_middleware(OwnPagesOnly)
     app.add_middleware(RecordRefusals, events=services.events)

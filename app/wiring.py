@@ -28,11 +28,13 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
+from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.bus_service import BusDependencies, BusService
+from app.commands.catalogue import ROLES_BY_COMMAND
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
 from app.database import Database
@@ -117,17 +119,25 @@ class Services:
         self.passwords = Passwords()
         self.lifespan.add("passwords", end=partial(asyncio.to_thread, self.passwords.close))
         self.accounts = Accounts(self.database, self.passwords, self.events, buses=names, site=site)
-        self.rights = Rights(self.database, self.accounts)
+        self.rechecks = Rechecks()
+        self.rights = Rights(self.database, self.accounts, self.rechecks)
         self.lifespan.add("rights", self.rights.watch)
         lifetimes = Lifetimes.of(self.settings.server.sessions)
-        self.sign_in = SignIn(self.database, self.passwords, self.events, lifetimes, site=site)
+        self.sign_in = SignIn(
+            self.database, self.passwords, self.events, lifetimes, site=site, rechecks=self.rechecks
+        )
         self.identity = Identity(self.database, self.sign_in, worker_tokens)
 
     def _make_templates(self, *, demo: bool) -> None:
         self.assets = Assets(static_dir())
         compiled = self.settings.server.data / "compiled"
         self.templates = Templates(
-            templates_dir(), self.assets, self.settings.site, demo=demo, kept_in=compiled
+            templates_dir(),
+            self.assets,
+            self.settings.site,
+            demo=demo,
+            kept_in=compiled,
+            command_roles=ROLES_BY_COMMAND,
         )
 
     def _make_records(self) -> None:

@@ -16,7 +16,7 @@ from app.live.state.bus_live import BusLive, UnitLive, follower, reads_ratio
 from bus.catalogue.numbers import MAX_DISPLAY, MAX_RATIO, MIN_RATIO, RATIO_SETPOINT
 from bus.contract import Reading
 from bus.contract.durations import POLL_BYTES
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
 from bus.settings import wire_seconds
 
 DEGRADED_SHARE = 0.05
@@ -165,7 +165,7 @@ def wire_overloaded(bus: BusLive) -> bool | None:
 CONTROL_IDLE_S = 120.0
 
 
-def control_is_left(used_at: UnixTime, now: UnixTime, *, has_page: bool) -> bool:
+def control_is_left(used_at: Monotonic, now: Monotonic, *, has_page: bool) -> bool:
     """Whether a holder of control has no page open and has sent no command for a while."""
     return not has_page and now - used_at > CONTROL_IDLE_S
 

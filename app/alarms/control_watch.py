@@ -8,11 +8,11 @@ from collections.abc import Callable, Collection, Mapping
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.conditions import control_is_left
 from app.web.access import account_shown
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import Monotonic, MonotonicClock, monotonic_now
 from bus.messages import Message
 
 LOOK_EVERY_S = 5.0
-HeldControl = tuple[str, UnixTime]
+HeldControl = tuple[str, Monotonic]
 """The account, and when it last sent a command."""
 ControlLookup = Callable[[], HeldControl | None]
 
@@ -25,7 +25,7 @@ class ControlWatch:
         buses: Mapping[str, BusAlarms],
         held: Mapping[str, ControlLookup],
         present: Callable[[], Collection[str]],
-        clock: Clock = unix_now,
+        clock: MonotonicClock = monotonic_now,
     ) -> None:
         self._buses = buses
         self._held = held

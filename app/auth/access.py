@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
+from functools import partial
 from urllib.parse import quote, urlsplit
 
 from starlette.datastructures import Headers
@@ -14,7 +15,7 @@ from starlette.types import Message as AsgiMessage
 
 from app.audit.log import EventLog
 from app.auth.identity import ExpiredTokenError, Identity
-from app.auth.lasting import Rechecks, RightsEndedError, sending_while_allowed, while_allowed
+from app.auth.lasting import Rechecks, respond_while_allowed, while_allowed
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.connections import identify
@@ -48,7 +49,7 @@ class Identify:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        connection = HTTPConnection(scope)
+        connection, seen = HTTPConnection(scope), self._rechecks.count
         try:
             person = await self._person(connection)
         except Problem as problem:
@@ -63,25 +64,24 @@ class Identify:
             await _turn_away(connection, receive, send)
             return
         scope["person"] = person
-        if person is not None:
-            identify(scope, person.account)
-            if scope["type"] == "websocket":
-                await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
-
-        async def is_still() -> bool:
-            return await self._is_still(connection, person)
-
-        if scope["type"] == "websocket":
-            await while_allowed(self._app(scope, receive, send), is_still, send, self._rechecks)
+        if person is None:
+            await self._app(scope, receive, send)
             return
-        with suppress(RightsEndedError):
-            # Returning without the rest makes the server cut the connection, as an incomplete response.
-            await self._app(scope, receive, sending_while_allowed(send, is_still, self._rechecks))
+        identify(scope, person.account)
+        withdrawal = partial(
+            self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
+        )
+        if scope["type"] == "websocket":
+            await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
+            await while_allowed(self._app(scope, receive, send), withdrawal, send)
+            return
+        # Returning without the rest makes the server cut the connection, as an incomplete response.
+        await respond_while_allowed(partial(self._app, scope, receive), withdrawal, send)
 
-    async def _is_still(self, connection: HTTPConnection, person: Person | None) -> bool:
-        """Whether who opened a socket may have it still; a store that fails ends nothing that runs."""
+    async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
+        """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
         try:
-            return await self._person(connection, is_use=person is not None and person.panel) == person
+            return await self._person(connection, is_use=person.panel) == person
         except Problem:
             return False
         except StoreError:

@@ -76,12 +76,12 @@ class Rights:
 
     _database: Database
     accounts: InitVar[AccountChanges]
+    rechecks: Rechecks = field(default_factory=Rechecks)
     clock: Clock = unix_now
     monotonic: MonotonicClock = monotonic_now
     _standings: Mapping[str, Standing] = field(default_factory=dict)
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
-    rechecks: Rechecks = field(default_factory=Rechecks)
 
     def __post_init__(self, accounts: AccountChanges) -> None:
         accounts.on_changed(self._on_account_change)
@@ -109,8 +109,9 @@ class Rights:
         if began < self._read_at:
             return  # another read began later and is here already
         before, self._standings, self._read_at = self._standings, standings, began
-        if before != standings:
-            self.rechecks.now()
+        for account in before.keys() | standings.keys():
+            if before.get(account) != standings.get(account):
+                self.rechecks.now(account)
         lessened = [
             account
             for account, standing in before.items()
@@ -120,8 +121,9 @@ class Rights:
         await asyncio.gather(*(withdrawn(account) for account in lessened for withdrawn in self._withdrawn))
 
     async def _on_account_change(self, kept: str) -> None:
-        await self.refresh(kept)
+        # First: what acts on a withdrawal may wait for the disk. Of all: a change may end sessions alone.
         self.rechecks.now()
+        await self.refresh(kept)
 
     async def watch(self) -> None:
         """Run until canceled: apply what the command line changes in the store."""

@@ -11,6 +11,7 @@ from math import ceil
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
+from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords, is_outdated
 from app.auth.rules import Lifetimes
 from app.auth.store import User
@@ -48,7 +49,8 @@ class SignedIn:
 
 @dataclass(eq=False, repr=False)
 class SignIn:
-    """The sessions of people and panels, from their beginning to their end."""
+    """The sessions of people and panels, from their beginning to their end. ``rechecks``: makes the open
+    connections of a session that ended check their rights."""
 
     _database: Database
     _passwords: Passwords
@@ -57,6 +59,7 @@ class SignIn:
     _clock: Clock = unix_now
     _monotonic: MonotonicClock = monotonic_now
     site: str = ""
+    rechecks: Rechecks = field(default_factory=Rechecks)
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
     """Once true it stays so: the last admin cannot be removed."""
@@ -116,6 +119,7 @@ class SignIn:
         was_last = await self._database.write(
             lambda connection: store.end_session(connection, hash_, name, now)
         )
+        self.rechecks.now(name)
         if was_last:
             await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
@@ -151,9 +155,15 @@ class SignIn:
 
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
-        places = [network, browser] if device else [network]
-        known = await self._database.read(lambda connection: store.known_places(connection, name, places))
-        return Attempt(name, browser if browser in known else network, panel, bool(known))
+        is_own, is_used = await self._database.read(
+            lambda connection: (
+                store.is_place_of(connection, name, browser),
+                store.is_place(connection, network),
+            )
+        )
+        if device and is_own:
+            return Attempt(name, browser, panel, own_browser=True)
+        return Attempt(name, network, panel, used_network=is_used)
 
     def _refuse_too_soon(self, attempt: Attempt) -> None:
         wait_s = self._throttle.wait_s(attempt, self._monotonic())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from app.web.access import Role
@@ -165,11 +165,16 @@ def begin_session(
     connection.execute(change, (now, weak_secret, name))
 
 
-def known_places(connection: sqlite3.Connection, name: str, places: Collection[str]) -> set[str]:
-    """Those of the places that a user has signed in from."""
-    marks = ", ".join("?" * len(places))
-    query = f"SELECT place FROM known_places WHERE name = ? AND place IN ({marks})"
-    return {row["place"] for row in connection.execute(query, (name, *places))}
+def is_place_of(connection: sqlite3.Connection, name: str, place: str) -> bool:
+    """Whether this user has signed in from the place."""
+    query = "SELECT 1 FROM known_places WHERE name = ? AND place = ?"
+    return connection.execute(query, (name, place)).fetchone() is not None
+
+
+def is_place(connection: sqlite3.Connection, place: str) -> bool:
+    """Whether anyone has signed in from the place."""
+    query = "SELECT 1 FROM known_places WHERE place = ? LIMIT 1"
+    return connection.execute(query, (place,)).fetchone() is not None
 
 
 def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: UnixTime) -> None:

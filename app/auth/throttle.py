@@ -1,10 +1,12 @@
 """How soon a sign-in may be tried again. Pure: ``now`` is a time in seconds.
 
-A name and a place together back off: guessing waits, and no one is locked out elsewhere. A place is
-a browser that has signed in with this name before, or else the network of the address. A name is slowed down
-in general only for places from which it never signed in: many addresses that guess one name together get one
-try in a while, and its owner is not among them. A network that fails with many names waits, except for names
-that have signed in from it.
+A name and a place together back off: guessing waits, and no one is locked out elsewhere. A place is a browser
+in which this name has signed in before (OWASP: device cookies), or else the network of the address. Such a
+browser has its own count and waits for nothing else. Of the others a network that fails with many names
+waits, and so does a name that many networks try, except at a network from which anyone has signed in before.
+
+A network is judged alike for every name, whether a user has it or not: what it gets at a shared address does
+not show which names exist.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 300.0
 FORGOTTEN_AFTER_S = 900.0
 """Without a failure; the longest wait is over by then."""
 OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
-"""Failures of one address: more people than one sit behind a proxy."""
+"""Failures of one address, but for browsers with their own count: more than one sit behind a proxy."""
 OF_NAME = 10
-"""Tries of one name from places where it never signed in, all together, before they are slowed down."""
+"""Tries of one name from networks where no one ever signed in, all together, before they are slowed down."""
 OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
 MOST_KEPT = 10_000
 """Of names, addresses and pairs each; what was used longest ago goes first."""
@@ -76,12 +78,19 @@ class _Bounded(Generic[K, V]):
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A sign-in to be tried. ``known``: the name has signed in from this ``place`` before."""
+    """A sign-in to be tried. ``own_browser``: ``place`` is a browser in which the name has signed in before;
+    ``used_network``: it is a network from which someone has, under any name."""
 
     name: str
     place: str
     panel: bool = False
-    known: bool = False
+    own_browser: bool = False
+    used_network: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Whether it is no stranger's."""
+        return self.own_browser or self.used_network
 
     @property
     def pair(self) -> tuple[str, str]:
@@ -103,8 +112,9 @@ class Throttle:
     def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
         """For how many seconds this is not to be tried; 0.0: now."""
         waits = [self._wait_of_pair(attempt, now)]
-        if not attempt.known:
+        if not attempt.own_browser:
             waits.append(self._places.get(attempt.place).wait_s(now))
+        if not attempt.known:
             waits.append(self._names_of(attempt).get(attempt.name).wait_s(now))
         return max(waits)
 
@@ -116,11 +126,14 @@ class Throttle:
     def failed(self, attempt: Attempt, now: Monotonic) -> None:
         failures = self._pairs.kept(attempt.pair)
         failures.count, failures.at = failures.recent(now) + 1, now
-        self._places.kept(attempt.place).pour(1, now)
+        if not attempt.own_browser:
+            self._places.kept(attempt.place).pour(1, now)
 
     def succeeded(self, attempt: Attempt, now: Monotonic) -> None:
-        """It was right: nothing of this name counts against this place; what others tried still does."""
-        self._pairs.drop(attempt.pair)
+        """It was right: nothing counts against the name's own browser. What was tried from its network still
+        does: others share it, and would learn that there is such a user."""
+        if attempt.own_browser:
+            self._pairs.drop(attempt.pair)
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(-1, now)
 

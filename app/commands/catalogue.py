@@ -183,5 +183,9 @@ COMMANDS: dict[type[Action], CommandKind[Any]] = {
 """Every row above, by its request."""
 
 
+ROLES_BY_COMMAND: dict[str, Role] = {request.__name__: kind.role for request, kind in COMMANDS.items()}
+"""Who may send each command, for the templates, which name it by its request."""
+
+
 def kind_of_command(action: Action) -> CommandKind[Any]:
     return COMMANDS[type(action)]

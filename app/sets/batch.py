@@ -24,7 +24,7 @@ from bus.contract import ReadParameters, WriteParameter
 from bus.errors import CallerError
 from bus.messages import Message
 
-_OF_THE_PERSON = frozenset({"rights_withdrawn", "controlled"})
+_OF_THE_PERSON = frozenset({"forbidden", "rights_withdrawn", "controlled"})
 """Refusals that hold for every other unit too."""
 _LEARN_WITHIN_S = 10.0
 """255 units at 9600 baud take 5 s for one parameter each, and twice that beside the scan."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from starlette.datastructures import FormData
 
-from app.commands.service.writer import Commands
+from app.commands.service.writer import Commands, ParameterWriter
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.sets.batch import learn, refuse_moved, rows_of_batch, write_batch
 from app.sets.effects import OPERATING_VALUES, effect_message
-from app.web.access import Engineer
 from app.web.shape import parse_integer
 from app.web.templating import render
 from bus.catalogue.parameter import Parameter
@@ -23,7 +22,7 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/batch/{bus}")
 async def batch_page(
-    request: Request, person: Engineer, live: Live, commands: Commands, bus: str, number: int = 6
+    request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
     """The present values of one parameter over all units; those never read are requested now."""
     parameter = _writable_or_404(number)
@@ -36,7 +35,7 @@ async def batch_page(
 
 
 @router.post("/batch/{bus}/review")
-async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> Response:
+async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
     """What would be written, row by row; nothing is."""
     number, typed = await _typed(request)
     parameter = _writable_or_404(number)
@@ -47,7 +46,7 @@ async def batch_review(request: Request, _: Engineer, live: Live, bus: str) -> R
 
 @router.post("/batch/{bus}/write")
 async def batch_write(
-    request: Request, person: Engineer, live: Live, commands: Commands, bus: str
+    request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str
 ) -> Response:
     """Write what the review showed."""
     number, typed = await _typed(request)

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import Field
 
+from app.commands.service.writer import ParameterWriter
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import Sets
@@ -14,7 +15,7 @@ from app.sets.lookup import restore_or_404, wanted_rows
 from app.sets.plan import Selection
 from app.sets.restore import RestoreService
 from app.sets.restore_view import RestoreShown, restore_json
-from app.web.access import Engineer, Viewer
+from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
@@ -56,7 +57,13 @@ class StartRestore(StrictBody):
     max_body_size=MOST_BODY_BYTES,
 )
 async def plan_unit_restore(
-    person: Engineer, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, wanted: PlanRestore
+    person: ParameterWriter,
+    sets: Sets,
+    restores: Restores,
+    live: Live,
+    bus: str,
+    unit: int,
+    wanted: PlanRestore,
 ) -> RestoreShown:
     """Read the unit and list the rows that a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
@@ -67,7 +74,7 @@ async def plan_unit_restore(
 
 @router.post("/restores/{restore_id}/start", status_code=202)
 async def start_restore(
-    person: Engineer, restores: Restores, restore_id: str, chosen: StartRestore | None = None
+    person: ParameterWriter, restores: Restores, restore_id: str, chosen: StartRestore | None = None
 ) -> RestoreShown:
     """Write the selected rows, unless the unit has changed since the plan."""
     restore = await restore_or_404(restores, restore_id)
@@ -81,7 +88,7 @@ async def start_restore(
 
 
 @router.post("/restores/{restore_id}/cancel", status_code=202)
-async def cancel_restore(person: Engineer, restores: Restores, restore_id: str) -> RestoreShown:
+async def cancel_restore(person: ParameterWriter, restores: Restores, restore_id: str) -> RestoreShown:
     """Stop after the current row."""
     restore = await restore_or_404(restores, restore_id)
     restore.cancel(person.name)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from app.errors import Problem
+from app.errors import Problem, StoreError
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
@@ -70,8 +70,8 @@ class Takings:
             return
         try:
             kept = await keeper.keep(person, taking.read, taking.name, taking.comment, "by hand")
-        except Problem as problem:
-            taking.state, taking.cause = "failed", problem.message
+        except (Problem, StoreError) as error:
+            taking.state, taking.cause = "failed", error.message
             return
         taking.set_id, taking.state = kept.id, "kept"
 
@@ -93,8 +93,8 @@ async def read_together(
         async with at_once:
             try:
                 read.append(await keeper.reader.read_unit(person, unit))
-            except Problem as problem:
-                missing[unit] = problem.message
+            except (Problem, StoreError) as error:
+                missing[unit] = error.message
 
     await asyncio.gather(*(read_one(unit) for unit in units))
     read.sort(key=lambda rows: units.index(rows.unit))

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.commands.service.command_service import CommandService
-from app.commands.service.writer import Commands
+from app.commands.service.writer import Commands, ParameterWriter
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
@@ -23,7 +23,7 @@ from app.sets.sides import offers
 from app.swap.record import Swap
 from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.service import SwapService, look, source_of, step_text
-from app.web.access import Engineer, Person
+from app.web.access import Person
 from app.web.services import bus_service_of, service
 from app.web.templating import render
 from bus.messages import Message
@@ -36,7 +36,7 @@ Swaps = Annotated[SwapService, service(SwapService)]
 
 @router.get("/swap/{bus}/{unit}")
 async def swap_page(
-    request: Request, _: Engineer, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
+    request: Request, _: ParameterWriter, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
@@ -49,7 +49,7 @@ async def swap_page(
 @post_source(router, "/swap/{bus}/{unit}")
 async def begin(
     request: Request,
-    person: Engineer,
+    person: ParameterWriter,
     sets: Sets,
     live: Live,
     swaps: Swaps,
@@ -67,7 +67,13 @@ async def begin(
 
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
-    request: Request, person: Engineer, live: Live, swaps: Swaps, commands: Commands, bus: str, unit: int
+    request: Request,
+    person: ParameterWriter,
+    live: Live,
+    swaps: Swaps,
+    commands: Commands,
+    bus: str,
+    unit: int,
 ) -> Response:
     """Read the wire; return the state of the swap and the next step."""
     unit_or_404(live, bus, unit)
@@ -99,7 +105,7 @@ async def _advice(
 
 
 @router.post("/swap/{bus}/{unit}/spare")
-async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
+async def it_is_the_spare(_: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
     """A person confirmed that the unit at the section's address is the spare."""
     await swaps.confirm_spare(swaps.of_or_404(bus, unit))
     return RedirectResponse(f"/swap/{bus}/{unit}", 303)
@@ -107,7 +113,7 @@ async def it_is_the_spare(_: Engineer, swaps: Swaps, bus: str, unit: int) -> Res
 
 @router.post("/swap/{bus}/{unit}/restore")
 async def begin_restore(
-    person: Engineer, sets: Sets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
+    person: ParameterWriter, sets: Sets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """Plan the restore of the spare; the review of it comes next."""
     unit_or_404(live, bus, unit)
@@ -122,7 +128,7 @@ async def begin_restore(
 
 @router.post("/swap/{bus}/{unit}/entered")
 async def entered(
-    person: Engineer, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
+    person: ParameterWriter, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """Everything is entered from the sheet: read the complete unit and save it as a set."""
     unit_or_404(live, bus, unit)
@@ -133,7 +139,7 @@ async def entered(
 
 
 @router.post("/swap/{bus}/{unit}/give-up")
-async def give_up(person: Engineer, swaps: Swaps, bus: str, unit: int) -> Response:
+async def give_up(person: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
     """Leave it; whatever was done at the unit stays."""
     await swaps.give_up(person, swaps.of_or_404(bus, unit))
     return RedirectResponse(f"/units/{bus}/{unit}", 303)

@@ -141,13 +141,18 @@ class Requires:
         person = person_of(connection)
         if person is None:
             raise not_signed_in()
-        if not person.role.includes(self.role):
-            raise Problem(
-                403,
-                "forbidden",
-                Message.of("role_needed", role=term(self.role), name=person.name, present=term(person.role)),
-            )
+        refuse_without(self.role, person)
         return person
+
+
+def refuse_without(role: Role, person: Person) -> None:
+    """Raises Problem 403 ``forbidden`` for a person whose role does not include ``role``."""
+    if person.role.includes(role):
+        return
+    present = term(person.role)
+    raise Problem(
+        403, "forbidden", Message.of("role_needed", role=term(role), name=person.name, present=present)
+    )
 
 
 async def public() -> None:

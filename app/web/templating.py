@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from time import time
+from types import MappingProxyType
 from typing import Any
 
 from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
@@ -46,7 +47,8 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request`` and ``path``. ``kept_in``: where they stay compiled from one start to the next."""
+    ``person``, ``request``, ``path`` and ``may()``, whether the person may send a command, named as in
+    ``command_roles``. ``kept_in``: where they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -56,10 +58,12 @@ class Templates:
         *,
         demo: bool = False,
         kept_in: Path | None = None,
+        command_roles: Mapping[str, Role] = MappingProxyType({}),
     ) -> None:
         self.languages = Languages(kept_in=kept_in)
         self.site = site
         self._demo = demo
+        self._command_roles = command_roles
         self._assets = assets
         self._loader = FileSystemLoader(folder)
         self._compiled = Compiled(kept_in) if kept_in is not None else None
@@ -110,6 +114,10 @@ class Templates:
         """A template in one language, for rendering without a request."""
         return self.environment(tag).get_template(name).render(context)
 
+    def may(self, person: Person | None, command: str) -> bool:
+        """Whether ``person`` may send a command; each interface refuses what this leaves out."""
+        return person is not None and person.role.includes(self._command_roles[command])
+
     def language_of(self, connection: HTTPConnection) -> Language:
         person = person_of(connection)
         preferred = person.language if person else ""
@@ -133,6 +141,13 @@ def render(
     """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
-    context = {"person": person, "request": request, "path": request.url.path, "now": time(), **context}
+    context = {
+        "person": person,
+        "may": partial(templates.may, person),
+        "request": request,
+        "path": request.url.path,
+        "now": time(),
+        **context,
+    }
     html = templates.text(templates.language_of(request).tag, name, **context)
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

@@ -218,6 +218,8 @@ class Stage:
         self.history = History()
         self.skipped_s = 0.0
         """By how much the clock of the leases is ahead of the real one."""
+        self.command_clock_ahead_s = 0.0
+        """The same of the clock by which commands count what was moved within a minute."""
         bus = self.live.buses[settings.name]
         self.recorder = ChangeRecorder(self.events, settings.name)
         self.pipeline = Pipeline(bus, self.history, self.recorder)
@@ -270,7 +272,15 @@ class Stage:
     def commands_after_restart(self) -> CommandService:
         """The commands of a server that remembers nothing but what is on disk."""
         (live,), record = self.live.buses.values(), CommandRecord(self.events, self.database, time.time)
-        return CommandService(live, self.channel, record, IdempotencyCache(), self.guards, self.rights)
+        return CommandService(
+            live,
+            self.channel,
+            record,
+            IdempotencyCache(),
+            self.guards,
+            self.rights,
+            lambda: time.monotonic() + self.command_clock_ahead_s,
+        )
 
     def http(self, role: str = "admin", name: str = "") -> httpx.AsyncClient:
         """Return a client signed in as a user with this role."""

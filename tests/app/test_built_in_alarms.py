@@ -22,7 +22,7 @@ from app.database import Database
 from app.history.status import Status
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
-from bus.instants import UnixTime
+from bus.instants import Monotonic, UnixTime
 from tests.app.alarm_bus import AT_SPEED, BUS, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
 from tests.app.notification_servers import certificate
@@ -96,7 +96,7 @@ def test_a_random_history_of_readings_equals_the_model(
             if what in ("quiet", "late") and bus.now - read_at > 2:
                 model.observed.append((bus.now, None))
             bus.alarms.tick()
-            bus.alarms.list.advance(UnixTime(bus.now))
+            bus.alarms.list.advance(Monotonic(bus.now))
             assert alarm.facts.state == model.state(bus.now)
             assert (alarm.facts.unknown_since is not None) == (model.observed[-1][1] is None)
     assert alarm.facts.occurrence == model.occurrences(bus.now) > 0
@@ -156,9 +156,9 @@ def replace_at(figures: BusFigures, at: float) -> BusFigures:
 
 
 def test_control_is_left_when_its_holder_has_no_page_and_sends_nothing(bus: AlarmBus) -> None:
-    pages, used_at = {"anna"}, UnixTime(bus.now)
+    pages, used_at = {"anna"}, Monotonic(bus.now)
     held = {BUS: lambda: ("anna", used_at)}
-    watch = ControlWatch({BUS: bus.alarms}, held, lambda: pages, lambda: UnixTime(bus.now))
+    watch = ControlWatch({BUS: bus.alarms}, held, lambda: pages, lambda: Monotonic(bus.now))
     bus.wait(200, 1, 2, 3)
     watch.look()
     assert bus.state("control_left") == "normal"
@@ -166,7 +166,7 @@ def test_control_is_left_when_its_holder_has_no_page_and_sends_nothing(bus: Alar
     watch.look()
     alarm = bus.alarm("control_left")
     assert (alarm.facts.state, str(bus.alarms.present(alarm))) == ("unack_active", "held by anna")
-    used_at = UnixTime(bus.now)
+    used_at = Monotonic(bus.now)
     watch.look()
     bus.wait(6, 1, 2, 3)
     assert alarm.facts.state == "rtn_unack"

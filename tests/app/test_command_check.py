@@ -29,7 +29,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.instants import UnixTime
+from bus.instants import Monotonic
 from tests.app.stage import HEALTHY, bus_settings, reading
 
 RUNNING = HEALTHY | 1
@@ -265,8 +265,8 @@ def test_a_unit_that_was_never_read_is_not_taken_for_running() -> None:
 def moves() -> Moves:
     """Unit 1 was moved by 30 at second 100, and by 12 at second 130."""
     noted = Moves()
-    noted.note(1, 30, UnixTime(100.0))
-    noted.note(1, 12, UnixTime(130.0))
+    noted.note(1, 30, Monotonic(100.0))
+    noted.note(1, 12, Monotonic(130.0))
     return noted
 
 
@@ -274,20 +274,20 @@ def moves() -> Moves:
     ("at", "moved"), [(130.0, 42), (159.9, 42), (160.0, 12), (189.9, 12), (190.0, 0), (1e9, 0)]
 )
 def test_a_step_counts_for_a_minute(moves: Moves, at: float, moved: int) -> None:
-    assert moves.within_a_minute(1, UnixTime(at)) == moved
-    assert moves.within_a_minute(1, UnixTime(at)) == moved
+    assert moves.within_a_minute(1, Monotonic(at)) == moved
+    assert moves.within_a_minute(1, Monotonic(at)) == moved
 
 
 def test_each_unit_has_its_own(moves: Moves) -> None:
-    assert moves.within_a_minute(2, UnixTime(130.0)) == 0
+    assert moves.within_a_minute(2, Monotonic(130.0)) == 0
 
 
 def test_a_step_that_did_not_happen_counts_no_more(moves: Moves) -> None:
-    moves.take_back(1, 30, UnixTime(100.0))
-    assert moves.within_a_minute(1, UnixTime(130.0)) == 12
+    moves.take_back(1, 30, Monotonic(100.0))
+    assert moves.within_a_minute(1, Monotonic(130.0)) == 12
 
 
 def test_only_the_step_that_was_noted_is_taken_back(moves: Moves) -> None:
-    moves.take_back(1, 30, UnixTime(130.0))
-    moves.take_back(2, 30, UnixTime(100.0))
-    assert moves.within_a_minute(1, UnixTime(130.0)) == 42
+    moves.take_back(1, 30, Monotonic(130.0))
+    moves.take_back(2, 30, Monotonic(100.0))
+    assert moves.within_a_minute(1, Monotonic(130.0)) == 42

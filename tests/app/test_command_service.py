@@ -30,7 +30,7 @@ from bus.contract import (
 from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, bus_settings, responding, result_of
 
-ANNA = Person("anna", Role.OPERATOR, "token")
+ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
 
 
@@ -124,7 +124,7 @@ async def withdraw(stage: Stage) -> str:
 
 async def hand_over(stage: Stage) -> str:
     stage.guards.control.required = True
-    stage.guards.control.hand_over("", "ben", time.time(), by_force=True)
+    stage.guards.control.hand_over("", "ben", time.monotonic(), time.time(), by_force=True)
     return "ben has control of this line"
 
 

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
-from app.auth.lasting import (
-    NO_LONGER_SIGNED_IN,
-    Rechecks,
-    RightsEndedError,
-    sending_while_allowed,
-    while_allowed,
-)
+from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, respond_while_allowed, while_allowed
 from app.main import create_app
 from app.web.access import Role
 from tests.app.complete_app import settings_in
+
+NEVER_S = 1e6
 
 
 class Socket:
@@ -40,15 +38,53 @@ class Socket:
             self.ended = True
 
 
+@dataclass
+class Right:
+    """Of one connection; a test takes it away. ``looks``: how often it was looked up."""
+
+    rechecks: Rechecks = field(default_factory=Rechecks)
+    is_good: bool = True
+    looks: int = 0
+    on_look: Callable[[], None] = lambda: None
+
+    async def is_allowed(self) -> bool:
+        self.looks += 1
+        found = self.is_good
+        self.on_look()
+        return found
+
+    async def withdrawn(self, every_s: float = NEVER_S) -> None:
+        await self.rechecks.until_withdrawn("ann", self.is_allowed, 0, every_s)
+
+    def withdraw(self) -> None:
+        self.is_good = False
+        self.rechecks.now("ann")
+
+
+async def settled() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+async def ended(task: asyncio.Future[None]) -> None:
+    async with asyncio.timeout(60):
+        await task
+
+
 async def test_it_ends_with_its_right() -> None:
-    socket, permitted = Socket(), iter([True, True, False])
-
-    async def is_allowed() -> bool:
-        return next(permitted)
-
-    await while_allowed(socket.work(), is_allowed, socket.send, Rechecks(), every_s=0.001)
+    socket, right = Socket(), Right()
+    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    await settled()
+    right.withdraw()
+    await ended(task)
     assert socket.ended
     assert socket.sent == [{"type": "websocket.close", "code": NO_LONGER_SIGNED_IN}]
+
+
+async def test_what_ends_without_a_change_is_noticed_in_time() -> None:
+    right = Right(is_good=False)
+    await ended(asyncio.ensure_future(right.withdrawn(every_s=0.001)))
+    assert right.looks == 1
 
 
 async def test_a_socket_that_ended_is_not_closed_again() -> None:
@@ -57,10 +93,7 @@ async def test_a_socket_that_ended_is_not_closed_again() -> None:
     async def short() -> None:
         return None
 
-    async def is_allowed() -> bool:
-        return True
-
-    await while_allowed(short(), is_allowed, socket.send, Rechecks())
+    await while_allowed(short(), Right().withdrawn, socket.send)
     assert socket.sent == []
 
 
@@ -68,20 +101,28 @@ async def test_a_failure_comes_through() -> None:
     async def fail() -> None:
         raise ZeroDivisionError
 
-    async def is_allowed() -> bool:
-        return True
-
     with pytest.raises(ZeroDivisionError):
-        await while_allowed(fail(), is_allowed, Socket().send, Rechecks())
+        await while_allowed(fail(), Right().withdrawn, Socket().send)
+
+
+async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> None:
+    socket, right = Socket(), Right()
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    right.on_look = fail
+    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    await settled()
+    right.rechecks.now()
+    with pytest.raises(ZeroDivisionError):
+        await ended(task)
+    assert socket.ended
 
 
 async def test_a_server_that_ends_takes_it_along() -> None:
     socket = Socket()
-
-    async def is_allowed() -> bool:
-        return True
-
-    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, Rechecks()))
+    task = asyncio.ensure_future(while_allowed(socket.work(), Right().withdrawn, socket.send))
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -89,64 +130,101 @@ async def test_a_server_that_ends_takes_it_along() -> None:
     assert socket.ended
 
 
-def read_to_the_end(socket: WebSocketTestSession) -> None:
-    while True:
-        socket.receive_text()
-
-
-async def test_it_is_looked_at_again_when_rights_change() -> None:
-    socket, rechecks, allowed = Socket(), Rechecks(), True
-
-    async def is_allowed() -> bool:
-        return allowed
-
-    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, rechecks))
-    await asyncio.sleep(0)
-    rechecks.now()
-    for _ in range(10):
-        await asyncio.sleep(0)
+async def test_it_is_looked_at_when_rights_of_its_account_change_and_not_of_another() -> None:
+    right = Right()
+    task = asyncio.ensure_future(right.withdrawn())
+    await settled()
+    right.rechecks.now("bob")
+    await settled()
+    assert right.looks == 0
+    for number, account in enumerate(("ann", None), 1):
+        right.rechecks.now(account)
+        await settled()
+        assert right.looks == number
     assert not task.done()
-    allowed = False
-    rechecks.now()
-    async with asyncio.timeout(60):
-        await task
-    assert socket.ended
+    right.withdraw()
+    await ended(task)
+    right.rechecks.now("ann")
+
+
+async def test_a_change_before_it_was_followed_is_looked_at_too() -> None:
+    """The right was looked up, then taken away, and only then was the connection opened."""
+    right = Right()
+    right.withdraw()
+    await ended(asyncio.ensure_future(right.withdrawn()))
 
 
 async def test_a_change_during_a_look_is_looked_at_too() -> None:
-    socket, rechecks, looks = Socket(), Rechecks(), 0
-
-    async def is_allowed() -> bool:
-        nonlocal looks
-        looks += 1
-        if looks == 1:
-            rechecks.now()
-            return True
-        return False
-
-    task = asyncio.ensure_future(while_allowed(socket.work(), is_allowed, socket.send, rechecks))
-    await asyncio.sleep(0)
-    rechecks.now()
-    async with asyncio.timeout(60):
-        await task
-    assert looks == 2
+    right = Right()
+    task = asyncio.ensure_future(right.withdrawn())
+    await settled()
+    right.on_look = right.withdraw
+    right.rechecks.now("ann")
+    await ended(task)
+    assert right.looks == 2
 
 
-async def test_a_response_in_pieces_ends_with_its_right() -> None:
-    socket, rechecks, allowed = Socket(), Rechecks(), True
+PIECE = {"type": "http.response.body", "body": b"x", "more_body": True}
 
-    async def is_allowed() -> bool:
-        return allowed
 
-    send = sending_while_allowed(socket.send, is_allowed, rechecks)
-    piece = {"type": "http.response.body", "body": b"x", "more_body": True}
-    await send(piece)
-    allowed = False
-    await send(piece)
-    rechecks.now()
-    with pytest.raises(RightsEndedError):
-        await send(piece)
-    assert len(socket.sent) == 2
+@pytest.mark.parametrize("waits_in", ["the next piece", "a slow reader"])
+async def test_a_response_in_pieces_ends_with_its_right(waits_in: str) -> None:
+    """It was looked at with the next piece, which a line at rest sends every five seconds."""
+    socket, right, waiting, left = Socket(), Right(), asyncio.Event(), False
+
+    async def respond(send: Send) -> None:
+        nonlocal left
+        try:
+            await send(PIECE)
+            await send(PIECE)
+            waiting.set()
+            await asyncio.Event().wait()
+        finally:
+            left = True
+
+    async def slow(message: MutableMapping[str, Any]) -> None:
+        await socket.send(message)
+        if waits_in == "a slow reader" and len(socket.sent) == 2:
+            waiting.set()
+            await asyncio.Event().wait()
+
+    task = asyncio.ensure_future(respond_while_allowed(respond, right.withdrawn, slow))
+    await waiting.wait()
+    right.rechecks.now("ann")
+    await settled()
+    assert not task.done(), "its right is good"
+    right.withdraw()
+    await ended(task)
+    assert (left, len(socket.sent)) == (True, 2)
+
+
+async def test_a_response_that_a_server_cuts_off_is_canceled() -> None:
+    async def respond(send: Send) -> None:
+        await send(PIECE)
+        await asyncio.Event().wait()
+
+    task = asyncio.ensure_future(respond_while_allowed(respond, Right().withdrawn, Socket().send))
+    await settled()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await ended(task)
+
+
+async def test_a_response_at_once_is_not_followed() -> None:
+    right = Right()
+    right.withdraw()
+
+    async def respond(send: Send) -> None:
+        await send({"type": "http.response.body", "body": b"x"})
+        await settled()
+
+    await respond_while_allowed(respond, right.withdrawn, Socket().send)
+    assert right.looks == 0
+
+
+def read_to_the_end(socket: WebSocketTestSession) -> None:
+    while True:
+        socket.receive_text()
 
 
 def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:

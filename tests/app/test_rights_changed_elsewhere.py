@@ -30,7 +30,7 @@ class House:
             Accounts(each, self.passwords, EventLog(each), lambda: self.now, buses=("dry-end",))
             for each in self.stores
         )
-        self.rights = Rights(self.stores[0], self.here, lambda: self.now)
+        self.rights = Rights(self.stores[0], self.here, clock=lambda: self.now)
         self.notified: list[str] = []
 
         async def receive(account: str) -> None:

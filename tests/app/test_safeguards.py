@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 
 import pytest
 
 from app.audit.store import Filter
+from app.commands.safeguards import service
+from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
+from app.commands.service import command_service
 from app.database import Database
+from app.errors import Problem
+from app.web.access import Person, Role
 from bus.contract import Command, Update
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
 
@@ -71,6 +77,36 @@ async def test_movement_within_a_minute_adds_up(stage: Stage) -> None:
     assert await speed(stage, 1101) == (422, "invalid")
     assert await speed(stage, 1100) == (200, "verified")
     assert await speed(stage, 1101) == (422, "invalid")
+
+
+@pytest.mark.parametrize("step_s", [3600.0, -3600.0])
+async def test_a_clock_that_is_set_neither_forgives_movement_nor_ends_control(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    await obeying(stage)
+    stage.guards.control.required = True
+    anna, ben = (Person(name, Role.OPERATOR, "session") for name in ("anna", "ben"))
+    since = (await stage.guards.take(anna)).since
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100, name="anna") == (200, "verified")
+    for module in (command_service, service):
+        monkeypatch.setattr(module, "unix_now", lambda: time.time() + step_s)
+    assert await speed(stage, 1101, name="anna") == (422, "invalid")
+    assert (stage.guards.holder(), stage.guards.holding().since) == ("anna", since)
+    with pytest.raises(Problem, match="anna"):
+        await stage.guards.take(ben)
+    left = stage.guards.lapses_at(stage.guards.holding()) - (time.time() + step_s)
+    assert LAPSES_AFTER_S - 60 < left <= LAPSES_AFTER_S
+
+
+async def test_movement_counts_for_a_minute_that_has_passed(stage: Stage) -> None:
+    await obeying(stage)
+    await stage.request("PUT", "/units/1/limits", {"per_minute": 100})
+    assert await speed(stage, 1100) == (200, "verified")
+    stage.command_clock_ahead_s = 59.0
+    assert await speed(stage, 1101) == (422, "invalid")
+    stage.command_clock_ahead_s = 61.0
+    assert await speed(stage, 1101) == (200, "verified")
 
 
 async def test_two_moves_at_once_do_not_both_pass(stage: Stage) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import Problem
+from app.errors import Problem, StoreError
+from app.sets.taking import Takings
+from bus.messages import Message
 from tests.app.played_commands import ANNA, SetScene
 from tests.app.screens import translator
 
@@ -51,6 +53,25 @@ async def test_nothing_is_saved_when_a_unit_does_not_respond(scene: Scene) -> No
     with pytest.raises(Problem):
         await scene.keeper.take(ANNA, [1], "", "")
     assert await scene.store.summaries() == []
+
+
+@pytest.mark.parametrize("failing", ["saving", "reading"])
+async def test_a_reading_that_cannot_be_stored_ends_as_failed_with_its_reason(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    async def full(*_: object, **__: object) -> None:
+        raise StoreError(Message.of("system_error", error="the disk is full"))
+
+    if failing == "saving":
+        monkeypatch.setattr(scene.store, "save", full)
+    else:
+        monkeypatch.setattr(scene.commands, "send", full)
+    takings = Takings()
+    taking = takings.begin(ANNA, scene.keeper, [1, 2], "", "")
+    await takings.background.settled()
+    assert (taking.state, taking.set_id) == ("failed", None)
+    reasons = [taking.cause] if failing == "saving" else list(taking.missing.values())
+    assert {str(reason) for reason in reasons} == {"the disk is full"}
 
 
 @pytest.mark.parametrize("change", ["UPDATE parameter_set_row SET raw = 1", "DELETE FROM parameter_set_row"])

@@ -165,7 +165,7 @@ async def test_a_browser_is_known_for_the_names_that_signed_in_with_it(house: Ho
         await house.refused("bob", address="elsewhere", device=device)
         house.running += 60
     attempt = await house.sign_in._attempt("bob", "other", device, False)
-    assert not attempt.known
+    assert not attempt.own_browser
 
 
 async def test_the_present_password_is_guessed_no_faster(house: House) -> None:

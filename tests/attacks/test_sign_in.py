@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,13 @@ from starlette.types import Message, Receive, Scope, Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import CHUNK, EventLog
-from app.auth import lasting, passwords
+from app.auth import passwords
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN
+from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
+from app.auth.pages import DEVICE_COOKIE
 from app.auth.passwords import Passwords
-from app.auth.throttle import FREE
+from app.auth.rules import SECRET_LENGTH
+from app.auth.throttle import FREE, OF_ADDRESS, OF_NAME
 from app.database import Database
 from app.main import create_app
 from app.web.access import Role
@@ -70,6 +72,96 @@ async def test_guessing_from_one_place_comes_to_nothing(house: House) -> None:
     statuses = [await sign_in(client, password=f"guess{number}") for number in range(50)]
     assert statuses.count(401) == FREE
     assert statuses.count(429) == 50 - FREE
+
+
+async def many_names_from_here(house: House, _: str, address: str) -> None:
+    for number in range(OF_ADDRESS):
+        await sign_in(at(house, address), f"other{number}", "wrong")
+
+
+async def this_name_from_elsewhere(house: House, name: str, _: str) -> None:
+    for number in range(OF_NAME + FREE):
+        await sign_in(at(house, f"198.51.100.{number}"), name, "wrong")
+
+
+async def many_at_once_from_here(house: House, _: str, address: str) -> None:
+    client = at(house, address)
+    await asyncio.gather(*(sign_in(client, f"other{number}", "wrong") for number in range(20)))
+
+
+async def its_owner_signs_in_here(house: House, name: str, address: str) -> None:
+    """In a new browser; with a name that no user has, no one does."""
+    client = at(house, address)
+    for _ in range(FREE - 1):
+        await sign_in(client, name, "wrong")
+    if name == "ann":
+        assert await sign_in(at(house, address)) == 303
+
+
+@pytest.mark.usefixtures("within_a_moment")
+@pytest.mark.parametrize(
+    "before",
+    [many_names_from_here, this_name_from_elsewhere, many_at_once_from_here, its_owner_signs_in_here],
+)
+@pytest.mark.parametrize("browser", ["another", "of a colleague"])
+async def test_at_a_shared_address_a_refusal_does_not_reveal_which_names_exist(
+    house: House, before: Callable[[House, str, str], Awaitable[None]], browser: str
+) -> None:
+    """A user who had signed in there got 401 where other names got 429."""
+    await house.add("ann", Role.OPERATOR)
+    await house.add("bob", Role.OPERATOR)
+    statuses, tried = {}, {"ann": "192.0.2.7", "no-one": "192.0.2.8"}
+    guessing = {address: at(house, address) for address in tried.values()}
+    for address, client in guessing.items():
+        assert await sign_in(at(house, address), "ann") == 303
+        assert await sign_in(client if browser == "of a colleague" else at(house, address), "bob") == 303
+        await client.post("/logout")
+    for name, address in tried.items():
+        await before(house, name, address)
+        statuses[name] = [
+            await sign_in(guessing[address], name, f"guess{number}") for number in range(2 * FREE)
+        ]
+    assert statuses["ann"] == statuses["no-one"]
+    assert 429 in statuses["ann"]
+
+
+@pytest.mark.usefixtures("within_a_moment")
+@pytest.mark.parametrize("before", [many_names_from_here, this_name_from_elsewhere, many_at_once_from_here])
+async def test_wrong_guesses_of_a_colleague_do_not_lock_a_browser_that_the_name_is_known_in(
+    house: House, before: Callable[[House, str, str], Awaitable[None]]
+) -> None:
+    await house.add("ann", Role.OPERATOR)
+    await house.add("bob", Role.OPERATOR)
+    own, of_colleague = at(house, "192.0.2.7"), at(house, "192.0.2.7")
+    assert await sign_in(own) == 303
+    assert await sign_in(of_colleague, "bob") == 303
+    await own.post("/logout")
+    await of_colleague.post("/logout")
+    for number in range(2 * FREE):
+        await sign_in(of_colleague, "ann", f"guess{number}")
+    await before(house, "ann", "192.0.2.7")
+    assert await sign_in(of_colleague, "ann") == 429
+    assert [await sign_in(own, password="a slip") for _ in range(FREE - 1)] == [401] * (FREE - 1)
+    assert await sign_in(own) == 303
+
+
+async def test_the_cookie_that_knows_a_browser_signs_no_one_in_and_is_kept_as_its_hash(
+    house: House, tmp_path: Path
+) -> None:
+    await house.add("ann", Role.OPERATOR)
+    client = at(house, "192.0.2.7")
+    response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+    (cookie,) = [
+        each for each in response.headers.get_list("set-cookie") if each.startswith(f"{DEVICE_COOKIE}=")
+    ]
+    assert {"HttpOnly", "SameSite=lax"} <= set(cookie.split("; "))
+    device = client.cookies[DEVICE_COOKIE]
+    assert len(device) == SECRET_LENGTH
+    stranger = at(house, "198.51.100.1")
+    stranger.cookies.set(DEVICE_COOKIE, device)
+    assert (await stranger.get("/api/v1/me")).status_code == 401
+    stored = b"".join(path.read_bytes() for path in (tmp_path / "data").rglob("*") if path.is_file())
+    assert device.encode() not in stored
 
 
 async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) -> None:
@@ -234,7 +326,7 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
     tmp_path: Path, path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It was looked at every 20 s only, which is never here; and a command line is another process."""
-    monkeypatch.setattr(lasting.while_allowed, "__defaults__", (1e6,))
+    monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (1e6,))
     role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.VIEWER, "")
     app = create_app(settings_in(tmp_path))
     accounts = app.state.services.accounts

@@ -151,7 +151,7 @@ def _control_json(guards: Safeguards, holding: Holding | None) -> ControlShown:
         "holder": name,
         "is_token": is_token,
         "since": None if holding is None else iso(holding.since),
-        "lapses_at": None if holding is None else iso(holding.lapses_at),
+        "lapses_at": None if holding is None else iso(guards.lapses_at(holding)),
     }
 
 

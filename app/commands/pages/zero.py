@@ -30,8 +30,7 @@ async def review_zero(person: Viewer, page: Page) -> Response:
     A viewer sees the same button, in the same place on every page, with the reason why it has no effect."""
     if not person.role.includes(SET_LINE.role):
         return page.render("line/_zero_not_yours.html")
-    now = unix_now()
-    objections = {bus: page.guards(bus).control.objection(person.account, now) for bus in page.live.buses}
+    objections = {bus: page.guards(bus).objection(person.account) for bus in page.live.buses}
     plans = [plan for plan in _plans(page) if not objections[plan.bus]]
     return page.review(
         "line/_review_zero.html",

@@ -18,7 +18,7 @@ from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract import ExecuteAll, ExecuteSpeed, SetLine, SetSpeed, WriteParameter
-from bus.instants import UnixTime
+from bus.instants import Monotonic
 from bus.messages import Message, number
 
 
@@ -135,18 +135,18 @@ class Moves:
     """Steps of the last minute, by unit of one bus."""
 
     def __init__(self) -> None:
-        self._steps: dict[int, deque[tuple[UnixTime, int]]] = {}
+        self._steps: dict[int, deque[tuple[Monotonic, int]]] = {}
 
-    def note(self, unit: int, step: int, at: UnixTime) -> None:
+    def note(self, unit: int, step: int, at: Monotonic) -> None:
         """A setpoint was moved by ``step``."""
         self._steps.setdefault(unit, deque()).append((at, step))
 
-    def take_back(self, unit: int, step: int, at: UnixTime) -> None:
+    def take_back(self, unit: int, step: int, at: Monotonic) -> None:
         """The step noted for ``at`` did not happen."""
         with suppress(ValueError):
             self._steps.get(unit, deque()).remove((at, step))
 
-    def within_a_minute(self, unit: int, now: UnixTime) -> int:
+    def within_a_minute(self, unit: int, now: Monotonic) -> int:
         """The sum of all steps of the last minute."""
         steps = self._steps.get(unit)
         if steps is None:

@@ -14,7 +14,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
-from bus.instants import unix_now
+from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -33,6 +33,7 @@ class Safeguards:
     find: AccountLookup
     rights: Withdrawals
     sessions: InitVar[SessionEnds]
+    monotonic: MonotonicClock = monotonic_now
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
@@ -81,7 +82,19 @@ class Safeguards:
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
-        return self.control.holding(unix_now())
+        return self.control.holding(self.monotonic())
+
+    def lapses_at(self, holding: Holding) -> UnixTime:
+        """When control lapses by the wall clock, as that is now, unless its holder sends another command."""
+        return unix_now() + holding.left_s(self.monotonic())
+
+    def objection(self, account: str) -> Message | None:
+        """Why ``account`` may not write now, as another has control; None where it may."""
+        return self.control.objection(account, self.monotonic())
+
+    def use_control(self, account: str) -> None:
+        """Require control for a write, and renew it. Raises ControlledError."""
+        self.control.use(account, self.monotonic())
 
     def holder(self) -> str:
         """The account of the holder; empty where control is free."""
@@ -93,7 +106,7 @@ class Safeguards:
         await self.rights.check(person)
         before = self.holding()
         try:
-            holding = self.control.take(person.account, unix_now())
+            holding = self.control.take(person.account, self.monotonic(), unix_now())
         except ControlledError as error:
             raise _controlled(error) from error
         if before is None:
@@ -107,7 +120,9 @@ class Safeguards:
         before = self.holding()
         by_force = person.role.includes(Role.ADMIN)
         try:
-            holding = self.control.hand_over(person.account, to, unix_now(), by_force=by_force)
+            holding = self.control.hand_over(
+                person.account, to, self.monotonic(), unix_now(), by_force=by_force
+            )
         except ControlledError as error:
             raise _controlled(error) from error
         old = before.holder if before is not None else None
@@ -126,14 +141,14 @@ class Safeguards:
     async def release(self, person: Person) -> None:
         """Release control. Raises Problem 409."""
         try:
-            self.control.release(person.account, unix_now())
+            self.control.release(person.account, self.monotonic())
         except ControlledError as error:
             raise _controlled(error) from error
         await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, unix_now()):
+        if not self.control.revoke(account, self.monotonic()):
             return
         who, is_token = name_of(account)
         await self._events.record(

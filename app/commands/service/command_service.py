@@ -27,10 +27,10 @@ from app.feed.channel import Channel, ProgressListener
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Person
+from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, Result
-from bus.instants import UnixTime, unix_now
+from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
 STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
@@ -54,6 +54,7 @@ class CommandService:
     _cache: IdempotencyCache
     _guards: Safeguards
     _rights: Authority
+    _monotonic: MonotonicClock = monotonic_now
     _moves: Moves = field(default_factory=Moves)
     _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
     _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
@@ -85,10 +86,10 @@ class CommandService:
         kind takes.
 
         Raises Problem for a command that is not sent to the worker: 404 for a unit that is not
-        configured, 422 ``invalid``, 409 ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``,
-        403 ``rights_withdrawn`` when the account has lost a right that it had when the person was
-        authenticated, 503 ``not_sent`` where its deadline has passed. A task of many writes sends each as a
-        command and stops there.
+        configured, 403 ``forbidden`` for a person without the role of its kind, 403 ``rights_withdrawn`` when
+        the account has lost a right that it had when the person was authenticated, 422 ``invalid``, 409
+        ``dangerous``, ``confirm_needed`` or ``controlled``, 423 ``blocked``, 503 ``not_sent`` where its
+        deadline has passed. A task of many writes sends each as a command and stops there.
         """
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
@@ -140,8 +141,8 @@ class CommandService:
         async with self._rejection_recorded(request):
             request.deadline.refuse_passed()
             await self._rights.check(request.person)
-            # Before anything is read for it: a user without control learns that, not the unit's values.
-            self._use_control(request.person, request.action)
+            # Before anything is read for it: a user without the right learns that, not the unit's values.
+            self._require_right(request.person, request.action)
             await self.read_ranges(request.person, request.action, request.deadline)
             self._object(request.person, request.action, confirm)
 
@@ -156,16 +157,18 @@ class CommandService:
             raise
 
     def _object(self, person: Person, action: Action, confirm: bool) -> None:
-        self._use_control(person, action)
+        self._require_right(person, action)
         try:
             check(action, self._circumstances(confirm))
         except ObjectionError as error:
             raise problem_of(error) from error
 
-    def _use_control(self, person: Person, action: Action) -> None:
+    def _require_right(self, person: Person, action: Action) -> None:
+        """The role of the kind, whichever way the command came, then control of the bus."""
+        refuse_without(kind_of_command(action).role, person)
         try:
             if action.writes:
-                self._guards.control.use(person.account, unix_now())
+                self._guards.use_control(person.account)
         except ControlledError as error:
             raise Problem(
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
@@ -176,7 +179,7 @@ class CommandService:
             bus=self._live,
             limits=self._guards.limits.of,
             block=self._guards.blocks.of,
-            moved=lambda unit: self._moves.within_a_minute(unit, unix_now()),
+            moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
 
@@ -185,7 +188,7 @@ class CommandService:
         if already is not None:
             return already
         # Noted before another command can be checked: two at once must not both pass the limit of a minute.
-        steps, at = _steps(request.action, self._live), unix_now()
+        steps, at = _steps(request.action, self._live), self._monotonic()
         for unit, step in steps.items():
             self._moves.note(unit, step, at)
         task = asyncio.create_task(self._follow(request, steps, at), name=f"command {request.id}")
@@ -196,7 +199,7 @@ class CommandService:
             self._cache.keep(request.person, request.key, kept)
         return kept
 
-    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: UnixTime) -> Result:
+    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
         """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
         acted = False
         try:
@@ -254,7 +257,7 @@ class CommandService:
             block = self._guards.blocks.of(unit)
             if block is not None:
                 return block.refusal(unit)
-        return self._guards.control.objection(request.person.account, unix_now())
+        return self._guards.objection(request.person.account)
 
 
 def _refuse_other(id: str | None, same: bool) -> None:

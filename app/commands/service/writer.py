@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from app.commands.catalogue import CommandKind
+from app.commands.catalogue import WRITE_PARAMETER, CommandKind
 from app.commands.service.command_service import CommandService
 from app.web.access import Person, Requires
 from app.web.services import bus_service, bus_service_of
@@ -38,6 +38,10 @@ class _Writes(Requires):
 def permitted(kind: CommandKind[Any]) -> Any:
     """A dependency that lets in who may send such a command."""
     return Depends(Requires(kind.role))
+
+
+ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
+"""Who may write parameters: of one unit, of many, by a restore or in a unit swap."""
 
 
 def permitted_writer(kind: CommandKind[Any]) -> Any:

@@ -1,0 +1,113 @@
+"""The limits in the documentation are those that hold: each is read from its document."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from app.auth import lasting, pages, rights, rules, signin, store, strength, throttle
+from app.live.api import line_stream
+from app.server import addresses, connections, http, pace
+from app.web import api_route, bounds
+
+DOCS = Path(__file__).parents[2] / "docs"
+SIGN_IN = "| limit | value |"
+KB = 1024
+NUMBER = r"([0-9]+(?:[,.][0-9]+)*)"
+
+
+def words(document: str) -> str:
+    """A document without line breaks."""
+    return " ".join((DOCS / document).read_text().split())
+
+
+def numbers(document: str, text: str) -> list[float]:
+    """The numbers at the places of ``{}`` in a statement of the document."""
+    found = re.search(re.escape(text).replace(r"\{\}", NUMBER), words(document))
+    assert found, f"{document} does not state: {text}"
+    return [float(each.replace(",", "")) for each in found.groups()]
+
+
+STATED: list[tuple[str, str, tuple[float, ...]]] = [
+    (
+        "api.md",
+        "Connections without a valid credential are {} for each address (of IPv6, each /{}) and {} in all, "
+        "an account has {}, and all together are {};",
+        (
+            connections.MOST_OF_ADDRESS,
+            addresses.SUBNET_BITS,
+            connections.MOST_STRANGERS,
+            connections.MOST_OF_ACCOUNT,
+            connections.MOST_IN_ALL,
+        ),
+    ),
+    ("api.md", "At most {} requests wait for a response on one connection", (http.MOST_PIPELINED,)),
+    (
+        "api.md",
+        "A body is at most {} kB, with a file of parameter sets {} MB (413); an object has at most {} "
+        "members; an address has at most {} characters of path and {} of query (414); headers have at most {} "
+        "kB and there are at most {} (431).",
+        (
+            bounds.MOST_PLAIN_BODY_BYTES / KB,
+            bounds.MOST_BODY_BYTES / KB / KB,
+            api_route.MOST_MEMBERS,
+            bounds.LONGEST_PATH,
+            bounds.LONGEST_QUERY,
+            http.MOST_HEAD_BYTES / KB,
+            http.MOST_HEADERS,
+        ),
+    ),
+    (
+        "api.md",
+        "Headers have {} s to arrive; a body may fall {} s behind {} kB/s and takes at most "
+        "{} minutes (408).",
+        (
+            pace.WITHIN_S[pace.Awaited.HEAD],
+            pace.WITHIN_S[pace.Awaited.BODY],
+            pace.LEAST_RATE / 1000,
+            pace.LONGEST_BODY_S / 60,
+        ),
+    ),
+    (
+        "api.md",
+        "An idle connection is closed after {} s ({} s before its first request).",
+        (pace.WITHIN_S[pace.Awaited.NEXT], pace.WITHIN_S[pace.Awaited.FIRST]),
+    ),
+    (
+        "api.md",
+        "An account may have {} streams open, an address {} (429).",
+        (line_stream.MOST_OF_ACCOUNT, line_stream.MOST_OF_ADDRESS),
+    ),
+    ("safety.md", "Passwords have at least {} characters", (strength.SHORTEST_PASSWORD,)),
+]
+
+
+@pytest.mark.parametrize(("document", "text", "real"), STATED, ids=[text[:40] for _, text, _ in STATED])
+def test_a_limit_in_the_text_is_the_real_one(document: str, text: str, real: tuple[float, ...]) -> None:
+    assert numbers(document, text) == list(real)
+
+
+def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
+    table = (DOCS / "safety.md").read_text().partition(SIGN_IN)[2].partition("\n\n")[0]
+    rows = re.findall(rf"^\| (?!-).* \| {NUMBER} \|$", table, re.MULTILINE)
+    assert [float(value) for value in rows] == [
+        throttle.FREE,
+        throttle.FREE_OF_PANEL,
+        throttle.FIRST_WAIT_S,
+        throttle.LONGEST_WAIT_S,
+        throttle.FORGOTTEN_AFTER_S,
+        throttle.OF_ADDRESS,
+        throttle.OF_ADDRESS_WINDOW_S,
+        throttle.OF_NAME,
+        throttle.OF_NAME_EVERY_S,
+        throttle.OF_PANEL_EVERY_S,
+        signin.MOST_WAITING_OF_PLACE,
+        signin.MOST_WAITING,
+        pages.DEVICE_KNOWN_S / rules.DAY,
+        store.MOST_PLACES,
+        lasting.RECHECK_S,
+        rights.WATCH_EVERY_S * 1000,
+    ]
+    assert len(rows) == table.count("\n|") - 1, "a row without a number"
