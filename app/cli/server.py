@@ -37,6 +37,7 @@ class Server(uvicorn.Server):
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self._end_streams = app.state.services.stream.end
+        self.worker_responds: Callable[[str], bool] = app.state.services.workers.responds
         super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()

@@ -195,6 +195,23 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
         assert second != [first]
 
 
+def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+
+        def is_linked() -> bool:
+            headers = {"Authorization": f"Bearer {token}"}
+            line = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()
+            return bool(line["buses"][0]["worker"])
+
+        eventually(is_linked, "the worker is linked")
+        frozen = only_child(process)
+        os.kill(frozen, signal.SIGSTOP)
+        eventually(lambda: not is_alive(frozen), "the frozen worker is killed")
+        eventually(lambda: children_of(process.pid) not in ([], [frozen]), "another worker runs")
+        eventually(is_linked, "it is linked")
+
+
 def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
     token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
