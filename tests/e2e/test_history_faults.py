@@ -13,7 +13,7 @@ import sqlite3
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from app.history.status import DAMAGED, NOTICES
 from tests.e2e.limits import PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
+from tests.mounted import mounted
 
 pytestmark = pytest.mark.soak
 
@@ -166,18 +167,6 @@ def test_pages_overwritten_while_it_runs_are_detected_and_reported(site: Site) -
 def blocks(store: Path) -> int:
     with closing(sqlite3.connect(store, timeout=30)) as connection:
         return int(connection.execute("SELECT count(*) FROM raw").fetchone()[0])
-
-
-@contextmanager
-def mounted(*mount: str, at: Path) -> Iterator[None]:
-    """Something mounted; the test is left out where this user may not do that."""
-    done = subprocess.run(["mount", *mount, str(at)], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"only root may mount: {done.stderr.strip()}")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(at)], check=True)
 
 
 def test_a_history_that_is_read_only_at_the_start_is_reported(site: Site) -> None:
