@@ -75,7 +75,7 @@ class StoreError(LinesideError):
 
 
 class DamagedStoreError(StoreError):
-    """SQLite found pages of an open store damaged."""
+    """SQLite cannot follow the pages of a store, or finds no store in its file."""
 
 
 class TooCostlyError(StoreError):

@@ -122,7 +122,7 @@ def history_copied(writer: Any, folder: Path) -> Callable[[Path], None]:
     Database(model, writer.MIGRATIONS).close()
 
     def prepare(path: Path) -> None:
-        if not path.exists():
+        if not path.exists() or not path.stat().st_size:
             make_folder(path.parent)
             make_file(path)
             path.write_bytes(model.read_bytes())

@@ -13,6 +13,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
+from app.cli.check_store import check_store
 from app.database import Database
 from app.database.private import make_private
 from app.settings import load
@@ -33,6 +34,7 @@ def who_calls() -> str | Message:
 def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
     settings = load(config)
+    check_store(settings)
     make_private(settings.server.data)
     database = Database(settings.server.store, checkpoints=False)
     passwords = Passwords()

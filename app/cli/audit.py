@@ -18,6 +18,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
 from app.cli.accounts import ORIGIN, who_calls
+from app.cli.check_store import check_store
 from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
@@ -55,6 +56,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     verify the entries that they sealed."""
     with ending():
         settings = load(config)
+        check_store(settings)
         make_private(settings.server.data)
         database = Database(settings.server.store, checkpoints=False)
         try:

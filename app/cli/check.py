@@ -8,6 +8,7 @@ from app.cli.ending import complain, ending, report
 from app.cli.findings import findings
 from app.cli.notification_findings import notification_findings
 from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.store_findings import store_findings
 from app.settings import load
 from bus.messages import Message
 
@@ -18,7 +19,8 @@ def check(config: Config = LINESIDE_TOML) -> None:
         settings = load(config)
         report(Message.of("check_configuration", file=str(config), site=settings.site.name))
         faults = 0
-        for finding in (*findings(settings), *notification_findings(settings.notify)):
+        found = (*findings(settings), *store_findings(settings), *notification_findings(settings.notify))
+        for finding in found:
             faults += finding.is_fault
             if finding.is_fault:
                 complain(finding.message)

@@ -54,6 +54,11 @@ def is_visible(path: Path) -> bool:
         return False
 
 
+def is_read_only(path: Path) -> bool:
+    """Whether its disk is mounted so that nothing can be written."""
+    return bool(os.statvfs(path).f_flag & os.ST_RDONLY)
+
+
 def may_make_files_in(folder: Path) -> bool:
     """Whether it is a folder in which this user can make a file. It is tried: root may write to ``/proc`` and
     still cannot. The file is gone at once."""
@@ -111,6 +116,8 @@ def _data(folder: Path) -> Finding:
     existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     if not existing.is_dir():
         return fault("check_data_is_file", folder=str(existing))
+    if is_read_only(existing):
+        return fault("check_disk_read_only", path=str(existing))
     if not can_make_folder(folder):
         code = "check_data_not_writable" if existing == folder else "check_data_not_creatable"
         return fault(code, user=user(), folder=str(folder))

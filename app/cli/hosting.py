@@ -82,6 +82,7 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
             server = module.Server(
                 settings, demo, tokens, lambda: report(Message.of("dashboard_at", url=url))
             )
+        workers.watch(server.worker_responds)
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
     finally:

@@ -38,6 +38,7 @@ class Server(uvicorn.Server):
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self._services: Services = app.state.services
+        self.worker_responds: Callable[[str], bool] = self._services.workers.responds
         super().__init__(_config(app, self._watch, connections))
         self._serving = serving
         self._ended = asyncio.Event()

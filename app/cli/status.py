@@ -30,7 +30,8 @@ def status(
     token_file: TokenFile = None,
     as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
 ) -> None:
-    """Show whether the dashboard serves, and the state of each bus with a token of any role but worker.
+    """Show whether the dashboard serves and, with a token of any role but worker, the state of each bus and
+    what is degraded of the server: history, audit log, disk, notification, clock, certificates.
 
     Exit 0 when it serves, else 1.
     """
@@ -38,13 +39,15 @@ def status(
         settings, bearer = load(config), token_if_given(token, token_file)
         url = url_of(settings.server.host, settings.server.port)
         serves = is_serving(url)
-        buses = _buses(url, bearer) if serves and bearer else None
+        buses, degraded = _state(url, bearer) if serves and bearer else (None, None)
         if as_json:
-            typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses}))
+            typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses, "degraded": degraded}))
         elif serves:
             report(Message.of("dashboard_serves", site=settings.site.name, url=url))
             for bus in buses or ():
                 report(_line(bus))
+            for fault in degraded or ():
+                report(Message.of("site_degraded", fault=fault["message"]))
         if not serves:
             raise NotServingError(Message.of("not_serving", url=url, config=str(config)))
 
@@ -58,19 +61,27 @@ def is_serving(url: str) -> bool:
         return False
 
 
-def _buses(url: str, token: str) -> list[dict[str, Any]]:
+def _state(url: str, token: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """The buses, and the faults of the server."""
     with dashboard(url, token) as client:
-        found = client.get("/line")["buses"]
-    return [
-        {
-            **{
-                name: bus.get(name) for name in ("name", "worker", "link", "link_cause", "link_cause_message")
-            },
-            "units": len(bus["units"]),
-            "units_online": sum(unit["link"] == "online" for unit in bus["units"]),
-        }
-        for bus in found
+        line, alarms = client.get("/line"), client.get("/alarms")["alarms"]
+    history = line["history_message"]
+    stored = {"code": history["code"], "since": None, "message": line["history"]} if history else None
+    faults = [
+        {name: alarm[name] for name in ("code", "since", "message")}
+        for alarm in alarms
+        if alarm["bus"] is None and alarm["active"]
     ]
+    return [_bus(bus) for bus in line["buses"]], [*faults, *([stored] if stored else [])]
+
+
+def _bus(bus: dict[str, Any]) -> dict[str, Any]:
+    shown = ("name", "worker", "link", "link_cause", "link_cause_message")
+    return {
+        **{name: bus.get(name) for name in shown},
+        "units": len(bus["units"]),
+        "units_online": sum(unit["link"] == "online" for unit in bus["units"]),
+    }
 
 
 def _line(bus: dict[str, Any]) -> Message:

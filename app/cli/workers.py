@@ -1,4 +1,4 @@
-"""The bus workers as child processes: started, started again when one dies, ended in time."""
+"""The bus workers as child processes: started, replaced when one dies or does not respond, ended in time."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import asyncio
 import os
 import sys
 from asyncio.subprocess import Process
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import structlog
 
+from app.cli.watchdog import LOOK_S, Watchdog
 from bus.instants import monotonic_now
 from bus.worker.parent import tied_environment
 
@@ -40,9 +42,13 @@ class WorkerProcesses:
     def start(self) -> None:
         """Start them all, and keep them."""
         for bus in self._tokens:
-            task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
-            task.add_done_callback(_log_failure)
-            self._tasks.append(task)
+            self._begin(self._keep(bus), f"keep worker of {bus}")
+
+    def watch(self, responds: Callable[[str], bool]) -> None:
+        """From now on, kill each that does not respond; another is started. ``responds``: whether the worker
+        of a bus did since the last call."""
+        for bus in self._tokens:
+            self._begin(self._watch(bus, responds), f"watch worker of {bus}")
 
     async def stop(self) -> None:
         """End them all: by SIGTERM, and by SIGKILL after the grace."""
@@ -50,6 +56,24 @@ class WorkerProcesses:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await asyncio.gather(*(end(process, GRACE_S) for process in self._processes.values()))
+
+    def _begin(self, work: Coroutine[Any, Any, None], name: str) -> None:
+        task = asyncio.create_task(work, name=name)
+        task.add_done_callback(_log_failure)
+        self._tasks.append(task)
+
+    async def _watch(self, bus: str, responds: Callable[[str], bool]) -> None:
+        watchdog = Watchdog()
+        while True:
+            await asyncio.sleep(LOOK_S)
+            process = self._processes.get(bus)
+            if process is None or process.returncode is not None:
+                continue
+            if watchdog.expires(process.pid, responds=responds(bus)):
+                log.error("bus worker does not respond, killed", bus=bus, after_looks=watchdog.missed)
+                # A stopped process acts on no other signal. Its end frees the port.
+                process.kill()
+                await process.wait()
 
     async def _keep(self, bus: str) -> None:
         pause = FIRST_PAUSE_S
@@ -88,7 +112,7 @@ def _readable(secret: str) -> Iterator[int]:
 
 def _log_failure(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and task.exception():
-        log.error("a bus worker is kept no longer", task=task.get_name(), exc_info=task.exception())
+        log.error("a bus worker is watched no longer", task=task.get_name(), exc_info=task.exception())
 
 
 async def end(process: Process, grace_s: float) -> None:

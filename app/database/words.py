@@ -21,6 +21,7 @@ _MEANINGS: dict[int, Message] = {
     sqlite3.SQLITE_BUSY: Message("store_locked"),
     sqlite3.SQLITE_PERM: Message("store_access_refused"),
 }
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def primary_code(error: sqlite3.Error) -> int:
@@ -46,7 +47,7 @@ def in_words(path: Path) -> Iterator[None]:
         if code == sqlite3.SQLITE_INTERRUPT:
             raise TooCostlyError(Message("search_too_costly")) from error
         reason = _MEANINGS.get(code) or system_error(error)
-        kind = DamagedStoreError if code == sqlite3.SQLITE_CORRUPT else StoreError
+        kind = DamagedStoreError if code in _DAMAGED else StoreError
         raise kind(Message.of("store_failed", path=str(path), reason=reason)) from error
     except OSError as error:
         failed = Message.of("store_folder_failed", path=str(path), error=system_error(error))

@@ -64,6 +64,11 @@ class BusFeed:
     _connection: WorkerConnection | None = None
     _watches: set[asyncio.Task[None]] = field(default_factory=set)
 
+    @property
+    def has_own_worker(self) -> bool:
+        """Whether a worker is linked, and is the child of this server."""
+        return self._connection is not None and self._holder is not None and self._holder.credential.own
+
     def watch(self, units: list[int], trace: bool) -> None:
         """Send the worker the units that are on an open page, and whether its trace is followed."""
         watch = asyncio.create_task(self._channel.watch(units, trace=trace))

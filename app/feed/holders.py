@@ -63,11 +63,11 @@ class Holder:
         """Whether the bus goes to this worker: to the same one always, to another when the holder is gone."""
         if self.is_same(worker, credential) or now >= self.free_at:
             return True
-        if self.credential.own and not self.port_seen:
-            # The child of a bus whose port is on another machine: the worker there must get it.
-            return not credential.own
-        # One process at most has the token of a child, and its next starts after its end.
-        return self.credential.own and credential.own and self.free_at < Monotonic(inf)
+        if credential.own:
+            # One process at most has the token of a child, and its next starts after its end.
+            return self.credential.own and self.free_at < Monotonic(inf)
+        # The child of a bus whose port is on another machine: the worker there must get it.
+        return self.credential.own and not self.port_seen
 
 
 def refusal(hello: Hello, credential: Credential, buses: Collection[str]) -> Message | None:

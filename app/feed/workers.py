@@ -30,9 +30,20 @@ class Workers:
         self.monotonic = monotonic_now
         self._hello_buckets: defaultdict[str, Bucket] = defaultdict(hello_bucket)
         """By token, so that one cannot use up what another has."""
+        self._own_called: set[str] = set()
+        """Buses whose own worker connected since `responds` was last called."""
+
+    def responds(self, bus: str) -> bool:
+        """Whether the child of this server for ``bus`` is linked, or connected since the last call: one whose
+        bus another worker has is refused, and tries again."""
+        called = bus in self._own_called
+        self._own_called.discard(bus)
+        return called or self._feeds[bus].has_own_worker
 
     async def serve(self, socket: WorkerConnection, credential: Credential) -> None:
         """Serve one connection from its hello to its end. Raises nothing that a worker could cause."""
+        if credential.own:
+            self._own_called.add(credential.bus)
         try:
             hello = await self._hello(socket, credential)
             await self._admit(hello, socket, credential)

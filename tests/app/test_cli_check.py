@@ -14,6 +14,9 @@ from typer.testing import CliRunner, Result
 from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import check, findings
+from app.database import Database
+from app.history.intake.writer import MIGRATIONS
+from tests.mounted import mounted
 
 cli = typer.Typer()
 cli.command()(check.check)
@@ -154,6 +157,78 @@ def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
         result = run(config, f"[server]\nport = {taken.getsockname()[1]}\n" + bus("/dev/ttyUSB99"))
     assert result.exit_code == 0
     assert "which is in use now" in result.stdout
+
+
+# --- the stores and their disk -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def data(config: Path) -> Path:
+    """The data folder of a site that was started once."""
+    folder = config.parent / "data"
+    Database(folder / "lineside.db").close()
+    Database(folder / "history.db", MIGRATIONS).close()
+    make_key_file(config.parent / "lineside.audit.key", KeyOrigin(0, "0" * 64))
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_stores_are_read_and_left_as_they_are(config: Path, data: Path) -> None:
+    before = contents(data)
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert (result.exit_code, result.stderr) == (0, "")
+    for name in ("lineside.db", "history.db"):
+        assert f"store {data / name}, 0 MB" in result.stdout
+    assert contents(data) == before
+
+
+def test_a_store_that_is_missing_is_a_fault(config: Path, data: Path) -> None:
+    data.rename(config.parent / "unmounted")
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert f"the store {data / 'lineside.db'} is missing, and its audit key" in result.stderr
+    assert not data.exists()
+
+
+@pytest.mark.parametrize("name", ["lineside.db", "history.db"])
+def test_a_store_that_was_cut_short_is_a_fault(config: Path, data: Path, name: str) -> None:
+    os.truncate(data / name, (data / name).stat().st_size // 2)
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert f"the store {data / name}" in result.stderr
+    assert result.stderr.count("damaged") == 1
+
+
+def test_a_damaged_page_is_a_fault(config: Path, data: Path) -> None:
+    with (data / "lineside.db").open("r+b") as store:
+        store.seek(5 * 4096)
+        store.write(b"\xa5" * 4096)
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert f"the store {data / 'lineside.db'} is damaged (" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("size=1m", "is full: 1 MB are free, and below 100 MB no history is stored"),
+        ("size=1m,ro", "is mounted read-only"),
+        ("size=300m", None),
+    ],
+)
+def test_a_disk_that_is_full_or_read_only_is_called_that(
+    config: Path, options: str, words: str | None
+) -> None:
+    data = config.parent / "data"
+    data.mkdir()
+    with mounted("-t", "tmpfs", "-o", options, "tmpfs", at=data):
+        result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == (words is not None)
+    assert f"the disk of {data} {words}" in result.stderr if words else "nearly full" in result.stdout
+    assert "may not write" not in result.stderr
 
 
 # --- the audit log ------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
@@ -42,28 +43,78 @@ BUS = {
 }
 
 
-def test_a_dashboard_that_serves(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status, "is_serving", lambda url: url.startswith("http://127.0.0.1:"))
+def alarm(code: str, *, bus: str | None = None, active: bool = True) -> dict[str, object]:
+    since, message = "2026-11-23T10:00:00.000Z", f"{code}. Check it."
+    return {"code": code, "bus": bus, "active": active, "since": since, "message": message, "id": code}
+
+
+ALARMS = [
+    alarm("audit_degraded"),
+    alarm("notification_failed", active=False),
+    alarm("port_lost", bus="dry-end"),
+]
+HISTORY = {"history": "the disk is full", "history_message": {"code": "history_disk_full", "params": {}}}
+
+
+class PlayedDashboard:
+    """A context like `app.cli.dashboard.dashboard`, with the responses of one."""
+
+    def __init__(self, alarms: list[dict[str, object]], history: dict[str, object]) -> None:
+        self._responses = {"/line": {"buses": [BUS], **history}, "/alarms": {"alarms": alarms}}
+
+    def __enter__(self) -> PlayedDashboard:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is open."""
+
+    def get(self, path: str) -> object:
+        return self._responses[path]
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch) -> Callable[[PlayedDashboard], None]:
+    """Make a dashboard respond at the configured address, to the token ``secret``."""
+
+    def play(played: PlayedDashboard) -> None:
+        monkeypatch.setattr(status, "is_serving", lambda url: url.startswith("http://127.0.0.1:"))
+        monkeypatch.setattr(status, "dashboard", lambda _url, token: {"secret": played}[token])
+
+    return play
+
+
+def test_a_dashboard_that_serves(config: Path, play: Callable[[PlayedDashboard], None]) -> None:
+    play(PlayedDashboard([], {"history": "", "history_message": None}))
     plain = CliRunner().invoke(cli, ["status", "--config", str(config)])
     assert plain.exit_code == 0
     assert plain.stdout.startswith("Mill 7: serving at http://127.0.0.1:")
-
-    class Line:
-        def __enter__(self) -> Line:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            """Nothing is open."""
-
-        def get(self, path: str) -> object:
-            return {"/line": {"buses": [BUS]}}[path]
-
-    monkeypatch.setattr(status, "dashboard", lambda _url, token: {"secret": Line()}[token])
     call = ["status", "--config", str(config), "--token", "secret"]
+    result = CliRunner().invoke(cli, call)
     words = "bus dry-end: 1 of 2 units online, port closed: /dev/ttyUSB0 is not there"
-    assert words in CliRunner().invoke(cli, call).stdout
+    assert words in result.stdout
+    assert "degraded" not in result.stdout
     printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
     assert printed["buses"][0] == {**BUS, "link_cause_message": None, "units": 2, "units_online": 1}
+    assert printed["degraded"] == []
+
+
+def test_faults_of_the_server_are_listed(config: Path, play: Callable[[PlayedDashboard], None]) -> None:
+    play(PlayedDashboard(ALARMS, HISTORY))
+    call = ["status", "--config", str(config), "--token", "secret"]
+    result = CliRunner().invoke(cli, call)
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[-2:] == [
+        "  degraded: audit_degraded. Check it.",
+        "  degraded: the disk is full",
+    ]
+    assert json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)["degraded"] == [
+        {
+            "code": "audit_degraded",
+            "since": "2026-11-23T10:00:00.000Z",
+            "message": "audit_degraded. Check it.",
+        },
+        {"code": "history_disk_full", "since": None, "message": "the disk is full"},
+    ]
 
 
 @pytest.mark.parametrize(

@@ -254,6 +254,20 @@ async def test_the_servers_own_worker_keeps_the_bus_once_its_port_was_open(stage
     assert await refused(stage, "w3", OWN_WORKER) == "", "its successor starts after its end"
 
 
+async def test_a_child_responds_while_it_is_linked_or_refused(stage: Stage) -> None:
+    def responds() -> list[bool]:
+        return [stage.workers.responds("dry-end") for _ in range(3)]
+
+    assert responds() == [False, False, False]
+    child = await stage.worker(state=snapshot(link="closed"), name=OWN_WORKER)
+    assert responds() == [True, True, True]
+    await stage.worker(hello("w2"))
+    await child.gone()
+    assert responds() == [False, False, False], "the link of another worker is no sign of the child"
+    await refused(stage, "w1", OWN_WORKER)
+    assert responds() == [True, False, False]
+
+
 async def test_of_two_that_come_at_once_one_gets_the_bus(stage: Stage) -> None:
     both = await asyncio.gather(refused(stage, "w1", "a"), refused(stage, "w2", "b"))
     assert sorted(map(bool, both)) == [False, True]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import sqlite3
 from collections.abc import Iterator
@@ -199,6 +200,29 @@ def test_readable_rows_of_a_torn_store_move_to_the_new_one(tmp_path: Path) -> No
     assert "was rebuilt" in words[0]
     assert 4_000 < kept < 9_000
     assert len(list(tmp_path.glob(f"{FILE}.damaged-*"))) >= 1
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.001, 0.3, 0.9])
+def test_a_store_that_was_cut_short_is_begun_again(tmp_path: Path, kept: float) -> None:
+    """As after a copy that was broken off: by so much of its length."""
+    writer = opened(tmp_path)
+    writer.take((BUS.name, polls(NOON, NOON + 1800, NOISE.__getitem__)))
+    writer.close()
+    size = (tmp_path / FILE).stat().st_size
+    os.truncate(tmp_path / FILE, int(kept * size))
+    words: list[str] = []
+    writer = opened(tmp_path, on_damage=lambda what: words.append(str(what)))
+    until(lambda: writer.status.state == "ok")
+    writer.take((BUS.name, polls(NOON + 2400, NOON + 2460)))
+    until(lambda: writer.status.waiting == 0)
+    assert readings_of(writer) >= 300
+    writer.close()
+    assert not kept or "was rebuilt" in words[0]
+    assert len(list(tmp_path.glob(f"{FILE}.damaged-*Z"))) == bool(kept)
+    with closing(sqlite3.connect(tmp_path / FILE)) as connection:
+        assert connection.execute("PRAGMA auto_vacuum").fetchone() == (2,), (
+            "deleted readings free their space"
+        )
 
 
 def tear(path: Path) -> None:

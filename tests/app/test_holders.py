@@ -34,11 +34,12 @@ def test_a_child_yields_to_a_worker_elsewhere_until_its_port_was_open(port_seen:
     assert not holder.yields_to("w2", OWN, 0.0)
 
 
-def test_a_childs_successor_need_not_wait() -> None:
-    holder = Holder("w1", OWN, port_seen=True)
+@pytest.mark.parametrize("port_seen", [False, True])
+def test_a_childs_successor_need_not_wait(port_seen: bool) -> None:
+    holder = Holder("w1", OWN, port_seen)
     holder.connection_ended(Ending.CUT, 100.0)
     assert holder.yields_to("w2", OWN, 100.0)
-    assert not holder.yields_to("w2", A, 100.0)
+    assert holder.yields_to("w2", A, 100.0) is not port_seen
 
 
 def test_a_worker_elsewhere_never_yields_to_a_child() -> None:

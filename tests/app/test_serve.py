@@ -197,6 +197,23 @@ def test_a_worker_that_dies_is_started_again(config: Path) -> None:
         assert second != [first]
 
 
+def test_a_worker_that_is_frozen_is_replaced(config: Path) -> None:
+    token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
+    with started("serve", "--config", str(config)) as (process, url):
+
+        def is_linked() -> bool:
+            headers = {"Authorization": f"Bearer {token}"}
+            line = httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()
+            return bool(line["buses"][0]["worker"])
+
+        eventually(is_linked, "the worker is linked")
+        frozen = only_child(process)
+        os.kill(frozen, signal.SIGSTOP)
+        eventually(lambda: not is_alive(frozen), "the frozen worker is killed")
+        eventually(lambda: children_of(process.pid) not in ([], [frozen]), "another worker runs")
+        eventually(is_linked, "it is linked")
+
+
 def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> None:
     token = fork_server.run("token", "create", "t", "--role", "viewer", "--config", config).stdout.strip()
     with started("serve", "--config", str(config)) as (process, url):
@@ -280,6 +297,46 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("no folder")
     with pytest.raises(HostingError, match="File exists; give the server"):
         only_one(tmp_path / "data").__enter__()
+
+
+def test_a_store_that_is_missing_is_not_replaced(config: Path, tmp_path: Path) -> None:
+    fork_server.run("user", "list", "--config", config)
+    former = (tmp_path / "lineside.audit.key").read_bytes()
+    (tmp_path / "data").rename(tmp_path / "unmounted")
+    for words in (("serve",), ("user", "list"), ("audit", "rotate-key")):
+        done = fork_server.run(*words, "--config", config)
+        assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+        assert f"the store {tmp_path / 'data' / 'lineside.db'} is missing" in done.stderr
+        assert "lineside serve --new" in done.stderr
+    assert not (tmp_path / "data").exists()
+    (tmp_path / "unmounted").rename(tmp_path / "data")
+    with started("serve", "--config", str(config)) as (_, url):
+        assert is_serving(url)
+    assert (tmp_path / "lineside.audit.key").read_bytes() == former
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no store " * 1000], ids=["missing", "empty", "damaged"])
+def test_a_new_site_is_begun_by_command_and_recorded(
+    config: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    store = tmp_path / "data" / "lineside.db"
+    fork_server.run("user", "list", "--config", config)
+    there = fork_server.run("serve", "--new", "--config", config)
+    assert (there.returncode, there.stderr.count("\n")) == (1, 1)
+    assert "holds a site" in there.stderr
+    store.unlink()
+    if content is not None:
+        store.write_bytes(content)
+    with started("serve", "--new", "--config", str(config)) as (_, url):
+        assert is_serving(url)
+    proof = fork_server.run("audit", "verify", "--config", config)
+    assert proof.returncode == 0, proof.stderr
+    with closing(sqlite3.connect(store)) as connection:
+        [(first, _), *_] = connection.execute("SELECT what, id FROM events ORDER BY id").fetchall()
+    assert "new site begun with --new" in first
+    assert len(list(tmp_path.glob("lineside.audit.key.before-*"))) == 1
+    kept = [path.read_bytes() for path in store.parent.glob("lineside.db.damaged-*")]
+    assert kept == ([content] if content else [])
 
 
 def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

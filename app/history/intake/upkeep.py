@@ -125,8 +125,9 @@ class Upkeep:
 
 
 def prepare(path: Path) -> None:
-    """A new store returns space to the disk when readings are deleted; it must be set first."""
-    if path.exists():
+    """A new store returns space to the disk when readings are deleted; it must be set first. An empty file is
+    a new one, too."""
+    if path.exists() and path.stat().st_size:
         return
     make_folder(path.parent)
     make_file(path)

@@ -158,7 +158,7 @@ class Writer:
 
     def _tick(self) -> None:
         self._watch_clock()
-        if self._torn and self._open is not None and not self._ending.is_set():
+        if self._torn and not self._ending.is_set():
             self._rebuild()
         if not self._writable:
             if monotonic_now() < self._retry_at:
@@ -232,12 +232,12 @@ class Writer:
         """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
         time within the hour it is the machine that is at fault, and nothing more is tried."""
         self._torn = False
-        opened = self._open
-        if opened is None or monotonic_now() - self._rebuilt_at < REBUILD_EVERY_S:
+        if monotonic_now() - self._rebuilt_at < REBUILD_EVERY_S:
             return
         self._rebuilt_at = monotonic_now()
-        self._writable, self._open = False, None
-        opened.database.close()
+        opened, self._writable, self._open = self._open, False, None
+        if opened is not None:
+            opened.database.close()
         aside = put_aside(self._path)
         prepare(self._path)
         missing = 0

@@ -73,6 +73,7 @@ TEXTS: dict[str, EnglishText] = {
     "dashboard_at": "Lineside: {url}",
     "bus_open": "  bus {bus}: {online} of {units} units online, port {link}",
     "bus_not_open": "  bus {bus}: {online} of {units} units online, port {link}: {cause}",
+    "site_degraded": "  degraded: {fault}",
     # Backup, diff, restore.
     "unit_not_read": "unit {unit} was not read: {reason}",
     "units_not_read": "not read: unit {units}",

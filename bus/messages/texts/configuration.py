@@ -103,6 +103,20 @@ TEXTS: dict[str, EnglishText] = {
         "data: {user} may not create {folder}. Give the folder to the user that runs Lineside, name another "
         "one as data in [server], or run this check as that user."
     ),
+    "check_disk_read_only": (
+        "the disk of {path} is mounted read-only. Check it, and mount it so that it can be written."
+    ),
+    "check_disk_full": (
+        "the disk of {folder} is full: {free} MB are free, and below {reserve} MB no history is stored. Free "
+        "some space."
+    ),
+    "check_disk_low": "the disk of {folder} is nearly full: {free} MB are free",
+    "check_store": "store {path}, {size} MB",
+    "check_store_damaged": (
+        "the store {path} is damaged ({verdict}). Check the disk, and put a backup back with 'lineside "
+        "restore-store'."
+    ),
+    "check_store_refused": "{reason}",
     "check_bus": Plural(
         "bus {bus}: {n} unit at {port}, {baud} baud", "bus {bus}: {n} units at {port}, {baud} baud"
     ),

@@ -18,6 +18,7 @@ TEXTS: dict[str, EnglishText] = {
     "event_server_started": "server started",
     "event_server_ended": "server stopped",
     "event_store_created": "store created",
+    "event_site_begun": "new site begun with --new; the former store was {store}",
     "event_store_updated": "store migrated: {steps}",
     "event_audit_key_in_data": "the audit key is in the data folder",
     "event_configuration_changed": "configuration changed",

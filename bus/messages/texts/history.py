@@ -63,6 +63,25 @@ TEXTS: dict[str, EnglishText] = {
     "store_disk_failed": "disk error; check the disk",
     "store_locked": "another program has locked it; stop that program",
     "store_access_refused": "access to it is refused; give the server's user access",
+    "store_missing_at_start": (
+        "the store {path} is missing, and its audit key {key} is there. Mount its disk, or put a backup back "
+        "with 'lineside restore-store'. To begin a new site instead: lineside serve --new"
+    ),
+    "store_empty_at_start": (
+        "the store {path} is empty, and its audit key {key} is there. Put a backup back with 'lineside "
+        "restore-store'. To begin a new site instead: lineside serve --new"
+    ),
+    "store_damaged_at_start": (
+        "the store {path} is damaged, or is no store. Put a backup back with 'lineside restore-store'. To "
+        "begin a new site instead, with the file put aside: lineside serve --new"
+    ),
+    "store_not_new": (
+        "the store {path} holds a site; --new is only for one that is missing, empty or damaged. Start "
+        "without --new."
+    ),
+    "store_was_missing": "missing",
+    "store_was_empty": "empty",
+    "store_was_damaged": "damaged; its file was put aside",
     "store_missing": "there is no store {path}; nothing was served with this configuration yet",
     "stores_missing": "there is no store in {folder}; nothing was served with this configuration yet",
     "backup_exists": "{file} exists already; name another file",

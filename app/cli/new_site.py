@@ -1,0 +1,55 @@
+"""``lineside serve --new``: a new site where the former store is missing, empty or damaged."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from contextlib import closing
+from pathlib import Path
+
+from app.audit.keys import find_key_file, open_keys
+from app.audit.log import EventLog
+from app.audit.store import head_of
+from app.cli.accounts import ORIGIN, who_calls
+from app.cli.check_store import check_store
+from app.database import Database
+from app.database.presence import Presence, presence_of
+from app.database.words import in_words
+from app.history.store.salvage import put_aside
+from app.settings import Settings
+from bus.messages import Message
+
+_WAS: dict[Presence, Message] = {
+    "missing": Message("store_was_missing"),
+    "empty": Message("store_was_empty"),
+    "damaged": Message("store_was_damaged"),
+}
+
+
+def begin_new_site(settings: Settings) -> None:
+    """Make a new store and a new key, with an entry in the new audit log; what is left of the former site is
+    kept under other names. Raises StoreError, also where the former store can be used."""
+    check_store(settings, new=True)
+    store, key = settings.server.store, find_key_file(settings.key_files)
+    presence = presence_of(store)
+    with in_words(store):
+        if presence == "damaged":
+            put_aside(store)
+        if key is not None:
+            _put_key_aside(key)
+    with closing(Database(store)) as database:
+        keys = open_keys(settings.key_files, store, database.read_now(head_of))
+        asyncio.run(
+            EventLog(database, keys=keys).record(
+                kind="server",
+                what=Message.of("event_site_begun", store=_WAS[presence]),
+                who=who_calls(),
+                origin=ORIGIN,
+            )
+        )
+
+
+def _put_key_aside(key: Path) -> None:
+    """Two stores cannot share a key file: it states how far the log of its store was."""
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    key.rename(key.with_name(f"{key.name}.before-{stamp}"))

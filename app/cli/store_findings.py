@@ -1,0 +1,80 @@
+"""What ``lineside check`` finds of the stores and of the disk that they are on. Nothing is written."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+from app.audit.keys import find_key_file
+from app.cli.findings import Finding, fault, is_read_only, is_visible
+from app.database.presence import examining, presence_of, refusal_to_start
+from app.errors import StoreError, TooCostlyError
+from app.history.intake.upkeep import DiskReserve, space
+from app.settings import Settings
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+MAX_EXAMINED_S = 10.0
+"""For each store; what SQLite has found sound by then is taken for the rest, too."""
+STEPS = 100_000
+"""Of SQLite between two looks at the clock."""
+MB = 1_000_000
+
+
+def store_findings(settings: Settings) -> Iterator[Finding]:
+    """Each store of the data folder and its disk; nothing before the first start."""
+    folder, main = settings.server.data, settings.server.store
+    existing = next(each for each in (folder, *folder.parents) if is_visible(each))
+    yield from _disk(existing)
+    try:
+        stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
+        key = find_key_file(settings.key_files)
+        refusal = refusal_to_start(main, presence_of(main), key, new=False)
+    except (StoreError, OSError) as error:
+        yield fault("check_store_refused", reason=_reason(error))
+        return
+    if refusal is not None:
+        yield fault("check_store_refused", reason=refusal)
+    for store in stores:
+        if is_visible(store) and not (refusal is not None and store == main):
+            yield _store(store)
+
+
+def _disk(folder: Path) -> Iterator[Finding]:
+    """How much is left of it: a trial to write a byte succeeds where history has stopped already."""
+    free = shutil.disk_usage(folder).free
+    match space(free, DiskReserve()):
+        case "paused":
+            yield fault(
+                "check_disk_full", folder=str(folder), free=free // MB, reserve=DiskReserve().pause // MB
+            )
+        case "scarce" | "low":
+            yield Finding(Message.of("check_disk_low", folder=str(folder), free=free // MB))
+
+
+def _store(store: Path) -> Finding:
+    if is_read_only(store):
+        return fault("check_disk_read_only", path=str(store))
+    try:
+        with examining(store) as connection:
+            verdict = _verdict(connection)
+    except TooCostlyError:
+        verdict = "ok"
+    except (StoreError, OSError) as error:
+        return fault("check_store_refused", reason=_reason(error))
+    if verdict != "ok":
+        return fault("check_store_damaged", path=str(store), verdict=verdict)
+    return Finding(Message.of("check_store", path=str(store), size=store.stat().st_size // MB))
+
+
+def _verdict(connection: sqlite3.Connection) -> str:
+    """The first fault that SQLite finds, or ``ok``."""
+    end = monotonic_now() + MAX_EXAMINED_S
+    connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
+    return str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
+
+
+def _reason(error: StoreError | OSError) -> Message:
+    return error.message if isinstance(error, StoreError) else Message.of("system_error", error=str(error))

@@ -1,0 +1,62 @@
+"""Whether a store is in its place, and whether a server may start on it."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Literal
+
+from app.database.connection import open_for_reading
+from app.database.private import refuse_link
+from app.database.words import in_words
+from app.errors import DamagedStoreError
+from bus.messages import Message
+
+Presence = Literal["sound", "missing", "empty", "damaged"]
+
+
+def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
+    """Why a server does not start on a store; None where it may. ``key``: the key file of its audit log where
+    there is one, which is made together with the store. ``new``: a new site is what is wanted. Pure."""
+    match presence:
+        case "sound":
+            return Message.of("store_not_new", path=str(store)) if new else None
+        case "damaged":
+            return None if new else Message.of("store_damaged_at_start", path=str(store))
+        case "missing" | "empty":
+            if new or key is None:
+                return None
+            code = "store_missing_at_start" if presence == "missing" else "store_empty_at_start"
+            return Message.of(code, path=str(store), key=str(key))
+
+
+def presence_of(store: Path) -> Presence:
+    """Whether a store is there, by a first look; nothing is created. Raises StoreError where that fails."""
+    try:
+        with in_words(store):
+            if not store.exists():
+                return "missing"
+            if not store.stat().st_size:
+                return "empty"
+            with examining(store) as connection:
+                return "sound" if connection.execute("SELECT 1 FROM sqlite_master").fetchone() else "empty"
+    except DamagedStoreError:
+        return "damaged"
+
+
+@contextmanager
+def examining(store: Path) -> Iterator[sqlite3.Connection]:
+    """Read a store and leave no file beside it. Raises StoreError in words."""
+    with in_words(store), closing(_open(store)) as connection:
+        yield connection
+
+
+def _open(store: Path) -> sqlite3.Connection:
+    """Where no process has it open and none left a log, SQLite would make both for a reader."""
+    if store.with_name(f"{store.name}-wal").exists():
+        return open_for_reading(store)
+    refuse_link(store)
+    uri = f"{store.absolute().as_uri()}?mode=ro&immutable=1"
+    return sqlite3.connect(uri, uri=True)
