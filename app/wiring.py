@@ -40,6 +40,7 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
+from app.database.reserve import Reserve
 from app.feed.workers import Workers
 from app.handover.document import SheetDocuments
 from app.handover.pictures import PictureStore
@@ -87,7 +88,8 @@ class Services:
         """Open the stores and make every service, each after those that it needs. Raises StoreError."""
         self.settings = settings
         make_private(settings.server.data)
-        self.database = Database(settings.server.store)
+        self.reserve = Reserve(settings.server.data)
+        self.database = Database(settings.server.store, reserve=self.reserve)
         keys = open_keys(settings.key_files, self.database.path, self.database.read_now(head_of))
         self.events = EventLog(self.database, keys=keys)
         self.anchoring = (
@@ -177,7 +179,7 @@ class Services:
         self.recipes = RecipeBook(self.live, commands, RecipeStore(self.database), self.events)
 
     def _make_handover(self) -> None:
-        self.pictures = PictureStore(self.settings.server.data)
+        self.pictures = PictureStore(self.settings.server.data, self.settings.shift.pictures_mb)
         self.handover = Handover(self.settings, self.database, self.events, self.pictures)
         self.documents = SheetDocuments(self.templates, self.assets, self.alarms, self.pictures)
         self.signing = Signing(self.handover, self.database, self.events, self.sign_in, self.documents.page)
@@ -190,7 +192,7 @@ class Services:
             drift={name: bus.drift for name, bus in buses.items()},
             recipes=self.recipes,
             alarms=AlarmBanner(self.alarms),
-            notices=partial(_notices, history, self.anchoring),
+            notices=partial(_notices, history, self.anchoring, self.reserve),
             history_fault=lambda: history.status.message,
         )
         english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
@@ -222,11 +224,14 @@ def _status_of(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: UnixTime) -> str:
+def _notices(
+    history: History, anchoring: Anchoring | None, reserve: Reserve, translator: Translator, now: UnixTime
+) -> str:
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
         anchor_notice(_status_of(anchoring), translator.formats, now),
+        reserve.notice,
     )
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 
@@ -319,6 +324,7 @@ async def _end(services: Services) -> None:
     services.passwords.close()
     await asyncio.to_thread(services.pictures.close)
     await asyncio.to_thread(services.database.close)
+    services.reserve.close()
 
 
 async def _restarted(work: Callable[[], Awaitable[None]]) -> None:
