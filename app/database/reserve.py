@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import structlog
 
 from app.database.private import make_file, make_folder
+from app.errors import StoreError
 from bus.messages import Message
 
 FILE = "reserve"
@@ -37,49 +39,49 @@ class Reserve:
     def __init__(self, folder: Path, size: int = SIZE) -> None:
         make_folder(folder)
         self._path = folder / FILE
-        self._size = min(size, (free_bytes(folder) + self._held()) // 2)
+        self._size = size
         self._to_make = True
-        self.left = 1.0
-        """The part of the space that is still there, 0 to 1."""
-        if self._held() < self._size:
-            self._make(self._held())
-        self._note(self._held())
+        free, held = free_bytes(folder), self._held()
+        self._make(held, min(size, (free + held) // 2))
+        self._note(free)
 
     def keep(self) -> None:
-        """Make room for a transaction, or take the space back where the disk has it. Never fails: the
-        transaction has its own error."""
-        try:
+        """Make room for a transaction, or take the space back where the disk has it. Where the disk fails,
+        the transaction has its own error."""
+        with suppress(OSError):
             free, held = free_bytes(self._path.parent), self._held()
             if free < MIN_FREE and held:
                 os.truncate(self._path, max(0, held - MIN_FREE + free))
-            elif held < self._size and free >= KEPT_FREE + self._size - held and self._to_make:
-                self._make(held)
-            self._note(self._held())
-        except OSError as error:
-            log.warning("disk reserve", error=str(error))
+            elif free >= KEPT_FREE + self._size - held:
+                self._make(held, self._size)
+            self._note(free)
 
     @property
     def notice(self) -> Message | None:
-        """That the space is being used up; None while the disk has enough."""
-        if self.left == 1.0:
+        """That the space is used up, or was never there, on a disk that is short; None while it is not."""
+        if self.left == 1.0 or not self._is_short:
             return None
         return Message.of("reserve_in_use", percent=round(100 * self.left))
 
     def close(self) -> None:
         """Give the space back, unless the disk is short: then the next start needs it."""
-        if free_bytes(self._path.parent) >= KEPT_FREE:
-            self._path.unlink(missing_ok=True)
+        with suppress(OSError):
+            if free_bytes(self._path.parent) >= KEPT_FREE:
+                self._path.unlink(missing_ok=True)
 
-    def _make(self, held: int) -> None:
-        """Really allocate it: a file with holes would hold nothing."""
-        make_file(self._path)
+    def _make(self, held: int, size: int) -> None:
+        """Really allocate what is missing of ``size``: a file with holes would hold nothing."""
+        if held >= size or not self._to_make:
+            return
         try:
+            make_file(self._path)
             with self._path.open("r+b") as file:
-                os.posix_fallocate(file.fileno(), held, self._size - held)
-        except OSError as error:
+                os.posix_fallocate(file.fileno(), held, size - held)
+        except (OSError, StoreError) as error:
             log.warning("no disk reserve; on a full disk no command is sent", error=str(error))
-            os.truncate(self._path, held)
             self._to_make = False
+            with suppress(OSError):
+                os.truncate(self._path, held)
 
     def _held(self) -> int:
         try:
@@ -87,5 +89,7 @@ class Reserve:
         except FileNotFoundError:
             return 0
 
-    def _note(self, held: int) -> None:
-        self.left = min(1.0, held / self._size) if self._size else 0.0
+    def _note(self, free: int) -> None:
+        self._is_short = free < KEPT_FREE
+        self.left = self._held() / self._size
+        """The part of the space that is still there, 0 to 1."""

@@ -100,7 +100,7 @@ class ChangeRecorder:
         if self._left_out:
             what = Message.of("event_changes_left_out", n=self._left_out)
             self._left_out = 0
-            self._put(LineEvent("audit", None, at, what, "", ""))
+            self._queue.put_nowait(LineEvent("audit", None, at, what, "", ""))
 
 
 def _summed_up(summary: Summary[LineEvent]) -> LineEvent:

@@ -30,8 +30,8 @@ TEXTS = {
     ),
     "shift_notes_of_site_full": "The site has {n} notes, the most that are stored. Nothing was stored.",
     "pictures_of_site_full": (
-        "The pictures of the site take {n} MB, the most that are stored. Nothing was stored. An administrator "
-        "can raise pictures_mb in the configuration."
+        "The pictures of the site take {n} MB, the most that are stored. Nothing was stored. An "
+        "administrator can raise pictures_mb in the configuration."
     ),
     "shift_omits_before_record": (
         "The record begins after the start of the shift. Nothing is known of the time before."
