@@ -151,10 +151,12 @@ class HistorySettings(StrictModel):
 
 
 class ShiftSettings(StrictModel):
-    """When the shifts of the site begin."""
+    """When the shifts of the site begin, and what people store of them."""
 
     starts: Annotated[tuple[ClockTime, ...], Field(min_length=1, max_length=24)] = ("06:00", "14:00", "22:00")
     """Local times; a shift lasts until the next of them."""
+    pictures_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 2_000
+    """What the pictures of all notes may take."""
 
     @property
     def minutes(self) -> list[int]:

@@ -40,6 +40,7 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.database.migrating import FIRST, Migration
 from app.database.private import make_private
+from app.database.reserve import Reserve
 from app.feed.workers import Workers
 from app.handover.document import SheetDocuments
 from app.handover.pictures import PictureStore
@@ -97,7 +98,9 @@ class Services:
 
     def _make_stores(self) -> None:
         """They are closed last, once an event states that the server ended."""
-        self.database = Database(self.settings.server.store)
+        self.reserve = Reserve(self.settings.server.data)
+        self.lifespan.add("disk reserve", end=partial(asyncio.to_thread, self.reserve.close))
+        self.database = Database(self.settings.server.store, reserve=self.reserve)
         self.lifespan.add("store", end=partial(asyncio.to_thread, self.database.close))
         self.history = history = History(self.settings)
         close_history = partial(asyncio.to_thread, history.close)
@@ -210,7 +213,7 @@ class Services:
         self.lifespan.add("recipes", start=self.recipes.load_marks)
 
     def _make_handover(self) -> None:
-        self.pictures = PictureStore(self.settings.server.data)
+        self.pictures = PictureStore(self.settings.server.data, self.settings.shift.pictures_mb)
         self.lifespan.add("pictures", end=partial(asyncio.to_thread, self.pictures.close))
         self.handover = Handover(self.settings, self.database, self.events, self.pictures)
         self.documents = SheetDocuments(self.templates, self.assets, self.alarms, self.pictures)
@@ -224,7 +227,7 @@ class Services:
             drift={name: bus.drift for name, bus in buses.items()},
             recipes=self.recipes,
             alarms=AlarmBanner(self.alarms),
-            notices=partial(_notices, history, self.anchoring),
+            notices=partial(_notices, history, self.anchoring, self.reserve),
             history_fault=lambda: history.status.message,
         )
         english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
@@ -282,11 +285,14 @@ def _status_of(anchoring: Anchoring | None) -> AnchorStatus:
     return AnchorStatus() if anchoring is None else anchoring.status
 
 
-def _notices(history: History, anchoring: Anchoring | None, translator: Translator, now: UnixTime) -> str:
+def _notices(
+    history: History, anchoring: Anchoring | None, reserve: Reserve, translator: Translator, now: UnixTime
+) -> str:
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
         anchor_notice(_status_of(anchoring), translator.formats, now),
+        reserve.notice,
     )
     return " ".join(translator.t(notice) for notice in found if notice is not None)
 

@@ -21,15 +21,15 @@ class Bucket:
         self._at = now
         return self._level
 
-    def has_room(self, now: Monotonic) -> bool:
-        """Whether one more fits."""
-        return self.level(now) + 1 <= self.capacity
+    def has_room(self, now: Monotonic, amount: float = 1.0) -> bool:
+        """Whether so much more fits."""
+        return self.level(now) + amount <= self.capacity
 
-    def take(self, now: Monotonic) -> bool:
-        """Add one, where it fits."""
-        if not self.has_room(now):
+    def take(self, now: Monotonic, amount: float = 1.0) -> bool:
+        """Add all of it, where it fits."""
+        if not self.has_room(now, amount):
             return False
-        self._level += 1
+        self._level += amount
         return True
 
     def pour(self, amount: float, now: Monotonic) -> float:
@@ -38,9 +38,9 @@ class Bucket:
         self._level = max(0.0, self.level(now) + amount)
         return max(0.0, self._level - self.capacity) / self.per_s
 
-    def wait_s(self, now: Monotonic) -> float:
-        """In how many seconds one more fits; 0.0: now."""
-        return max(0.0, self.level(now) + 1 - self.capacity) / self.per_s
+    def wait_s(self, now: Monotonic, amount: float = 1.0) -> float:
+        """In how many seconds so much more fits; 0.0: now."""
+        return max(0.0, self.level(now) + amount - self.capacity) / self.per_s
 
     def fill(self, now: Monotonic) -> None:
         self._level = max(self.level(now), self.capacity)

@@ -9,7 +9,7 @@ import os
 import sqlite3
 import sys
 from collections.abc import Callable, Iterator
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from pathlib import Path
 from types import CodeType
 from typing import Any
@@ -26,6 +26,7 @@ import app.messages.languages
 from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
 from app.database.private import make_file, make_folder
+from app.database.reserve import Reserve
 from app.web.assets import Assets
 
 settings.register_profile("lineside", derandomize=True, deadline=None, max_examples=30)
@@ -137,6 +138,15 @@ def assets_read_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if wiring := sys.modules.get("app.wiring"):
             patch.setattr(wiring, "Assets", cache(Assets))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def reserves_are_small() -> Iterator[None]:
+    """What a test leaves behind is kept for a while, and many make an app that they never end."""
+    with pytest.MonkeyPatch.context() as patch:
+        if wiring := sys.modules.get("app.wiring"):
+            patch.setattr(wiring, "Reserve", partial(Reserve, size=1_000_000))
         yield
 
 

@@ -14,6 +14,7 @@ from typing import Literal, TypeVar
 
 from app.database.migrating import MIGRATIONS, Migration, alone, bring_up_to_date
 from app.database.private import make_file, make_folder, refuse_link
+from app.database.reserve import Reserve
 from app.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
@@ -38,6 +39,8 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {synchronous}")
     connection.execute("PRAGMA foreign_keys = ON")
+    # A temporary file of a statement needs a disk with space.
+    connection.execute("PRAGMA temp_store = MEMORY")
     return connection
 
 
@@ -69,7 +72,7 @@ class Database:
     """One store. Opening brings it up to date and raises StoreError in words when it cannot be used.
 
     ``checkpoints`` False: another process may have the store open and does that (SQLite 3.40 can lose
-    writes when two connections reset the WAL).
+    writes when two connections reset the WAL). ``reserve``: the disk space that its transactions may use up.
     """
 
     def __init__(
@@ -79,8 +82,10 @@ class Database:
         synchronous: Synchronous = "FULL",
         *,
         checkpoints: bool = True,
+        reserve: Reserve | None = None,
     ) -> None:
         self.path = path
+        self._reserve = reserve
         with in_words(path), alone(path):
             self._connection = open_for_writing(path, synchronous)
             if not checkpoints:
@@ -106,6 +111,8 @@ class Database:
 
     def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """The same without a loop, for the command line and the writer's own thread."""
+        if self._reserve is not None:
+            self._reserve.keep()
         with in_words(self.path):
             return transact(self._connection, work)
 

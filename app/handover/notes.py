@@ -14,6 +14,8 @@ from bus.messages import Message
 MOST_NOTES = 500
 """Of a shift: a sheet is read by people."""
 MOST_PICTURES = 20
+MAX_OF_SITE = 200_000
+"""Of all shifts: five years with 100 a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,8 @@ def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
         _check_corrected(connection, note.corrects)
     if note.alarm is not None:
         occurrence(connection, note.alarm)
+    if (connection.execute("SELECT max(id) FROM shift_note").fetchone()[0] or 0) >= MAX_OF_SITE:
+        raise Problem(409, "too_many", Message.of("shift_notes_of_site_full", n=MAX_OF_SITE))
     if counts_of(connection, [shift])[0] >= MOST_NOTES:
         raise Problem(409, "too_many", Message.of("shift_notes_full", n=MOST_NOTES))
     there = sum(len(each.pictures.split()) for each in notes_of(connection, shift)) if note.pictures else 0

@@ -116,6 +116,7 @@ async def sheet_page(
         places=_places(alarms),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
+        is_recent=shifts.quota.is_recent(shift),
         key=secrets.token_urlsafe(16),
         longest=LONGEST_NOTE,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import sqlite3
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -21,6 +22,7 @@ MIGRATIONS = Path(__file__).parent / "migrations"
 MOST_OF_NOTE = 3
 LARGEST = 1024**2
 """Bytes of one."""
+MB = 1_000_000
 
 
 def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
@@ -36,18 +38,27 @@ def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
 class PictureStore:
     """Opened with the first picture: most sites have none."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, max_mb: int) -> None:
         self._path = folder / FILE
+        self._max_mb = max_mb
         self._opening = asyncio.Lock()
         self._database: Database | None = None
 
     async def add(self, pictures: dict[str, PlainPicture]) -> None:
-        """Store those that are not there yet."""
+        """Store those that are not there yet. Raises Problem 409 where all pictures have no room for them."""
         rows = [(digest, each.media_type, each.content) for digest, each in pictures.items()]
         if rows:
             database = await self._opened()
-            query = "INSERT INTO picture VALUES (?, ?, ?) ON CONFLICT (digest) DO NOTHING"
-            await database.write(lambda connection: connection.executemany(query, rows))
+            await database.write(lambda connection: self._insert(connection, rows))
+
+    def _insert(self, connection: sqlite3.Connection, rows: Sequence[tuple[str, str, bytes]]) -> None:
+        pages, page = (
+            connection.execute(f"PRAGMA {fact}").fetchone()[0] for fact in ("page_count", "page_size")
+        )
+        if pages * page + sum(len(content) for _, _, content in rows) > self._max_mb * MB:
+            raise Problem(409, "too_many", Message.of("pictures_of_site_full", n=self._max_mb))
+        query = "INSERT INTO picture VALUES (?, ?, ?) ON CONFLICT (digest) DO NOTHING"
+        connection.executemany(query, rows)
 
     async def find(self, digest: str) -> PlainPicture:
         """Raises Problem 404, also for one that is not what its digest names; StoreError where the store is

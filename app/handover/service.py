@@ -20,6 +20,7 @@ from app.errors import Problem
 from app.handover import notes
 from app.handover.notes import Note, RepeatedNoteError
 from app.handover.pictures import PictureStore, judged
+from app.handover.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from app.handover.sheet import SheetWriter
 from app.handover.signatures import (
@@ -88,6 +89,7 @@ class Handover:
         pictures: PictureStore,
         clock: Clock = unix_now,
     ) -> None:
+        self.quota = Quota(settings.server.data, clock)
         self.zone = ZoneInfo(settings.site.zone)
         self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
         self._starts = settings.shift.minutes
@@ -141,6 +143,7 @@ class Handover:
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
         self.check_place(new.bus, new.unit)
+        self.quota.check(shift)
         pictures = await asyncio.to_thread(judged, new.pictures)
         note = Note(
             at=await self._time_of(shift, new),
@@ -157,6 +160,7 @@ class Handover:
         )
         try:
             await self._database.read(lambda connection: notes.check(connection, note, shift))
+            self.quota.take(person.sender, 1 + len(pictures))
             await self._pictures.add(pictures)
             return await self._store(person, shift, note)
         except RepeatedNoteError as repeated:

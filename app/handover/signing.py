@@ -56,7 +56,8 @@ class Signing:
 
     async def sign(self, person: Person, address: str, shift: Shift, request: SignRequest) -> None:
         """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
-        401 for a wrong password, 403 for one who may not sign."""
+        401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
+        self._handover.quota.check(shift)
         who = await self._signer(person, address, request)
         signed = await self._database.read(lambda store: signatures.signed_sheet(store, shift.start))
         part = request.part or ("leaving" if signed is None else "coming")

@@ -12,12 +12,14 @@ from app.audit.budget import BURST, EventBudget, Summary
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.changes import LineEvent
-from bus.instants import monotonic_now
+from bus.instants import UnixTime, monotonic_now
 from bus.messages import Message
 
 RETRY_AFTER_S = 1.0
 FEW = 6
 """How often a port or a worker comes and goes before that is summed up."""
+MAX_WAITING = 10_000
+"""Changes kept in memory while the log cannot be written; then the oldest are left out, and counted."""
 DUE_EVERY_S = 1.0
 """How often it is looked for summaries."""
 
@@ -33,13 +35,14 @@ class ChangeRecorder:
         self._monotonic = monotonic_now
         self._budget: EventBudget[LineEvent] = EventBudget()
         self._queue: asyncio.Queue[LineEvent] = asyncio.Queue()
+        self._left_out = 0
 
     def note(self, change: LineEvent) -> None:
         """Record this soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
         burst = FEW if change.kind in ("bus", "worker") else BURST
         if self._budget.admits(key, change, self._monotonic(), burst=burst):
-            self._queue.put_nowait(change)
+            self._put(change)
 
     async def follow(self) -> None:
         """Write what was noted into the events, in order, until cancelled."""
@@ -57,6 +60,7 @@ class ChangeRecorder:
                 fault = why
                 await asyncio.sleep(RETRY_AFTER_S)
             self._queue.task_done()
+            self._note_left_out(change.at)
 
     async def recorded(self) -> None:
         """Wait until everything that was noted is in the events, also what was kept for a summary."""
@@ -82,7 +86,21 @@ class ChangeRecorder:
 
     def _note_due(self, *, everything: bool = False) -> None:
         for summary in self._budget.due(self._monotonic(), everything=everything):
-            self._queue.put_nowait(_summed_up(summary))
+            self._put(_summed_up(summary))
+
+    def _put(self, change: LineEvent) -> None:
+        if self._queue.qsize() >= MAX_WAITING:
+            self._queue.get_nowait()
+            self._queue.task_done()
+            self._left_out += 1
+        self._queue.put_nowait(change)
+
+    def _note_left_out(self, at: UnixTime) -> None:
+        """After a write that succeeded: what had no place until then, as one event."""
+        if self._left_out:
+            what = Message.of("event_changes_left_out", n=self._left_out)
+            self._left_out = 0
+            self._queue.put_nowait(LineEvent("audit", None, at, what, "", ""))
 
 
 def _summed_up(summary: Summary[LineEvent]) -> LineEvent:

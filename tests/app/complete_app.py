@@ -13,7 +13,7 @@ from fastapi import FastAPI
 
 from app.main import create_app
 from app.notify_settings import NotifySettings
-from app.settings import ServerSettings, Settings, Site
+from app.settings import ServerSettings, Settings, ShiftSettings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from app.wiring import Services, running
 from bus.settings import BusSettings, UnitLabels, UnitSettings
@@ -84,11 +84,13 @@ async def complete_app(
     demo: bool = False,
     server: ServerSettings | None = None,
     notify: NotifySettings | None = None,
+    shift: ShiftSettings | None = None,
     **site: Any,
 ) -> AsyncIterator[House]:
     """From start to end, as the server would."""
     settings = settings_in(folder, **site)
     others = {"server": server or settings.server, "notify": notify or settings.notify}
+    others["shift"] = shift or settings.shift
     app = create_app(settings.model_copy(update=others), demo=demo)
     house = House(app, app.state.services)
     async with running(house.services):

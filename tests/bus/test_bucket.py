@@ -14,6 +14,12 @@ def test_it_is_used_up_and_comes_back() -> None:
     assert [bucket.take(100.0) for _ in range(4)] == [True, True, True, False]
 
 
+def test_an_amount_is_taken_as_one_or_not_at_all() -> None:
+    bucket = Bucket(per_s=2.0, capacity=3)
+    assert [bucket.take(0.0, 2), bucket.take(0.0, 2), bucket.take(0.0, 1)] == [True, False, True]
+    assert bucket.wait_s(0.0, 2) == pytest.approx(1.0)
+
+
 def test_a_clock_that_steps_back_costs_nothing() -> None:
     bucket = Bucket(per_s=2.0, capacity=3)
     assert all(bucket.take(100.0) for _ in range(3))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
+from app.database.reserve import KEPT_FREE, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.status import StoreState
@@ -28,8 +28,8 @@ class DiskReserve:
     """Warn on every page that shows history."""
     trim: int = 500 * _MB
     """Give up the oldest readings; minutes and hours stay."""
-    pause: int = 100 * _MB
-    """Write no history: the remaining space belongs to the events."""
+    pause: int = KEPT_FREE
+    """Write no history: the remaining space belongs to the main store, and below it is its own reserve."""
 
 
 def space(free: int, reserve: DiskReserve) -> StoreState:
@@ -75,7 +75,7 @@ class Upkeep:
 
     def look(self) -> tuple[int, StoreState]:
         """Free bytes where the store is, and what they mean."""
-        free = shutil.disk_usage(self._database.path.parent).free
+        free = free_bytes(self._database.path.parent)
         return free, space(free, self._retention.reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:

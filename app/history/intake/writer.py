@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -16,12 +15,13 @@ import structlog
 
 from app.audit.kinds import EventKind
 from app.database.connection import Database
+from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Upkeep, prepare
+from app.history.intake.upkeep import Retention, Upkeep, prepare, space
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
 from app.history.store import tables
@@ -164,9 +164,16 @@ class Writer:
             if monotonic_now() < self._retry_at:
                 return
             self._open_store()
-        if self._space != "paused":
-            self._store()
         self._watch_disk()
+        if self._space == "paused":
+            self._give_way()
+        else:
+            self._store()
+
+    def _give_way(self) -> None:
+        """Nothing is written, and what was given up goes back to the disk."""
+        assert self._open is not None
+        self._open.upkeep.sweep(monotonic_now() + BUSY_S)
 
     def _store(self) -> None:
         opened = self._open
@@ -201,7 +208,7 @@ class Writer:
         if self._open is None:
             return
         try:
-            if self._writable:
+            if self._writable and self._space != "paused":
                 self._commit(self._open.recorder)
                 self._open.recorder.fold_everything(monotonic_now() + END_S)
         finally:
@@ -251,9 +258,12 @@ class Writer:
         """Stored history can still be read, until the store is opened again."""
         self._writable = False
         self._retry_at = monotonic_now() + RETRY_S
-        self._set_state("failed", cause)
+        is_full = False
         with suppress(OSError):
-            self._status = replace(self._status, free_bytes=shutil.disk_usage(self._path.parent).free)
+            free = free_bytes(self._path.parent)
+            is_full = space(free, self._retention.reserve) == "paused"
+            self._status = replace(self._status, free_bytes=free)
+        self._set_state("paused" if is_full else "failed", None if is_full else cause)
 
     def _watch_clock(self) -> None:
         step = self._clock.step(unix_now(), monotonic_now())

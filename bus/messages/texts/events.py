@@ -66,6 +66,10 @@ TEXTS: dict[str, EnglishText] = {
     "event_set_not_taken": (
         "parameter set of unit {unit} not saved on schedule; it is saved when the unit responds"
     ),
+    "event_changes_left_out": Plural(
+        "1 change of the line is missing here: the log could not be written",
+        "{n} changes of the line are missing here: the log could not be written",
+    ),
     "event_restored": Plural(
         "parameters restored: {verified} of 1 row verified",
         "parameters restored: {verified} of {n} rows verified",

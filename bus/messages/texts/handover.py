@@ -21,6 +21,18 @@ TEXTS = {
         "The shift has {n} notes, which is as many as a sheet may have. Nothing was stored. Write it in the "
         "next shift."
     ),
+    "shift_too_old": (
+        "The shift ended more than {n} days ago. Nothing was stored. Write a note in the shift under way."
+    ),
+    "shift_disk_full": "The disk is full. Nothing was stored. Free some space.",
+    "shift_quota_used": (
+        "One person stores {n} notes and pictures in an hour. Nothing was stored. Try again later."
+    ),
+    "shift_notes_of_site_full": "The site has {n} notes, the most that are stored. Nothing was stored.",
+    "pictures_of_site_full": (
+        "The pictures of the site take {n} MB, the most that are stored. Nothing was stored. An "
+        "administrator can raise pictures_mb in the configuration."
+    ),
     "shift_omits_before_record": (
         "The record begins after the start of the shift. Nothing is known of the time before."
     ),

@@ -10,7 +10,13 @@ TEXTS: dict[str, EnglishText] = {
     "history_failed_since": (
         "Since {time} no history is stored, everything else works. The reason: {reason}"
     ),
-    "history_paused_since": ("No history is stored since {time}: the disk is full. Free some space."),
+    "history_paused_since": (
+        "No history, note or picture is stored since {time}: the disk is full. Free some space."
+    ),
+    "reserve_in_use": (
+        "The disk is full. Commands, alarms and logins are recorded in reserved space, of which "
+        "{percent} percent is left. Free some space."
+    ),
     "history_notice": "History: {notice}",
     "history_because": "{notice}: {cause}",
     "history_damaged": (

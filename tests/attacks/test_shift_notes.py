@@ -1,0 +1,104 @@
+"""An operator who fills the disk with notes and pictures: of long ago, without end, by one person, in all."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.database.reserve import KEPT_FREE
+from app.handover import notes, quota
+from app.handover.quota import MAX_AGE_DAYS, MAX_PER_HOUR
+from app.settings import ServerSettings, ShiftSettings
+from app.web.access import Role
+from tests.app.complete_app import House, complete_app
+from tests.app.test_shift_pictures import png
+
+API = "/api/v1/shifts"
+
+
+async def present(client: httpx.AsyncClient) -> str:
+    """The start of the shift under way."""
+    start: str = (await client.get(API)).json()["shifts"][0]["start"]
+    return start
+
+
+async def write(client: httpx.AsyncClient, key: str = "", **more: Any) -> httpx.Response:
+    """A note in the shift under way."""
+    headers = {"Idempotency-Key": key} if key else {}
+    body = {"text": "Felt changed", **more}
+    return await client.post(f"{API}/{await present(client)}/notes", json=body, headers=headers)
+
+
+def picture(number: int) -> str:
+    """In base64, each another one."""
+    return b64encode(png(2 + number)).decode()
+
+
+async def test_a_shift_of_long_ago_gets_no_note_and_no_signature(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    quota_of_site = house.services.handover.quota
+    for before in ("1971-06-01T00:00:00Z", "2026-01-01T00:00:00Z"):
+        old = (await operator.get(API, params={"before": before})).json()["shifts"][0]
+        note = await operator.post(f"{API}/{old['start']}/notes", json={"text": "x", "time": old["start"]})
+        signed = await operator.post(f"{API}/{old['start']}/sign", json={"part": "leaving"})
+        for refused in (note, signed):
+            assert (refused.status_code, refused.json()["code"]) == (409, "not_in_state")
+            assert f"more than {MAX_AGE_DAYS} days ago" in refused.json()["detail"]
+        page = (await operator.get(f"/shifts/{old['start']}")).text
+        assert 'method="post"' not in page.partition("<main")[2], "the page offers neither"
+    shifts = await house.services.handover.summaries(None, 100)
+    recent = [each.shift for each in shifts if quota_of_site.is_recent(each.shift)]
+    assert 3 * MAX_AGE_DAYS <= len(recent) < len(shifts)
+    assert await house.events("shift") == []
+
+
+async def test_one_person_stores_so_much_an_hour_and_others_their_own(house: House) -> None:
+    flooder, other = await house.signed_in(Role.OPERATOR), await house.signed_in(Role.ENGINEER)
+    for number in range(10):
+        assert (await write(flooder, pictures=[picture(number)])).status_code == 201
+    stored = 10
+    while (response := await write(flooder)).status_code == 201:
+        stored += 1
+    assert stored == MAX_PER_HOUR - 10, "ten of them with a picture"
+    assert (response.status_code, response.json()["code"]) == (429, "too_many")
+    assert 30 <= int(response.headers["Retry-After"]) <= 60
+    assert (await write(other)).status_code == 201
+    assert len(await house.events("shift")) == stored + 1
+
+
+async def test_a_note_that_is_sent_again_costs_nothing(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    sent = [(await write(operator, key="the-same")).status_code for _ in range(MAX_PER_HOUR + 5)]
+    assert set(sent) == {201}
+    assert (await write(operator, key="another")).status_code == 201
+
+
+async def test_the_pictures_of_a_site_are_bounded(tmp_path: Path) -> None:
+    server, shift = ServerSettings(data=tmp_path / "data"), ShiftSettings(pictures_mb=0)
+    async with complete_app(tmp_path, server=server, shift=shift) as house:
+        operator = await house.signed_in(Role.OPERATOR)
+        refused = await write(operator, pictures=[picture(1)])
+        assert (refused.status_code, refused.json()["code"]) == (409, "too_many")
+        assert "pictures_mb" in refused.json()["detail"]
+        assert (await write(operator)).status_code == 201, "a note without one has room"
+
+
+async def test_the_notes_of_a_site_are_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(notes, "MAX_OF_SITE", 2)
+    operator = await house.signed_in(Role.OPERATOR)
+    assert [(await write(operator)).status_code for _ in range(3)] == [201, 201, 409]
+
+
+async def test_where_the_disk_is_kept_for_commands_nothing_is_stored(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    monkeypatch.setattr(quota, "free_bytes", lambda _: KEPT_FREE - 1)
+    refused = await write(operator, pictures=[picture(1)])
+    assert (refused.status_code, refused.json()["code"]) == (503, "store")
+    assert await house.events("shift") == []
+    assert not (house.services.settings.server.data / "pictures.db").exists()
