@@ -96,7 +96,7 @@ class Server(uvicorn.Server):
 def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames."""
-    protocol = partial(StampingProtocol, watch=watch, open_connections=connections, upgrades=Starts())
+    protocol = partial(StampingProtocol, watch=watch, open_connections=connections, turns=Starts())
     return uvicorn.Config(
         app,
         loop="none",

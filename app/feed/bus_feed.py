@@ -46,6 +46,9 @@ class WorkerConnection(MessageSink, Protocol):
         """The next message. Raises ConnectionError when there is none (WorkerLeft where that was announced),
         MalformedMessageError for text."""
 
+    def admit(self) -> None:
+        """Take the large messages that follow Hello."""
+
     async def close(self, reason: str) -> None:
         """End it, with a reason in words. Raises nothing."""
 
@@ -119,6 +122,7 @@ class BusFeed:
     ) -> None:
         if former is not None:
             await former.close(REPLACED)
+        connection.admit()
         try:
             await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
             await self._follow(hello, connection)

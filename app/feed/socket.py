@@ -12,6 +12,7 @@ from app.errors import Problem
 from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.workers import Workers
+from app.server.trust import trust_sender
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
@@ -57,6 +58,10 @@ class WorkerSocket:
         if not isinstance(data, bytes):
             raise MalformedMessageError("a worker speaks in binary messages")
         return data
+
+    def admit(self) -> None:
+        """Take the large messages that follow Hello."""
+        trust_sender(self._websocket.scope)
 
     async def close(self, reason: str) -> None:
         """End it, with as many words as a close frame holds; at its end already, nothing happens."""

@@ -17,7 +17,6 @@ from bus.instants import monotonic_now, unix_now
 
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
-MOST_HELLO_BYTES = 32_768
 
 
 class Workers:
@@ -57,8 +56,6 @@ class Workers:
             raise MalformedMessageError(TOO_OFTEN)
         async with asyncio.timeout(HELLO_WITHIN_S):
             data = await socket.receive()
-        if len(data) > MOST_HELLO_BYTES:
-            raise MalformedMessageError("the first message of a worker is Hello")
         hello = decode_from_worker(data)
         if not isinstance(hello, Hello):
             raise MalformedMessageError("the first message of a worker is Hello")

@@ -16,6 +16,9 @@ from ssl import SSLContext
 
 AT_ONCE = 8
 """To accept one takes the event loop a tenth of a millisecond; its request then waits for its turn."""
+RECEIVE_BUFFER_BYTES = 64 * 1024
+"""What the system takes of a connection before this process reads it. A protocol gets it in one call: it is
+also what waits here for its turn to be parsed."""
 NO_ROOM_S = 0.1
 """How long nothing is accepted after the system had no room for a connection (accept(2): EMFILE, ENOMEM)."""
 
@@ -26,6 +29,7 @@ async def accept_connections(
     """Serve each connection with a new protocol, until canceled."""
     loop = asyncio.get_running_loop()
     listening.setblocking(False)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)  # inherited
     for number in count(1):
         try:
             connection, _ = await loop.sock_accept(listening)

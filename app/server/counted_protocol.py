@@ -1,21 +1,22 @@
-"""What connections of HTTP and of WebSockets have in common: they are counted, and watched to their end."""
+"""What connections of HTTP and of WebSockets have in common: they are counted, parsed in turn, and watched to
+their end."""
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
+from app.server.addresses import source_of
 from app.server.connections import Connection, Connections
+from app.server.intake import InputInTurn
 from app.server.pace import Backlog
 
 CLOSING_S = 5.0
 """What a client gets to read the end of a connection."""
 
 
-class CountedProtocol(asyncio.Protocol):
+class CountedProtocol(InputInTurn):
     """To be inherited before a protocol of uvicorn; ``connection`` is set before anything is received."""
 
-    transport: asyncio.Transport
     connection: Connection
 
     def __init__(self, *args: Any, open_connections: Connections, **options: Any) -> None:
@@ -41,6 +42,10 @@ class CountedProtocol(asyncio.Protocol):
         if now - self._closing_since > CLOSING_S:
             self.transport.abort()
         return True
+
+    def _turn_key(self) -> str:
+        """The account, or the address of a stranger: one with many connections has no more turns."""
+        return self.connection.account or source_of(self.connection.address)
 
     def _identify(self, account: str) -> None:
         self._open_connections.identify(self.connection, account)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn, cast
 
+from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.server.connections import EXTENSION, Connection
@@ -21,12 +22,16 @@ from app.server.refusal import (
     TOO_SLOW,
     Refusal,
 )
-from app.server.starting import Starts, sender_of
 
 MOST_HEAD_BYTES = 32 * 1024
 MOST_HEADERS = 100
 MOST_PIPELINED = 8
 """Requests that wait for the response to one before them."""
+MAX_FRAMING_SHARE = 16
+"""Bytes of chunk sizes and line ends for each byte of a body, beyond those of a head: a chunk of one byte has
+5."""
+MAX_PASSED_OVER_BYTES = 4 * 1024 * 1024
+"""Of what a client sends after its connection has ended."""
 VERSIONS = ("1.0", "1.1")
 
 
@@ -37,18 +42,19 @@ class BeyondBoundsError(Exception):
 class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     """One connection. The server calls :meth:`check` once a second."""
 
-    def __init__(self, *args: Any, upgrades: Starts, **options: Any) -> None:
+    def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
-        self._upgrades = upgrades
-        self._cancel_upgrade: Callable[[], object] = bool
         self._refusal = MALFORMED
         self._is_ending = False
+        self._passed_over_bytes = 0
+        self._framing_bytes = 0
         self._offered: dict[str, Any] = {}
         self._head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """The first request is awaited from here on."""
         super().connection_made(transport)
+        self.flow: _Flow = _Flow(transport, self._go_on_soon)
         self._pace = Pace(self.loop.time())
         address = self.client[0] if self.client else ""
         self.connection = Connection(address, self)
@@ -57,7 +63,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing refers to this protocol any more but itself."""
         super().connection_lost(exc)
-        self._cancel_upgrade()
+        self._unparsed.clear()
+        self.flow.resumed = bool
         self._offered.clear()
 
     def check(self, now: float) -> None:
@@ -73,33 +80,37 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         elif self._pace.is_overdue(now):
             self._refuse(TOO_SLOW)
 
-    def data_received(self, data: bytes) -> None:
-        """Headers that go on and on are as bad as those that stand still."""
+    def _parse(self, data: bytes) -> None:
+        """Headers that go on and on are as bad as those that stand still, and so is what is neither."""
+        scope, awaited = self.scope, self._pace.awaited
+        self._framing_bytes += len(data)
+        HttpToolsProtocol.data_received(self, data)
+        if self.scope is not scope or self._pace.awaited is not awaited:
+            self._framing_bytes = 0
+        elif self._framing_bytes > MOST_HEAD_BYTES + MAX_FRAMING_SHARE * self._pace.received:
+            self._refuse(MALFORMED if awaited is Awaited.BODY else TOO_LONG)
+
+    def _takes_input(self, size: int) -> bool:
+        """Once its connection has ended, what a client sends is passed over."""
         if self._is_ending:
-            return
-        scope = self.scope
-        super().data_received(data)
-        if self._pace.awaited is Awaited.HEAD and self.scope is scope:
-            self._pace.received += len(data)
-            if self._pace.received > MOST_HEAD_BYTES:
-                self._refuse(TOO_LONG)
+            self._passed_over_bytes += size
+            if self._passed_over_bytes > MAX_PASSED_OVER_BYTES:
+                self.transport.abort()
+        return not self._is_ending and not self.transport.is_closing()
+
+    def _is_ready(self) -> bool:
+        return not (self.flow.read_paused or self.transport.is_closing())
 
     def send_400_response(self, msg: str) -> None:  # noqa: ARG002
         """Of uvicorn, for what cannot be parsed."""
         self._refuse(self._refusal)
 
     def handle_websocket_upgrade(self) -> None:
-        """In turn: to begin a WebSocket takes longer than to read its request, and a burst of them would
-        stand in front of the requests of others."""
-        self.transport.pause_reading()
-        sender = sender_of(self.headers) or self.connection.address
-        self._cancel_upgrade = self._upgrades.run(sender, self._upgrade)
-
-    def _upgrade(self) -> None:
         """The WebSocket goes on with the connection."""
-        if self.transport.is_closing():
+        if self._unparsed:
+            # A client waits for the response to its handshake (RFC 6455, 4.1).
+            self.transport.abort()
             return
-        self.transport.resume_reading()
         protocol = self.config.ws_protocol_class
         assert protocol is not None
 
@@ -108,6 +119,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             cast(Callable[..., asyncio.Protocol], protocol),
             connection=self.connection,
             open_connections=self._open_connections,
+            turns=self._turns,
         )
         self.ws_protocol_class = continued  # type: ignore[assignment]
         super().handle_websocket_upgrade()
@@ -119,6 +131,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         if len(self.pipeline) >= MOST_PIPELINED:
             raise BeyondBoundsError("too many requests wait for a response")
         super().on_message_begin()
+        self._pieces += 1
         self._head_bytes = 0
         self._pace.expect(Awaited.HEAD, self.loop.time())
 
@@ -127,6 +140,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
+        self._pieces += 1
         self._count_head(len(name) + len(value))
         super().on_header(name, value)
 
@@ -145,6 +159,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
+        self._pieces += 1
         self._pace.received += len(body)
         super().on_body(body)
 
@@ -155,11 +170,13 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self._pace.expect(Awaited.NEXT, self.loop.time())
 
     def on_response_complete(self) -> None:
-        """The client may send the next request, but not endlessly without reading."""
+        """The client may send the next request, but not endlessly without reading. Where the response did not
+        wait for the rest of a body, it is the last."""
         super().on_response_complete()
-        if self.cycle.response_complete and self._pace.awaited in (Awaited.BODY, Awaited.NOTHING):
-            is_complete = self._pace.awaited is Awaited.NOTHING
-            self._pace.expect(Awaited.NEXT if is_complete else Awaited.REST, self.loop.time())
+        if self.cycle.response_complete and self._pace.awaited is Awaited.BODY:
+            self._end()
+        elif self.cycle.response_complete and self._pace.awaited is Awaited.NOTHING:
+            self._pace.expect(Awaited.NEXT, self.loop.time())
 
     # --- how it stands -------------------------------------------------------------------------------
 
@@ -173,7 +190,12 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def is_idle(self) -> bool:
         """As :class:`app.server.connections.ConnectionHolder`."""
-        return self._pace.is_idle(self.loop.time()) or self.flow.write_paused
+        is_late = not self._awaits_turn and self._pace.is_idle(self.loop.time())
+        return is_late or self.flow.write_paused
+
+    def _go_on_soon(self) -> None:
+        """Not in the call that allows it: uvicorn is in the midst of ending a response."""
+        self.loop.call_soon(self._go_on)
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
@@ -205,20 +227,42 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self.cycle.keep_alive = False
         elif self._is_responding() and (self.pipeline or self.cycle.response_started):
             self.transport.abort()
-        elif self._respond(refusal) and self.transport.can_write_eof():
-            # To close with bytes unread resets the connection, and the client may never see the response
-            # (RFC 9112, 9.6): the rest is read and passed over for a while.
-            self.transport.write_eof()
-            self._closing_since = self.loop.time()
+        elif self._respond(refusal):
+            self._end()
         else:
             self.transport.close()
         self._is_ending = True
+        self._drop_input()
+
+    def _end(self) -> None:
+        """The response was the last. To close with bytes unread resets the connection, and the client may
+        never see it (RFC 9112, 9.6): the rest is read and passed over for a while."""
+        self._is_ending = True
+        self._drop_input()
+        if self.transport.is_closing() or not self.transport.can_write_eof():
+            self.transport.close()
+        else:
+            self.transport.write_eof()
+            self._closing_since = self.loop.time()
 
     def _respond(self, refusal: Refusal) -> bool:
         is_awaited = self._pace.awaited in (Awaited.HEAD, Awaited.BODY)
         if is_awaited:
             self.transport.write(refusal.response())
         return is_awaited
+
+
+class _Flow(FlowControl):
+    """uvicorn's flow of a connection; ``resumed`` is called when more may be parsed."""
+
+    def __init__(self, transport: asyncio.Transport, resumed: Callable[[], None]) -> None:
+        super().__init__(transport)
+        self.resumed: Callable[[], object] = resumed
+
+    def resume_reading(self) -> None:
+        if self.read_paused:
+            super().resume_reading()
+            self.resumed()
 
 
 def _is_met(header: tuple[bytes, bytes]) -> bool:

@@ -21,13 +21,11 @@ class Awaited(Enum):
     BODY = auto()
     NOTHING = auto()
     """It is the server's turn."""
-    REST = auto()
-    """The rest of a body that the response did not wait for."""
     NEXT = auto()
     """Another request, or the end."""
 
 
-WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.REST: 5.0, Awaited.NEXT: 5.0}
+WITHIN_S = {Awaited.FIRST: 20.0, Awaited.HEAD: 20.0, Awaited.BODY: 20.0, Awaited.NEXT: 5.0}
 """For a body this is how long it may fall behind the least rate."""
 LONGEST_BODY_S = 300.0
 PROMPT_S = 0.25

@@ -40,15 +40,28 @@ class StampingProtocol(HttpProtocol):
         # The clock first: whatever stops this process between the two makes the bytes older, never younger.
         now = self._watch.now()
         wait = tcp_wait(self._socket)
-        self._arrived_at = self._arrivals.received(
+        arrived_at = self._arrivals.received(
             now,
             len(data),
             polled_after=self._watch.polled_after,
             waited_s=0.0 if wait is None else wait.received_s,
         )
+        if not self._unparsed:
+            self._arrived_at = arrived_at
         super().data_received(data)
         if self.flow.read_paused:
             self._arrivals.paused()
+
+    def _hold_back(self) -> None:
+        """What follows waits in the kernel."""
+        self._arrivals.paused()
+        super()._hold_back()
+
+    def _read_on(self) -> None:
+        """All that was received is parsed."""
+        super()._read_on()
+        if not self.flow.read_paused:
+            self._arrivals.resumed(self._watch.now())
 
     def on_message_begin(self) -> None:
         """The first byte of a request, which may be the second of these bytes."""

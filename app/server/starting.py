@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 HEALTH = "/healthz"
-"""Costs nothing, and is polled to check that this server works."""
+"""Is polled to check that this server works."""
 _CREDENTIALS = (b"authorization", b"cookie")
 
 
@@ -81,8 +81,10 @@ class StartInTurn:
         self._starts = Starts()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] in ("http", "websocket") and scope["path"] != HEALTH:
-            await self._starts.turn(sender_of(scope["headers"]) or (scope["client"] or ("",))[0])
+        if scope["type"] in ("http", "websocket"):
+            address = (scope["client"] or ("",))[0]
+            is_poll = scope["path"] == HEALTH
+            await self._starts.turn((HEALTH, address) if is_poll else sender_of(scope["headers"]) or address)
         await self._app(scope, receive, send)
 
 

@@ -3,61 +3,29 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import CloseCode, Frame
-from websockets.http11 import Request
 from websockets.protocol import State
 
 from app.server.connections import EXTENSION as CONNECTION
 from app.server.connections import Connection
 from app.server.counted_protocol import CountedProtocol
 from app.server.frames import EXTENSION, OUTLET
+from app.server.trust import EXTENSION as TRUST
 from bus.bucket import Bucket
 from bus.instants import Monotonic
 
-FEED_PATH = "/feed"
-"""Where bus workers send their updates: large messages, and many after a break."""
-MOST_MESSAGE_BYTES = 32 * 1024
-"""Of any other socket: a page names the units that it shows."""
+MOST_MESSAGE_BYTES = 8 * 1024
+"""Until its sender is trusted: a page names the units that it shows, a worker itself."""
 FRAMES_A_SECOND = 10.0
 MOST_FRAMES_AT_ONCE = 60
-SLICE_BYTES = 512
-"""Parsed at once of a page's socket: 85 empty frames, more than may come at once. A chunk of the network has
-room for 40,000, which take half a second."""
 MOST_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
 MOST_AFTER_CLOSE_BYTES = 4096
 """Of what a page sent before it saw the server's Close frame, its own Close frame included."""
-
-
-class Endings:
-    """Ends connections that are lost, one in each iteration of the event loop: to unwind the app of one takes
-    a millisecond, and a client with some hundred of them may drop them all at once."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[Callable[[], None]] = deque()
-
-    def add(self, end: Callable[[], None]) -> None:
-        """Call ``end`` in its turn."""
-        self._waiting.append(end)
-        if len(self._waiting) == 1:
-            asyncio.get_running_loop().call_soon(self._next)
-
-    def _next(self) -> None:
-        try:
-            self._waiting[0]()
-        finally:
-            self._waiting.popleft()
-            if self._waiting:
-                asyncio.get_running_loop().call_soon(self._next)
-
-
-_endings = Endings()
 
 
 class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
@@ -68,7 +36,8 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, connection: Connection, **options: Any) -> None:
         super().__init__(*args, **options)
         self.connection = connection
-        self._is_feed = False
+        self._is_trusted = False
+        self._most_bytes, self.conn.max_message_size = self.conn.max_message_size, MOST_MESSAGE_BYTES
         self._after_close_bytes = 0
         self._bucket = Bucket(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE)
 
@@ -79,7 +48,10 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         self.connection.holder = self
 
     def connection_lost(self, exc: Exception | None) -> None:
-        _endings.add(partial(super().connection_lost, exc))
+        """In turn: to unwind the app of one takes a millisecond, and a client with some hundred of them may
+        drop them all at once."""
+        self._unparsed.clear()
+        self._turns.run(self._turn_key(), partial(super().connection_lost, exc))
 
     def give_way(self) -> None:
         """Make room at once."""
@@ -97,39 +69,44 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
             self.transport.abort()
 
     def data_received(self, data: bytes) -> None:
-        """Not more of a page at once than the loop can do without; a worker has shown its token."""
-        if self._is_trusted():
+        """Of the handshake, which HTTP has parsed in its turn; then of frames."""
+        if self.handshake_initiated:
             super().data_received(data)
-            return
-        for start in range(0, len(data), SLICE_BYTES):
-            part = data[start : start + SLICE_BYTES]
-            if self.transport.is_closing():
-                return
-            if self.close_sent and not self._is_closing_in_bounds(len(part)):
-                self.transport.abort()
-                return
-            if self.handshake_initiated and not self.handshake_complete:
-                # A client waits for the response to its handshake (RFC 6455, 4.1).
-                self.transport.abort()
-                return
-            super().data_received(part)
+        else:
+            self._parse(data)
 
-    def handle_connect(self, event: Request) -> None:
-        self._is_feed = event.path.partition("?")[0] == FEED_PATH
-        if not self._is_feed:
-            self.conn.max_message_size = MOST_MESSAGE_BYTES
-        super().handle_connect(event)
+    def _parse(self, data: bytes) -> None:
+        if self.close_sent and not self._is_closing_in_bounds(len(data)):
+            self.transport.abort()
+        elif self.handshake_initiated and not self.handshake_complete:
+            # A client waits for the response to its handshake (RFC 6455, 4.1).
+            self.transport.abort()
+        else:
+            WebSocketsSansIOProtocol.data_received(self, data)
+
+    def _takes_input(self, size: int) -> bool:  # noqa: ARG002
+        return not self.transport.is_closing()
+
+    def _is_ready(self) -> bool:
+        return not (self.read_paused or self.transport.is_closing())
+
+    async def receive(self) -> Any:
+        """A message for the app. Once it has taken all, the next may be parsed."""
+        message = await super().receive()
+        if not self.read_paused:
+            self._go_on()
+        return message
 
     def handle_text(self, event: Frame) -> None:
-        if self._is_allowed():
+        if self._is_allowed(event):
             super().handle_text(event)
 
     def handle_bytes(self, event: Frame) -> None:
-        if self._is_allowed():
+        if self._is_allowed(event):
             super().handle_bytes(event)
 
     def handle_cont(self, event: Frame) -> None:
-        if self._is_allowed():
+        if self._is_allowed(event):
             super().handle_cont(event)
 
     def handle_pong(self, event: Frame) -> None:
@@ -146,7 +123,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     async def run_asgi(self) -> None:
         """Run the app, with the fast path in its scope."""
         offered = cast(dict[str, Any], self.scope["extensions"])
-        offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify}
+        offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify, TRUST: self._trust}
         try:
             await super().run_asgi()
         finally:
@@ -160,19 +137,22 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         transport.write(frame)
         return True
 
-    def _is_trusted(self) -> bool:
-        """Whether it is a worker's, which has shown its token by the time it is accepted."""
-        return self._is_feed and self.handshake_complete
+    def _trust(self) -> None:
+        """Take large messages, and as many as the app reads."""
+        self._is_trusted, self.conn.max_message_size = True, self._most_bytes
 
     def _is_closing_in_bounds(self, size: int) -> bool:
         """Whether ``size`` more bytes may be parsed for the Close frame that ends the connection at once."""
         self._after_close_bytes += size
         return self._after_close_bytes <= MOST_AFTER_CLOSE_BYTES
 
-    def _is_allowed(self) -> bool:
+    def _is_allowed(self, message: Frame | None = None) -> bool:
+        """Count a frame. The complete messages of a trusted sender wait for the app to read them."""
+        self._pieces += 1
         if self.close_sent or self.transport.is_closing():
             return False
-        if self._is_trusted() or self._bucket.take(Monotonic(self.loop.time())):
+        is_waited_for = self._is_trusted and message is not None and message.fin and not self.frames
+        if is_waited_for or self._bucket.take(Monotonic(self.loop.time())):
             return True
         self.conn.fail(CloseCode.POLICY_VIOLATION, "too many messages")
         self.handle_parser_exception()

@@ -64,6 +64,22 @@ class Asset:
         packed = gzip.compress(self.body, 9, mtime=0)
         return packed if len(packed) < len(self.body) else None
 
+    @cached_property
+    def tag(self) -> str:
+        """Identifies the content."""
+        return f'"{hashlib.sha256(self.body).hexdigest()[:16]}"'
+
+    def response(self, request: Request, cache_control: str) -> Response:
+        """Gzipped for a client that takes it; without content for one that has it already."""
+        # Weak: the same content may be sent in two encodings (RFC 9110, 8.8.1).
+        headers = {"Cache-Control": cache_control, "Vary": "Accept-Encoding", "ETag": f"W/{self.tag}"}
+        if self.tag in request.headers.get("if-none-match", ""):
+            return Response(status_code=304, headers=headers)
+        if self.packed is None or "gzip" not in request.headers.get("accept-encoding", ""):
+            return Response(self.body, media_type=self.media_type, headers=headers)
+        headers["Content-Encoding"] = "gzip"
+        return Response(self.packed, media_type=self.media_type, headers=headers)
+
 
 class Assets:
     """All files below one folder. Their address holds one hash of all of them, so that a module's
@@ -130,10 +146,4 @@ class Assets:
 
     def response(self, request: Request, name: str, *, forever: bool) -> Response:
         """The file, gzipped for a browser that takes it. ``forever``: its address names its version."""
-        asset = self.get(name)
-        headers = {"Cache-Control": _FOREVER if forever else "no-cache", "Vary": "Accept-Encoding"}
-        body = asset.body
-        if asset.packed is not None and "gzip" in request.headers.get("accept-encoding", ""):
-            headers["Content-Encoding"] = "gzip"
-            body = asset.packed
-        return Response(body, media_type=asset.media_type, headers=headers)
+        return self.get(name).response(request, _FOREVER if forever else "no-cache")

@@ -3,14 +3,18 @@ as a problem of RFC 9457."""
 
 from __future__ import annotations
 
+import json
+from functools import partial
 from typing import Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from starlette.requests import Request
-from starlette.responses import JSONResponse
+from starlette.responses import Response
 
 from app.web.access import Viewer
+from app.web.assets import Asset
+from app.web.bounds import parse_apart
 from app.web.schema_names import with_published_names
 from app.web.schema_problem import problem_schemas
 
@@ -67,12 +71,22 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/api/v1/openapi.json")
-async def openapi(request: Request, _: Viewer) -> JSONResponse:
+async def openapi(request: Request, _: Viewer) -> Response:
     """The description of every call."""
-    app = request.app
-    if app.openapi_schema is None:
-        app.openapi_schema = openapi_document(app)
-    return JSONResponse(app.openapi_schema)
+    description: Asset | None = getattr(request.app.state, "description", None)
+    if description is None:
+        description = await parse_apart(partial(rendered_once, request.app))
+    return description.response(request, "no-cache")
+
+
+def rendered_once(app: FastAPI) -> Asset:
+    """The document as it is sent; to make it takes a second, to compress it tens of milliseconds."""
+    known: Asset | None = getattr(app.state, "description", None)
+    if known is None:
+        text = json.dumps(openapi_document(app), ensure_ascii=False, separators=(",", ":"))
+        known = app.state.description = Asset(text.encode(), "application/json")
+        _ = known.packed
+    return known
 
 
 def leave_bodies_out(document: dict[str, Any]) -> None:

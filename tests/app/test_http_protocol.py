@@ -13,7 +13,14 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.server.connections import EXTENSION, MOST_OF_ADDRESS, Connections
-from app.server.http import MOST_HEAD_BYTES, MOST_HEADERS, MOST_PIPELINED, HttpProtocol
+from app.server.counted_protocol import CLOSING_S
+from app.server.http import (
+    MAX_PASSED_OVER_BYTES,
+    MOST_HEAD_BYTES,
+    MOST_HEADERS,
+    MOST_PIPELINED,
+    HttpProtocol,
+)
 from app.server.pace import LEAST_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
 from app.server.starting import Starts
 
@@ -32,7 +39,7 @@ class Site:
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
-    upgrades: Starts = field(default_factory=Starts)
+    turns: Starts = field(default_factory=Starts)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0
     received: int = 0
@@ -97,7 +104,7 @@ async def served() -> AsyncIterator[Site]:
             super().data_received(data)
 
     def protocol() -> HttpProtocol:
-        protocol = Counting(config, state, {}, open_connections=site.connections, upgrades=site.upgrades)
+        protocol = Counting(config, state, {}, open_connections=site.connections, turns=site.turns)
         site.protocols.append(protocol)
         return protocol
 
@@ -189,21 +196,56 @@ async def test_no_client_is_late_while_the_server_works(site: Site) -> None:
     assert b"200 OK" in await reader.readuntil(b"hi")
 
 
-async def test_bytes_after_the_response_are_not_waited_for(site: Site) -> None:
+@pytest.mark.parametrize(
+    "post",
+    [POST + b"x", POST.replace(b"Content-Length: 100", b"Transfer-Encoding: chunked") + b"1\r\nx\r\n"],
+    ids=["length", "chunks"],
+)
+async def test_a_response_before_the_end_of_its_request_is_the_last(site: Site, post: bytes) -> None:
     site.reads_bodies = False
-    reader, _ = await site.connect(POST + b"x")
-    assert b"200 OK" in await reader.readuntil(b"hi")
-    assert site.protocols[0]._pace.awaited is Awaited.REST
-    site.pass_s(WITHIN_S[Awaited.REST] + 1)
-    assert await everything(reader) == b""
+    reader, writer = await site.connect(post)
+    assert b"200 OK" in await everything(reader)
+    parsed = site.protocols[0]._pace.received
+    writer.write(b"1\r\nx\r\n" * 20_000 + GET)
+    await until(lambda: site.received > 100_000)
+    assert (site.requests, site.protocols[0]._pace.received) == (1, parsed)
+    assert len(site.protocols[0]._unparsed) == 0
+    site.pass_s(CLOSING_S + 1)
+    await until(lambda: site.protocols[0].parser is None)
 
 
-async def test_after_the_rest_of_a_body_comes_the_next_request(site: Site) -> None:
+async def test_a_client_that_sends_on_after_the_last_response_is_dropped(site: Site) -> None:
     site.reads_bodies = False
     reader, writer = await site.connect(POST + b"x")
-    await reader.readuntil(b"hi")
-    writer.write(b"x" * 99 + GET)
-    assert b"200 OK" in await reader.readuntil(b"hi")
+    await everything(reader)
+    with suppress(ConnectionError):
+        while site.protocols[0].parser is not None:
+            writer.write(b"x" * 100_000)
+            await writer.drain()
+    assert site.received <= MAX_PASSED_OVER_BYTES + 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("begun", "flood"),
+    [
+        (b"", b"\r\n" * 30_000),
+        (GET, b"\r\n" * 30_000),
+        (POST.replace(b"Content-Length: 100", b"Transfer-Encoding: chunked"), b"1;" + b"x" * 60_000),
+        (
+            POST.replace(b"Content-Length: 100", b"Transfer-Encoding: chunked"),
+            (b"1;" + b"x" * 98 + b"\r\na\r\n") * 600,
+        ),
+    ],
+    ids=["blank lines at first", "blank lines after a request", "an extension", "extensions"],
+)
+async def test_bytes_of_neither_head_nor_body_ends_its_connection(
+    site: Site, begun: bytes, flood: bytes
+) -> None:
+    reader, writer = await site.connect(begun)
+    writer.write(flood)
+    reply = await everything(reader)
+    assert reply.count(b"HTTP/1.1") == (begun != b"")
+    assert reply == b"" or reply.startswith((b"HTTP/1.1 200", b"HTTP/1.1 400"))
 
 
 @pytest.mark.parametrize("size", [100_000, 3_000_000])

@@ -99,7 +99,7 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
         lambda: StampingProtocol(
-            config, state, {}, watch=watch, open_connections=Connections(), upgrades=Starts()
+            config, state, {}, watch=watch, open_connections=Connections(), turns=Starts()
         ),
         "127.0.0.1",
         0,

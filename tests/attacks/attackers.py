@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import struct
 import sys
 import time
@@ -325,8 +326,137 @@ async def frames_before_the_response(target: Target) -> None:
     await many(target, 20, lambda _: target.send(flood))
 
 
+async def pour(target: Target, head: bytes, flood: bytes) -> None:
+    """Send a head and then ``flood`` as quickly as it is taken, until the server ends the connection."""
+    reader, writer = await target.open(head)
+    reading = asyncio.create_task(_read(reader))
+    try:
+        while target.goes_on and not writer.is_closing():
+            writer.write(flood)
+            await asyncio.wait_for(writer.drain(), 10)
+    finally:
+        writer.transport.abort()
+        reading.cancel()
+
+
+def chunked(target: Target) -> bytes:
+    """The head of a form whose body comes in chunks."""
+    return target.head("POST /login", more="Transfer-Encoding: chunked\r\n") + b"\r\n"
+
+
+CHUNKS = b"1\r\na\r\n" * 20_000
+EXTENSION = b"1;" + b"x" * 120_000 + b"\r\na\r\n"
+
+
+@attack
+async def chunks_of_a_byte(target: Target) -> None:
+    await many(target, 1, lambda _: pour(target, chunked(target), CHUNKS))
+
+
+@attack
+async def chunks_of_a_byte_four_times(target: Target) -> None:
+    await many(target, 4, lambda _: pour(target, chunked(target), CHUNKS))
+
+
+@attack
+async def chunk_extensions_without_end(target: Target) -> None:
+    await many(target, 4, lambda _: pour(target, chunked(target), EXTENSION))
+
+
+@attack
+async def one_chunk_extension_without_end(target: Target) -> None:
+    await many(target, 4, lambda _: pour(target, chunked(target) + b"1;", b"x" * 120_000))
+
+
+@attack
+async def blank_lines_without_end(target: Target) -> None:
+    request = target.head("GET /healthz") + b"\r\n"
+    await many(target, 4, lambda _: pour(target, request, b"\r\n" * 60_000))
+
+
+@attack
+async def health_by_64_connections(target: Target) -> None:
+    request = target.head("GET /healthz") + b"\r\n"
+
+    async def poll(_: int) -> None:
+        reader, writer = await target.open(request * 6)
+        try:
+            while target.goes_on:
+                await asyncio.wait_for(reader.readuntil(b'{"status":"ok"}'), 30)
+                writer.write(request)
+        finally:
+            writer.transport.abort()
+
+    await many(target, 64, poll)
+
+
+@attack
+async def a_connection_for_each_request(target: Target) -> None:
+    request = target.head("GET /healthz", more="Connection: close\r\n") + b"\r\n"
+
+    async def one_after_another(_: int) -> None:
+        while target.goes_on:
+            await target.send(request)
+
+    await many(target, 32, one_after_another)
+
+
+@attack
+async def descriptions_of_every_call(target: Target) -> None:
+    more = "Connection: close\r\n"
+    request = target.head("GET /api/v1/openapi.json", "viewer", more) + b"\r\n"
+    await many(target, 16, lambda _: target.send(request))
+
+
+@attack
+async def descriptions_compressed(target: Target) -> None:
+    more = "Accept-Encoding: gzip\r\nConnection: close\r\n"
+    request = target.head("GET /api/v1/openapi.json", "viewer", more) + b"\r\n"
+    await many(target, 16, lambda _: target.send(request))
+
+
+async def feed(target: Target, begun: bytes, flood: bytes = b"", *, reads: bool = True) -> None:
+    """A stolen worker token: ``begun`` before any Hello, and ``flood`` without end."""
+    reader, writer = await target.open(target.head("GET /feed", "worker", HANDSHAKE) + b"\r\n")
+    reading = None
+    try:
+        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 60)
+        reading = asyncio.create_task(_read(reader)) if reads else None
+        writer.write(begun)
+        while target.goes_on and not writer.is_closing() and not reader.at_eof():
+            writer.write(flood)
+            await asyncio.wait_for(writer.drain(), 10)
+            await asyncio.sleep(0 if flood else 0.2)
+    finally:
+        writer.transport.abort()
+        if reading is not None:
+            reading.cancel()
+
+
+@attack
+async def empty_messages_before_hello(target: Target) -> None:
+    await many(target, 8, lambda _: feed(target, b"", frame(0x82) * 20_000))
+
+
+@attack
+async def pings_before_hello(target: Target) -> None:
+    await many(target, 8, lambda _: feed(target, b"", frame(0x89) * 20_000))
+
+
+@attack
+async def empty_fragments_before_hello(target: Target) -> None:
+    await many(target, 8, lambda _: feed(target, frame(0x02), frame(0x00) * 20_000))
+
+
+@attack
+async def unfinished_messages_before_hello(target: Target) -> None:
+    begun = frame(0x82, b"x" * 3_000_000, size=4_000_000)
+    await many(target, 20, lambda _: feed(target, begun))
+
+
 async def main(name: str, url: str, seconds: float, tokens: dict[str, str]) -> None:
-    """Attack for so long."""
+    """Attack for so long, with one core."""
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     parts = urlsplit(url)
     target = Target(parts.hostname or "", parts.port or 80, tokens, time.monotonic() + seconds)
     with suppress(TimeoutError):

@@ -30,6 +30,7 @@ from tests.attacks.attackers import ATTACKS
 from tests.e2e.site import Site, site
 
 SLOWEST_S = 0.25
+SLOWEST_COMMAND_S = 0.5
 MOST_GROWTH_MIB = 20.0
 PROBE_EVERY_S = 0.05
 SETTLE_S = 2.0
@@ -80,8 +81,9 @@ class Measured:
 
     @property
     def is_quick(self) -> bool:
-        """Return whether every wait was at most `SLOWEST_S`."""
-        return max(self.health.p99, self.command.p99, self.after) <= SLOWEST_S
+        """Return whether no wait was longer than what others may notice."""
+        is_served = max(self.health.p99, self.after) <= SLOWEST_S
+        return is_served and self.command.p99 <= SLOWEST_COMMAND_S
 
     @property
     def row(self) -> str:
@@ -124,6 +126,12 @@ def measure(
     after = time.monotonic() - begun
     time.sleep(settle_s)
     return Measured(attack, health, command, max(most) - before, links_lost(target) - lost, after)
+
+
+def add_worker_token(target: Site) -> None:
+    """What an attacker of the feed has stolen."""
+    called = ("token", "create", "stolen", "--role", "worker", "--bus", "line")
+    target.tokens["worker"] = target.command(*called).strip()
 
 
 def after_s(seconds: float) -> Callable[[], bool]:
@@ -226,6 +234,7 @@ def main(names: list[str], seconds: float = 20.0) -> int:
     print(HEADING, flush=True)
     faulty = 0
     with TemporaryDirectory() as folder, site(Path(folder), 4) as target:
+        add_worker_token(target)
         fill_the_log(target, EVENTS)
         for name in names or ATTACKS:
             measured = measure(target, name, seconds)

@@ -81,6 +81,8 @@ class HostileSocket:
     async def send(self, message: AppMessage) -> None:
         self.sent.append(message)
 
+    def admit(self) -> None: ...
+
     async def close(self, reason: str) -> None:
         self.reason = reason
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.attacks.attackers import ATTACKS
-from tests.attacks.measure import EVENTS, HEADING, Measured, fill_the_log, measure
+from tests.attacks.measure import EVENTS, HEADING, Measured, add_worker_token, fill_the_log, measure
 from tests.e2e.site import Site, site
 
 SHORT_S = 1.0
@@ -20,12 +20,16 @@ SHORT = (
     "snapshots without end",
     "keys by the thousand",
     "searches",
+    "chunks of a byte",
+    "health by 64 connections",
+    "empty messages before hello",
 )
 
 
 @pytest.fixture(scope="module")
 def target(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Site]:
     with site(tmp_path_factory.mktemp("attacked"), 2) as target:
+        add_worker_token(target)
         yield target
 
 

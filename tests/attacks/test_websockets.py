@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import struct
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -18,10 +18,11 @@ from uvicorn.server import ServerState
 from app.server.connections import EXTENSION, Connections
 from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
+from app.server.intake import SLICE_BYTES
 from app.server.pace import STALL_S
 from app.server.starting import Starts
+from app.server.trust import trust_sender
 from app.server.websocket import (
-    FEED_PATH,
     MOST_FRAMES_AT_ONCE,
     MOST_MESSAGE_BYTES,
     MOST_UNREAD_BYTES,
@@ -29,6 +30,7 @@ from app.server.websocket import (
 )
 
 PATIENCE_S = 30.0
+FEED_PATH = "/feed"
 HANDSHAKE = (
     "GET {path} HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -62,10 +64,12 @@ class Site:
     state: ServerState = field(default_factory=ServerState)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     closed: int = 0
+    trust: Callable[[], None] = bool
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["path"] == FEED_PATH:
             scope["extensions"][EXTENSION]("worker")
+            self.trust = lambda: trust_sender(scope)
         socket = WebSocket(scope, receive, send)
         self.connected.set()
         await self.accepts.wait()
@@ -110,9 +114,9 @@ async def site() -> AsyncIterator[Site]:
         site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
     )
     loop = asyncio.get_running_loop()
-    upgrades = Starts()
+    turns = Starts()
     server = await loop.create_server(
-        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections, upgrades=upgrades),
+        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections, turns=turns),
         "127.0.0.1",
         0,
     )
@@ -193,9 +197,9 @@ async def test_a_burst_of_handshakes_stands_in_front_of_no_other_sender(site: Si
     site.writers += [writer for _, writer in burst]
     for _, writer in burst:
         writer.write(HANDSHAKE.format(path="/live").encode())
-    reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+    reader, writer = await asyncio.open_connection("127.0.0.1", site.port, local_addr=("127.0.0.2", 0))
     site.writers.append(writer)
-    writer.write(HANDSHAKE.format(path="/live").replace("Host:", "Cookie: a=b\r\nHost:").encode())
+    writer.write(HANDSHAKE.format(path="/live").encode())
     assert (await reader.readuntil(b"\r\n\r\n")).startswith(b"HTTP/1.1 101")
     assert len(site.protocols) < 40
     for gone, writer in burst[50:]:
@@ -284,13 +288,59 @@ async def test_a_worker_is_not_counted_as_a_stranger(site: Site) -> None:
     assert [len(group) for group in site.connections._strangers.values()] == [1]
 
 
-async def test_a_worker_may_send_much_at_once(site: Site) -> None:
+async def test_a_worker_may_send_much_at_once_after_hello(site: Site) -> None:
     reader = await site.connect(FEED_PATH)
+    site.trust()
     site.writers[0].write(frame(FIN | TEXT, b"{}") * 2000 + frame(FIN | TEXT, b"x" * 1_000_000))
     async with asyncio.timeout(PATIENCE_S):
         while len(site.messages) < 2001:  # noqa: ASYNC110
             await asyncio.sleep(0.001)
     assert not reader.at_eof()
+
+
+async def test_messages_that_the_app_does_not_read_wait_in_the_kernel(site: Site) -> None:
+    site.reads.clear()
+    await site.connect(FEED_PATH)
+    site.trust()
+    site.writers[0].write(frame(FIN | TEXT, b"{}") * 500_000)
+    await site.accepted.wait()
+    async with asyncio.timeout(PATIENCE_S):
+        while not site.protocol._unparsed:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+    before = len(site.protocol._unparsed)
+    for _ in range(1000):
+        await asyncio.sleep(0)
+    assert len(site.protocol._unparsed) == before
+    assert site.protocol.queue.qsize() <= SLICE_BYTES
+    site.writers[0].transport.abort()
+    site.reads.set()
+
+
+@pytest.mark.parametrize(
+    "flood",
+    [frame(TEXT) + frame(CONT) * 10_000, frame(FIN | PING) * 10_000, frame(FIN | PONG) * 10_000],
+    ids=["fragments", "pings", "pongs"],
+)
+async def test_frames_that_are_no_message_are_few_after_hello_too(site: Site, flood: bytes) -> None:
+    reader = await site.connect(FEED_PATH)
+    site.trust()
+    site.writers[0].write(flood)
+    received = await everything(reader)
+    assert b"too many messages" in received or received == b""
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        frame(FIN | TEXT, b"x", size=MOST_MESSAGE_BYTES + 1),
+        frame(TEXT, b"x" * MOST_MESSAGE_BYTES) + frame(CONT, b"x"),
+    ],
+    ids=["a frame", "fragments"],
+)
+async def test_only_a_small_message_comes_before_hello(site: Site, begun: bytes) -> None:
+    reader = await site.connect(FEED_PATH)
+    site.writers[0].write(begun)
+    assert struct.pack("!H", 1009) in await everything(reader)
 
 
 async def _until_closing(site: Site) -> None:

@@ -1,0 +1,95 @@
+"""Connections take turns at having their input parsed, one in each iteration of the event loop.
+
+The kernel gives in one call what was sent in seconds, and a parser calls back for each piece of it: a chunk
+of a body, a header, a frame, each of which may have a single byte. A turn therefore ends after so many bytes
+or pieces. A connection whose input waits for its turn is not read.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from app.server.starting import Starts
+
+SLICE_BYTES = 512
+"""Given to the parser at once: 85 empty frames or chunks of a byte."""
+MAX_BYTES_A_TURN = 64 * 1024
+"""Of a body or a large message, which is few pieces."""
+MAX_PIECES_A_TURN = 64
+"""After which no further slice is parsed in this turn."""
+
+
+class InputInTurn(asyncio.Protocol):
+    """To be inherited before the protocol that parses; ``turns`` are those of all connections."""
+
+    transport: asyncio.Transport
+
+    def __init__(self, *args: object, turns: Starts, **options: object) -> None:
+        super().__init__(*args, **options)
+        self._turns = turns
+        self._unparsed = bytearray()
+        self._pieces = 0
+        self._awaits_turn = False
+        self._holds_back = False
+        self._is_heavy = False
+
+    def data_received(self, data: bytes) -> None:
+        """Take it in; it is parsed now where nothing was in this iteration of the loop, else in turn."""
+        if self._takes_input(len(data)):
+            self._unparsed += data
+            self._go_on()
+
+    # --- of the protocol that parses -----------------------------------------------------------------
+
+    def _parse(self, data: bytes) -> None:
+        """Take a slice of the input."""
+        raise NotImplementedError
+
+    def _takes_input(self, size: int) -> bool:
+        """Whether what is received is still of interest."""
+        raise NotImplementedError
+
+    def _is_ready(self) -> bool:
+        """Whether the parser may have more now; where not, :meth:`_go_on` is called once it may."""
+        raise NotImplementedError
+
+    def _turn_key(self) -> object:
+        """Whose turn it takes."""
+        raise NotImplementedError
+
+    # -------------------------------------------------------------------------------------------------
+
+    def _go_on(self) -> None:
+        """Parse what waits, in turn."""
+        if self._unparsed and not self._awaits_turn and self._is_ready():
+            self._awaits_turn = True
+            self._turns.run((self._turn_key(), self._is_heavy), self._take_turn)
+        if bool(self._unparsed) is not self._holds_back:
+            self._hold_back() if self._unparsed else self._read_on()
+
+    def _take_turn(self) -> None:
+        self._awaits_turn = False
+        self._pieces, left = 0, MAX_BYTES_A_TURN
+        while self._unparsed and left > 0 and self._pieces < MAX_PIECES_A_TURN and self._is_ready():
+            part = bytes(self._unparsed[:SLICE_BYTES])
+            del self._unparsed[:SLICE_BYTES]
+            left -= len(part)
+            self._parse(part)
+        # What one turn was not enough for does not stand in front of the short requests of the same sender.
+        self._is_heavy = bool(self._unparsed)
+        self._go_on()
+
+    def _drop_input(self) -> None:
+        """Forget what waits."""
+        self._unparsed.clear()
+        self._go_on()
+
+    def _hold_back(self) -> None:
+        """Leave what follows in the kernel."""
+        self._holds_back = True
+        self.transport.pause_reading()
+
+    def _read_on(self) -> None:
+        self._holds_back = False
+        if self._is_ready():
+            self.transport.resume_reading()
