@@ -70,6 +70,7 @@ from app.settings import Settings
 from app.swap.service import SwapService
 from app.swap.store import SwapStore
 from app.web.assets import Assets, static_dir, templates_dir
+from app.web.page_head import PageHead
 from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.instants import UnixTime, unix_now
@@ -222,11 +223,12 @@ class Services:
     def _make_screen(self) -> None:
         """What browsers and programs are sent as it changes."""
         live, history, buses, templates = self.live, self.history, self.buses, self.templates
+        banner = AlarmBanner(self.alarms)
         self.sources = Sources(
             guards={name: bus.safeguards for name, bus in buses.items()},
             drift={name: bus.drift for name, bus in buses.items()},
             recipes=self.recipes,
-            alarms=AlarmBanner(self.alarms),
+            alarms=banner,
             notices=partial(_notices, history, self.anchoring, self.reserve),
             history_fault=lambda: history.status.message,
         )
@@ -237,6 +239,9 @@ class Services:
         watchers = {name: bus.feed.watch for name, bus in buses.items()}
         self.hub = Hub(live, self.sources, templates, watchers, unix_now)
         self.lifespan.add("browsers", self.hub.beat)
+        self.head = PageHead(
+            lambda language: banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
+        )
         held_control = {name: partial(_held_control, bus) for name, bus in buses.items()}
         of_buses = {name: bus.alarms for name, bus in buses.items()}
         self.control_watch = ControlWatch(of_buses, held_control, self.hub.people)

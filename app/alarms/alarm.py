@@ -30,3 +30,15 @@ class Alarm:
     def is_unacknowledged(self) -> bool:
         """Whether it waits for a person to see it."""
         return not self.facts.is_hidden and not self.facts.acknowledged
+
+    @property
+    def is_annunciated(self) -> bool:
+        """Whether a person is to know of it: it is active or not acknowledged, and nothing hides it."""
+        return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)
+
+    @property
+    def mark(self) -> str:
+        """Its priority as it is drawn: ``urgent``, with ``cleared`` once it is over and ``waiting`` until it
+        is acknowledged."""
+        cleared = "" if self.facts.active else " cleared"
+        return self.definition.priority + cleared + (" waiting" if self.is_unacknowledged else "")

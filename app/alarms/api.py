@@ -69,7 +69,8 @@ class OutOfServiceBody(ActBody):
 
 
 class AlarmsShown(TypedDict):
-    """Alarms, those that wait for an acknowledgement first, then by priority, the newest first."""
+    """Alarms: active before cleared, those that wait for an acknowledgement before acknowledged ones, then by
+    priority, the newest first; hidden ones last."""
 
     alarms: list[AlarmShown]
 

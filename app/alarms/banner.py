@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.line_alarms import LineAlarms, rank
 from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber
-
-MOST = 3
-"""Named in the head of a page; the summary has all."""
+from bus.instants import UnixTime
 
 
 class AlarmBanner:
@@ -26,15 +24,21 @@ class AlarmBanner:
         """Call ``subscriber`` with the place of each alarm that has changed."""
         self._alarms.subscribe(lambda alarm: subscriber(alarm.definition.bus, alarm.definition.unit))
 
-    def banner(self, translator: Translator) -> Fields:
-        """How many wait for an acknowledgement, and the first three of them."""
-        waiting, shown = self._alarms.first_waiting(MOST)
-        fields = {"waiting": str(waiting or ""), "changed": str(self._changed), **self._sound()}
-        for place in range(MOST):
-            alarm = shown[place] if place < len(shown) else None
-            fields[f"priority{place + 1}"] = alarm.definition.priority if alarm else ""
-            fields[f"text{place + 1}"] = self.text(alarm, translator) if alarm else ""
-        return fields
+    def banner(self, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm with its state, and how many more there are: of those that are active or, while
+        none is, of those that have cleared and wait for an acknowledgement."""
+        found = self._alarms.annunciated()
+        shown = [alarm for alarm in found if alarm.facts.active] or found
+        first = min(shown, key=rank, default=None)
+        return {
+            "waiting": str(sum(alarm.is_unacknowledged for alarm in found) or ""),
+            "mark": first.mark if first else "",
+            "text": self._place_and_name(first, translator) if first else "",
+            "state": _state(first, translator, now) if first else "",
+            "more": translator.t("{n} more", n=len(found) - 1) if len(found) > 1 else "",
+            "changed": str(self._changed),
+            **self._sound(),
+        }
 
     def _sound(self) -> Fields:
         """The priority that sounds, and when the newest of those that do began to."""
@@ -45,14 +49,25 @@ class AlarmBanner:
         return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
     def mark(self, bus: str, unit: int) -> str:
-        """``urgent``, or ``urgent waiting`` while it is not acknowledged."""
-        first = next(iter(self._alarms.annunciated(bus, unit)), None)
-        if first is None:
-            return ""
-        return first.definition.priority + (" waiting" if first.is_unacknowledged else "")
+        """How the first alarm of a unit is drawn; empty without one."""
+        first = self._alarms.first_of_unit(bus, unit)
+        return first.mark if first else ""
 
-    def text(self, alarm: Alarm, translator: Translator) -> str:
-        """Where and what."""
+    def _place_and_name(self, alarm: Alarm, translator: Translator) -> str:
         definition = alarm.definition
         place = self._alarms.place(definition.bus, definition.unit)
         return f"{place} · {translator.t(definition.name)}".removeprefix(" · ")
+
+
+def _state(alarm: Alarm, translator: Translator, now: UnixTime) -> str:
+    """Its state and the time that matters: of a cleared one, when it cleared."""
+    facts = alarm.facts
+
+    def shown(at: UnixTime | None) -> str:
+        return translator.formats.since(at or facts.since or now, now)
+
+    if not facts.active:
+        return translator.t("cleared {time}", time=shown(facts.cleared))
+    if facts.unknown_since is not None:
+        return translator.t("unknown since {time}", time=shown(facts.unknown_since))
+    return translator.t("active since {time}", time=shown(facts.came))

@@ -6,7 +6,6 @@ import asyncio
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
-from heapq import nsmallest
 from typing import NamedTuple
 
 from app.alarms.alarm import Alarm
@@ -105,24 +104,24 @@ class LineAlarms:
         return [each.observed for each in self._lists if each.observed is not None]
 
     def present(self) -> list[Alarm]:
-        """Those that are not normal, the most important and newest first."""
-        return sorted(self._present.values(), key=_rank)
+        """Those that are not normal: active before cleared, hidden ones last, the most important first."""
+        return sorted(self._present.values(), key=rank)
 
-    def first_waiting(self, most: int) -> tuple[int, list[Alarm]]:
-        """How many wait for an acknowledgement, and the first of them."""
-        waiting = [alarm for alarm in self._present.values() if alarm.is_unacknowledged]
-        return len(waiting), nsmallest(most, waiting, key=_rank)
+    def annunciated(self) -> list[Alarm]:
+        """Those that are active or wait for an acknowledgement and that nothing hides, in no order."""
+        return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
-        """Those that are audible, the most important and newest first."""
-        return sorted((alarm for alarm in self._present.values() if alarm.facts.sounds), key=_rank)
+        """Those that are audible, the most important first."""
+        sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
+        return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
-    def annunciated(self, bus: str, unit: int) -> list[Alarm]:
-        """Those of a unit that nothing hides, the most important first."""
+    def first_of_unit(self, bus: str, unit: int) -> Alarm | None:
+        """The first of those of a unit that are annunciated; None where none is."""
         of_unit = self._of_unit.get((bus, unit))
         if not of_unit:
-            return []
-        return sorted((alarm for alarm in of_unit.values() if not alarm.facts.is_hidden), key=_rank)
+            return None
+        return min((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank, default=None)
 
     def place(self, bus: str | None, unit: int | None) -> str:
         """The name of a unit or bus, which may be configured no longer; empty for the site."""
@@ -297,11 +296,14 @@ def _not_in_state(alarm: Alarm) -> Problem:
     return Problem(409, "not_in_state", message, state=state, id=alarm.id)
 
 
-def _rank(alarm: Alarm) -> tuple[bool, int, float]:
-    """What waits for an acknowledgement first, then by priority, the newest first."""
-    risen_at = alarm.facts.risen_at
+def rank(alarm: Alarm) -> tuple[bool, bool, bool, int, float]:
+    """The order of alarms on every surface: active before cleared, those that wait for an acknowledgement
+    before acknowledged ones, then by priority, the newest first; hidden ones last."""
+    facts = alarm.facts
     return (
-        not alarm.is_unacknowledged,
+        facts.is_hidden,
+        not facts.active,
+        facts.acknowledged,
         PRIORITIES.index(alarm.definition.priority),
-        -float(risen_at or UnixTime(0.0)),
+        -float(facts.came or UnixTime(0.0)),
     )

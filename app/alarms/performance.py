@@ -132,7 +132,7 @@ def _present(alarms: LineAlarms, now: UnixTime) -> dict[FigureCode, int]:
     """The states at present, whatever the span."""
     present = alarms.present()
     states = Counter(alarm.facts.state for alarm in present)
-    risen = [alarm.facts.risen_at for alarm in present if alarm.facts.active and not alarm.facts.is_hidden]
+    risen = [alarm.facts.came for alarm in present if alarm.facts.active and not alarm.facts.is_hidden]
     return {
         "stale": sum(at is not None and now - at > STALE_S for at in risen),
         "standing": len(risen),

@@ -26,6 +26,11 @@ ConsequenceShown = TypeAliasType("ConsequenceShown", Consequence)
 TimeToRespondShown = TypeAliasType("TimeToRespondShown", TimeToRespond)
 """Named, so that clients have one enumeration of each."""
 WhenOrNull = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
+CameAt = Annotated[str | None, Field(description="When its occurrence began, ISO 8601; null: it never came.")]
+ClearedAt = Annotated[str | None, Field(description="When its condition ended, ISO 8601; null: it did not.")]
+AcknowledgedAt = Annotated[
+    str | None, Field(description="When a person acknowledged it, ISO 8601; null: none has.")
+]
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
 UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 
@@ -45,6 +50,9 @@ class AlarmShown(TypedDict):
     acknowledged: bool
     silenced: Annotated[bool, Field(description="Whether its sound was ended before its acknowledgement.")]
     since: Annotated[str | None, Field(description="When it got into its state; null: it never had another.")]
+    came: CameAt
+    cleared: ClearedAt
+    acknowledged_at: AcknowledgedAt
     unknown_since: Annotated[
         str | None, Field(description="Since when its condition is not known; null: it is known.")
     ]
@@ -130,6 +138,9 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "acknowledged": facts.acknowledged,
         "silenced": facts.silenced,
         "since": _time(facts.since),
+        "came": _time(facts.came),
+        "cleared": _time(facts.cleared),
+        "acknowledged_at": _time(facts.acknowledged_at),
         "unknown_since": _time(facts.unknown_since),
         "value": in_english(value) or None,
         "value_message": maybe_shown(value),

@@ -20,6 +20,7 @@ from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
 from app.web.formats import Formats
+from app.web.page_head import PageHead
 from app.web.services import service_of
 
 
@@ -47,8 +48,8 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path`` and ``may()``, whether the person may send a command, named as in
-    ``command_roles``. ``kept_in``: where they stay compiled from one start to the next."""
+    ``person``, ``request``, ``path``, ``head_alarms()`` and ``may()``, whether the person may send a command,
+    named as in ``command_roles``. ``kept_in``: where they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -141,13 +142,16 @@ def render(
     """A page or fragment in the language of the request, never kept by a cache."""
     templates = templates_of(request)
     person: Person | None = person_of(request)
+    language = templates.language_of(request)
     context = {
         "person": person,
         "may": partial(templates.may, person),
         "request": request,
         "path": request.url.path,
         "now": time(),
+        # Called by a page with a head, and by no fragment.
+        "head_alarms": lambda: service_of(request, PageHead).alarms(language),
         **context,
     }
-    html = templates.text(templates.language_of(request).tag, name, **context)
+    html = templates.text(language.tag, name, **context)
     return HTMLResponse(html, status, {"Cache-Control": "no-store", **(headers or {})})

@@ -120,6 +120,8 @@ function lock(form) {
   if (progress) progress.hidden = false;
   for (const button of form.querySelectorAll("button")) button.disabled = true;
   form.querySelector("[data-lapse]")?.parentElement.remove();
+  // What undo offers was the value before another command.
+  for (const undo of document.querySelectorAll("[data-undo]")) undo.remove();
 }
 
 /** Show that the request got no response, so the outcome is unknown. */

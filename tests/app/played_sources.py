@@ -44,7 +44,7 @@ class NoGoldenSets:
 class NoAlarms:
     """Nothing is wrong."""
 
-    def banner(self, _translator: Translator) -> dict[str, str]:
+    def banner(self, _translator: Translator, _now: float) -> dict[str, str]:
         """Nothing."""
         return {}
 

@@ -196,3 +196,47 @@ def test_running_times_keep_their_length_when_the_clock_is_set() -> None:
     facts = AlarmFacts(shelved_until=UnixTime(100), changing_since=UnixTime(90))
     later = shifted(facts, -50.0)
     assert (later.shelved_until, later.changing_since, later.unknown_since) == (50, 40, None)
+
+
+def times(facts: AlarmFacts) -> tuple[float | None, float | None, float | None]:
+    """When it came, cleared and was acknowledged."""
+    return facts.came, facts.cleared, facts.acknowledged_at
+
+
+def test_coming_clearing_and_acknowledging_are_three_times_and_none_changes_another() -> None:
+    how = AlarmAttributes()
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    assert times(facts) == (10, None, None)
+    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
+    assert (times(facts), facts.since) == ((10, None, 12), 12)
+    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(15))
+    assert (times(facts), facts.since) == ((10, 15, 12), 15)
+    facts, _ = changes.observe(facts, how, holds=True, at=UnixTime(20))
+    assert times(facts) == (20, None, None)
+    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(25))
+    facts, _ = changes.acknowledge(facts, how, UnixTime(30))
+    assert (times(facts), facts.state) == ((20, 25, 30), "normal")
+
+
+def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_came_stays() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = changes.acknowledge(facts, how, UnixTime(12))
+    again, _ = changes.advance(facts, how, UnixTime(15))
+    assert times(again) == (10, None, None)
+    hidden, _ = changes.shelve(facts, UnixTime(14), UnixTime(13))
+    back, _ = changes.advance(hidden, how, UnixTime(14))
+    assert (times(back), back.state) == ((10, None, None), "unack_active")
+
+
+def test_one_that_cleared_after_its_acknowledgement_is_not_annunciated_again_by_time() -> None:
+    how = AlarmAttributes(realarm_s=3)
+    facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
+    facts, _ = changes.acknowledge(facts, how, UnixTime(11))
+    facts, _ = changes.observe(facts, how, holds=False, at=UnixTime(12))
+    assert (due_at(facts, how), facts.state) == (None, "normal")
+
+
+def test_the_three_times_move_with_the_clock() -> None:
+    facts = AlarmFacts(came=UnixTime(10), cleared=UnixTime(20), acknowledged_at=UnixTime(30))
+    assert times(shifted(facts, 100.0)) == (110, 120, 130)

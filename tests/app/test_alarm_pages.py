@@ -5,18 +5,20 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 
 from app.alarms.banner import AlarmBanner
+from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
 from app.web.access import Role
 from bus.contract import Reading
-from bus.instants import unix_now
+from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 from tests.app.screens import translator
@@ -51,7 +53,7 @@ async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(h
     estop(house, active=True)
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
     for_viewer, for_operator = await page(viewer, "/alarms"), await page(operator, "/alarms")
-    assert "Emergency stop active" in for_viewer
+    assert "Emergency stop" in for_viewer
     assert "Acknowledge alarm" not in for_viewer
     assert f'name="id" value="{ESTOP}.1"' in for_operator
 
@@ -91,7 +93,7 @@ async def test_the_list_is_filtered_by_place_priority_state_and_group(house: Hou
         ("group=drive", True),
         ("group=communication", False),
     ):
-        assert ("Emergency stop active" in await page(viewer, f"/alarms/list?{query}")) is is_in
+        assert ("Emergency stop" in await page(viewer, f"/alarms/list?{query}")) is is_in
 
 
 async def test_one_page_has_the_record_and_shelves_with_a_reason(house: House) -> None:
@@ -130,34 +132,88 @@ async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> Non
     await house.services.alarms.write()
     viewer.headers["Accept-Language"] = "de"
     text = await page(viewer, "/alarms/journal")
-    assert "Not-Halt aktiv" in text
+    assert "Not-Halt" in text
     assert "aktiv, nicht quittiert" in text
     assert "Alarmjournal" in text
 
 
-async def test_every_page_has_the_banner_and_the_tile_has_the_mark(house: House) -> None:
+HEAD = re.compile(
+    r'class="top__alarms alarm-priority".*?data-is="([^"]*)".*?"alarms_present.text"[^>]*>([^<]*)<'
+    r'.*?"alarms_present.state"[^>]*>([^<]*)<.*?"alarms_present.more"[^>]*>([^<]*)<',
+    re.S,
+)
+
+
+def head(text: str) -> tuple[str, ...]:
+    """The mark, the place with the name, the state and the rest of the alarms in the head of a page."""
+    found = HEAD.search(text)
+    assert found is not None
+    return found.groups()
+
+
+async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
+    assert head(await page(viewer, "/events")) == ("", "", "", "")
     estop(house, active=True)
-    text = await page(viewer, "/")
-    assert 'data-live="alarms_present.text1"' in text
-    assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in text
-    assert 'data-live="alarms_present.text3"' in await page(viewer, "/events")
-
-
-async def test_the_banner_names_at_most_three_the_most_important_first(house: House) -> None:
-    banner = AlarmBanner(house.services.alarms)
-    estop(house, active=True)
-    fields = banner.banner(translator())
-    name = house.services.alarms.place(BUS, 1)
-    assert (fields["waiting"], fields["priority1"], fields["text1"]) == (
-        "1",
-        "urgent",
-        f"{name} · Emergency stop active",
+    name, now = house.services.alarms.place(BUS, 1), house.services.templates.formats("en")
+    for path in ("/", "/events", "/alarms"):
+        mark, text, state, more = head(await page(viewer, path))
+        assert (mark, text, more) == ("urgent waiting", f"{name} · Emergency stop", "")
+        assert state == f"active since {now.since(unix_now(), unix_now())}"
+    viewer.headers["Accept-Language"] = "de"
+    assert head(await page(viewer, "/events"))[1:3] == (
+        f"{name} · Not-Halt",
+        f"aktiv seit {now.since(unix_now(), unix_now())}",
     )
-    assert fields["text2"] == ""
-    assert banner.mark(BUS, 1) == "urgent waiting"
-    await (await house.signed_in(Role.OPERATOR)).post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
-    assert (banner.banner(translator())["waiting"], banner.mark(BUS, 1)) == ("", "urgent")
+    assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in await page(viewer, "/")
+
+
+def facts_of(house: House, unit: int = 1) -> AlarmFacts:
+    return house.services.alarms.buses[BUS].list.alarms[f"{BUS}.{unit}.estop_active"].facts
+
+
+async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_priority(house: House) -> None:
+    banner, now = AlarmBanner(house.services.alarms), unix_now()
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    estop(house, active=False)
+    cleared = banner.banner(translator(), now)
+    assert (cleared["mark"], cleared["more"], cleared["waiting"]) == ("urgent cleared waiting", "", "1")
+    at = translator().formats.since(facts_of(house).cleared or now, now)
+    assert cleared["state"] == f"cleared {at}"
+    assert banner.mark(BUS, 1) == "urgent cleared waiting"
+    remote_off(house, unit=2)
+    active = banner.banner(translator(), now)
+    assert (active["mark"], active["more"], active["waiting"]) == ("low waiting", "1 more", "2")
+    assert active["state"].startswith("active since")
+    await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
+    assert banner.banner(translator(), now)["mark"] == "low"
+    await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
+    assert banner.banner(translator(), now)["more"] == ""
+    assert banner.mark(BUS, 1) == ""
+
+
+def remote_off(house: House, unit: int) -> None:
+    """A unit is in LOCAL, for longer than the delay of its alarm."""
+    live = house.services.live.buses[BUS]
+    live.apply([Reading(unit, time.time(), 0, 0, 0, 0, HEALTHY)])
+    house.services.alarms.buses[BUS].list.advance(unix_now() + 10)
+
+
+async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None:
+    estop(house, active=True)
+    alarm = house.services.alarms.buses[BUS].list.alarms[ESTOP]
+    alarm.facts = replace(alarm.facts, unknown_since=unix_now())
+    state = AlarmBanner(house.services.alarms).banner(translator(), unix_now())["state"]
+    assert state.startswith("unknown since")
+
+
+async def test_an_alarm_of_another_day_shows_its_date_from_midnight_on(house: House) -> None:
+    estop(house, active=True)
+    banner, came = AlarmBanner(house.services.alarms), facts_of(house).came or unix_now()
+    later = banner.banner(translator(), UnixTime(came + 3 * 86_400.0))["state"]
+    assert later == f"active since {translator().formats.since(came, UnixTime(came + 3 * 86_400.0))}"
+    assert "," in later
 
 
 async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:
@@ -179,7 +235,7 @@ async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     assert "observed for 1.0 of 24 hours" in await page(viewer, "/alarms/performance?days=1")
     text = await page(viewer, "/alarms/performance?days=1")
     assert "Alarms in 10 minutes, peak" in text
-    assert "Emergency stop active" in text
+    assert "Emergency stop" in text
     found = (await viewer.get("/api/v1/alarms/performance")).json()
     figures = {figure["code"]: figure for figure in found["figures"]}
     assert figures["annunciated"]["value"] == figures["standing"]["value"] == 1

@@ -52,7 +52,7 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
     (alarm,) = await present(operator)
     assert set(alarm) >= OWN_FIELDS
     assert (alarm["code"], alarm["state"], alarm["priority"]) == ("estop_active", "unack_active", "urgent")
-    assert alarm["message"].startswith("Emergency stop active. Go to the machine")
+    assert alarm["message"].startswith("Emergency stop. Go to the machine")
     done = await act(operator, alarm["id"], "acknowledge", comment="seen")
     assert (done.status_code, done.json()["state"]) == (200, "ack_active")
     estop(house, active=False)
@@ -64,6 +64,26 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
         ("acknowledge", "ack_active", "seen"),
         ("rise", "unack_active", None),
     ]
+
+
+async def test_came_cleared_and_acknowledged_are_three_times(house: House) -> None:
+    operator = await house.program(Role.OPERATOR)
+
+    async def shown() -> dict[str, Any]:
+        alarm: dict[str, Any] = (await operator.get(f"{API}/{BUS}.1.estop_active.1")).json()["alarm"]
+        return alarm
+
+    estop(house, active=True)
+    came = await shown()
+    assert (came["came"], came["cleared"], came["acknowledged_at"]) == (came["since"], None, None)
+    await act(operator, came["id"], "acknowledge")
+    acknowledged = await shown()
+    assert (acknowledged["came"], acknowledged["cleared"]) == (came["came"], None)
+    assert acknowledged["acknowledged_at"] == acknowledged["since"] > came["came"]
+    estop(house, active=False)
+    cleared = await shown()
+    assert (cleared["came"], cleared["acknowledged_at"]) == (came["came"], acknowledged["acknowledged_at"])
+    assert cleared["cleared"] == cleared["since"] > acknowledged["since"]
 
 
 async def test_an_acknowledgement_names_the_occurrence(house: House) -> None:
@@ -173,9 +193,9 @@ async def test_every_act_is_in_the_audit_log(house: House) -> None:
     await act(engineer, alarm["id"], "acknowledge", comment="seen")
     events = (await engineer.get("/api/v1/events", params={"kind": "alarm"})).json()["events"]
     assert [(e["what"], e["message"], e["unit"]) for e in events] == [
-        ("Alarm acknowledged: Emergency stop active", "seen", 1),
-        ("Alarm unshelved: Emergency stop active", "repaired", 1),
-        ("Alarm shelved: Emergency stop active", "chatters", 1),
+        ("Alarm acknowledged: Emergency stop", "seen", 1),
+        ("Alarm unshelved: Emergency stop", "repaired", 1),
+        ("Alarm shelved: Emergency stop", "chatters", 1),
     ]
 
 
@@ -225,7 +245,7 @@ async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(
     here = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/1"})).json()
     (mark,) = (each for each in here["occurrences"] if each["unit"] == 1)
     assert (mark["alarm"], mark["to"], here["more"]) == (f"{BUS}.1.estop_active.1", None, False)
-    assert mark["shown"] == {"name": "Not-Halt aktiv", "place": "Unwind"}
+    assert mark["shown"] == {"name": "Not-Halt", "place": "Unwind"}
     there = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/2"})).json()
     assert all(each["unit"] in (2, None) for each in there["occurrences"])
 

@@ -83,7 +83,7 @@ REQUESTS = {"Quantity"}
 TIMES = {
     *("acknowledged_at", "at", "changed_at", "from", "lapses_at", "link_since", "loaded_at", "proven_at"),
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
-    *("shelved_until", "unknown_since"),
+    *("shelved_until", "unknown_since", "Alarm.came", "Alarm.cleared"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
     *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
     *("covered_from", "covered_to", "AlarmSimulation.first", "AlarmSimulation.last"),

@@ -10,6 +10,7 @@ import pytest
 from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.own import own_definition
+from app.alarms.rules import changes
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
@@ -318,6 +319,24 @@ async def test_a_restart_goes_on_with_the_same_states_and_loses_and_repeats_noth
         ("2.estop_active", "clear"),
         ("2.estop_active", "rise"),
     ]
+
+
+async def test_a_restart_keeps_when_an_alarm_came_cleared_and_was_acknowledged(database: Database) -> None:
+    bus = AlarmBus(database)
+    bus.connect()
+    bus.wait(1, 2, inputs=RUN)
+    alarm = bus.alarm("2.estop_active")
+    changed = changes.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
+    bus.alarms.list.change(alarm, changed, "anna", "")
+    bus.wait(3, 2)
+    before = (alarm.facts.came, alarm.facts.cleared, alarm.facts.acknowledged_at)
+    assert None not in before
+    assert len(set(before)) == 3
+    await bus.alarms.list.write()
+    again = AlarmBus(database)
+    again.alarms.load(await again.store.load())
+    facts = again.alarm("2.estop_active").facts
+    assert (facts.came, facts.cleared, facts.acknowledged_at) == before
 
 
 async def test_a_suppression_whose_reason_is_gone_after_a_restart_ends(database: Database) -> None:

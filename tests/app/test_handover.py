@@ -100,7 +100,7 @@ async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_nam
     assert {each["code"] for each in found["standing"]} == {"port_lost"}
     page = (await operator.get(f"/shifts/{await present(operator)}")).text
     section = page.partition('<h2 id="suppressed">')[2].partition("</section>")[0]
-    assert "Emergency stop active" in section
+    assert "Emergency stop" in section
     assert f'<option value="{BUS}.1.estop_active.1"' in page
     operator.headers["Accept-Language"] = "de"
     assert (

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -10,6 +10,7 @@ import pytest
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.command_ids import key_of, new_command_id
+from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
 from app.live.state.bus_live import LiveState
 from app.settings import Site
@@ -17,7 +18,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.contract import BusFigures, Frame, Frames, Progress, UnitFigures
 from bus.messages import term
-from tests.app.played_sources import played_sources
+from tests.app.played_sources import NoAlarms, played_sources
 from tests.app.screens import line, reading
 
 
@@ -27,10 +28,11 @@ class World:
     now: float = 100.0
     watched: list[tuple[str, list[int], bool]] = field(default_factory=list)
     controls: dict[str, str] = field(default_factory=dict)
+    alarms: NoAlarms = field(default_factory=NoAlarms)
 
     def __post_init__(self) -> None:
         templates = Templates(templates_dir(), Assets(static_dir()), Site())
-        sources = played_sources(self.live.buses, controls=self.controls)
+        sources = replace(played_sources(self.live.buses, controls=self.controls), alarms=self.alarms)
         watchers = {bus: partial(self.watch, bus) for bus in self.live.buses}
         self.hub = Hub(self.live, sources, templates, watchers, lambda: self.now)
 
@@ -212,3 +214,22 @@ async def test_who_holds_control_is_on_every_page(world: World) -> None:
     await sent(browser)
     world.hub.tick()
     assert (await sent(browser))[-1]["f"]["line_summary"] == {"holder": "anna"}
+
+
+class AlarmOfADay(NoAlarms):
+    """One whose text has the day."""
+
+    def banner(self, _translator: Translator, now: float) -> dict[str, str]:
+        """The number of the day."""
+        return {"state": f"day {now // 86_400:.0f}"}
+
+
+async def test_the_time_of_an_alarm_is_that_of_the_day_on_which_it_is_read() -> None:
+    world = World(alarms=AlarmOfADay())
+    browser = world.join()
+    first, _people = await sent(browser)
+    assert first["f"]["alarms_present"]["state"] == "day 0"
+    world.now = 86_460.0
+    world.hub.tick()
+    messages = await sent(browser)
+    assert {"state": "day 1"} in [message["f"].get("alarms_present") for message in messages]

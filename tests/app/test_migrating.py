@@ -142,3 +142,24 @@ def test_a_stored_text_that_is_no_message_is_shown_as_that() -> None:
     assert messages_of("{") == messages_of('[{"code": 7}]') == [UNREADABLE]
     kept = [Message.of("at_row", number=3, why=Message("row_secret"))]
     assert messages_of(stored_messages(kept)) == kept
+
+
+def test_an_alarm_that_waits_from_before_has_the_time_at_which_it_cleared(tmp_path: Path) -> None:
+    before = tmp_path / "before"
+    before.mkdir()
+    for step in MIGRATIONS.glob("*.sql"):
+        if int(step.name[:4]) < 117:
+            shutil.copy(step, before)
+    path = tmp_path / "x.db"
+    open_and_close(path, before)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for alarm, active, acknowledged in (("waits", 0, 0), ("active", 1, 0), ("normal", 0, 1)):
+            connection.execute(
+                "INSERT INTO alarm_facts"
+                " VALUES (?, ?, ?, 0, 0, 0, NULL, 0, 1, 20.0, 10.0, NULL, 0, '', '', 0)",
+                (alarm, active, acknowledged),
+            )
+    open_and_close(path, MIGRATIONS)
+    with closing(sqlite3.connect(path)) as connection:
+        found = connection.execute("SELECT alarm, came, cleared FROM alarm_facts ORDER BY alarm").fetchall()
+    assert found == [("active", 10.0, None), ("normal", 10.0, None), ("waits", 10.0, 20.0)]

@@ -325,7 +325,7 @@ def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: O
         eventually(marked, "the alarm in the journal")
         page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/2/actual&span=600")
         page.locator("#trend-alarms summary").click()
-        listed = page.locator("#trend-alarms-list li").filter(has_text="Emergency stop active")
+        listed = page.locator("#trend-alarms-list li").filter(has_text="Emergency stop")
         expect(listed.first).to_contain_text("urgent")
         canvas = page.locator("#trend-plot canvas")
         eventually(lambda: canvas.evaluate(URGENT_PIXELS) > 0, "the mark")

@@ -26,6 +26,14 @@ _ENDED: dict[Unhiding, Callable[[AlarmFacts], AlarmFacts]] = {
     "unsuppress": lambda facts: replace(facts, suppressed=False),
     "return": lambda facts: replace(facts, out_of_service=False),
 }
+_STAMPED: dict[BaseTrigger, Callable[[AlarmFacts, UnixTime], AlarmFacts]] = {
+    "rise": lambda facts, at: replace(
+        facts, occurrence=facts.occurrence + 1, came=at, cleared=None, acknowledged_at=None
+    ),
+    "clear": lambda facts, at: replace(facts, cleared=at),
+    "acknowledge": lambda facts, at: replace(facts, acknowledged_at=at),
+}
+"""The time of each of the three moments of an occurrence: it came, cleared, was acknowledged."""
 
 
 class NoTransitionError(Exception):
@@ -66,8 +74,6 @@ def _come_due(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> C
 
 def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
     cleared = facts.active
-    if not cleared:
-        facts = replace(facts, occurrence=facts.occurrence + 1, risen_at=at)
     facts = replace(facts, changing_since=None)
     facts, done = _base(facts, attributes, "clear" if cleared else "rise", at)
     if cleared and facts.shelved_once:
@@ -169,21 +175,24 @@ def _base(facts: AlarmFacts, attributes: AlarmAttributes, trigger: BaseTrigger, 
     if target is None:
         raise NoTransitionError
     base = target.latching if attributes.latching else target.plain
-    return _moved(facts, _in_base(facts, attributes, base, at), trigger, at)
+    after = _in_base(facts, attributes, base)
+    if trigger in _STAMPED:
+        after = _STAMPED[trigger](after, at)
+    return _moved(facts, after, trigger, at)
 
 
 def _unhide(facts: AlarmFacts, attributes: AlarmAttributes, trigger: Unhiding, at: UnixTime) -> Changed:
     after = _ENDED[trigger](facts)
     if not after.is_hidden:
-        after = _in_base(after, attributes, ON_RETURN[after.base], at)
+        after = _in_base(after, attributes, ON_RETURN[after.base])
     return _moved(facts, after, trigger, at)
 
 
-def _in_base(facts: AlarmFacts, attributes: AlarmAttributes, base: BaseState, at: UnixTime) -> AlarmFacts:
+def _in_base(facts: AlarmFacts, attributes: AlarmAttributes, base: BaseState) -> AlarmFacts:
     after = facts.with_base(base)
     if not attributes.needs_acknowledgement:
         after = replace(after, acknowledged=True)
-    return replace(after, acknowledged_at=at if after.base == "ack_active" else None)
+    return after if after.acknowledged else replace(after, acknowledged_at=None)
 
 
 def _moved(before: AlarmFacts, after: AlarmFacts, trigger: AlarmTrigger, at: UnixTime) -> Changed:

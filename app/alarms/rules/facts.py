@@ -46,10 +46,12 @@ class AlarmFacts:
     occurrence: int = 0
     since: UnixTime | None = None
     """When it got into its state."""
-    risen_at: UnixTime | None = None
-    """When its occurrence began."""
+    came: UnixTime | None = None
+    """When its occurrence began; no act of a person changes it."""
+    cleared: UnixTime | None = None
+    """When the condition of its occurrence ended; None: it holds."""
     acknowledged_at: UnixTime | None = None
-    """When it was acknowledged while active."""
+    """When a person acknowledged its occurrence; None: none has."""
     changing_since: UnixTime | None = None
     """Since when its condition is other than ``active``: a delay runs."""
     unknown_since: UnixTime | None = None
@@ -111,7 +113,7 @@ def detection_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | 
 
 def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | None:
     """When an acknowledged alarm is annunciated again."""
-    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden:
+    if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
         return None
     return facts.acknowledged_at + attributes.realarm_s if attributes.needs_acknowledgement else None
 
@@ -127,7 +129,8 @@ def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
         shelved_until=moved(facts.shelved_until),
         changing_since=moved(facts.changing_since),
         since=moved(facts.since),
-        risen_at=moved(facts.risen_at),
+        came=moved(facts.came),
+        cleared=moved(facts.cleared),
         acknowledged_at=moved(facts.acknowledged_at),
         unknown_since=moved(facts.unknown_since),
     )

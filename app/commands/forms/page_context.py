@@ -121,7 +121,7 @@ class PageContext:
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
-        context = {"requested": "", "reads": "", "undo": None} | setpoint
+        context = {"requested": "", "reads": "", "undo": ""} | setpoint
         return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 
 

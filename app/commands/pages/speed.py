@@ -98,13 +98,11 @@ async def set_speed(
         result = await page.send(person, bus, action, id)
     except Problem as problem:
         return page.refused(problem, live.settings.name)
-    undo = {"value": page.setpoint(int(was), live), "how": how} if was and action.execute else None
-    return _done(page, bus, live, raw, result, undo if result.outcome == "verified" else None)
+    return _done(page, bus, live, raw, result, was if action.execute else "")
 
 
-def _done(
-    page: PageContext, bus: str, live: UnitLive, raw: int, result: Result, undo: dict[str, str] | None
-) -> Response:
+def _done(page: PageContext, bus: str, live: UnitLive, raw: int, result: Result, was: str) -> Response:
+    """The result; ``was``: what undo offers once the new setpoint is verified, empty where it offers none."""
     # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(live) else f"{bus}/{live.settings.id}.commanded"
     return page.done(
@@ -112,7 +110,7 @@ def _done(
         page.outcome(result, live),
         requested=page.setpoint(raw, live),
         reads=reads,
-        undo=undo,
+        undo=page.setpoint(int(was), live) if was and result.outcome == "verified" else "",
         unit=page.shown(bus, live.settings.id),
     )
 
@@ -188,14 +186,16 @@ async def execute(
     id: Annotated[str, Form(max_length=64)],
     raw: SetpointField,
     reviewed_at: Annotated[UnixTime, Form()],
+    was: Was = "",
 ) -> Response:
-    """Send 83h to one unit if the staged value is still the reviewed one."""
+    """Send 83h to one unit if its staged and its commanded value are still the reviewed ones."""
     live = page.unit(bus, unit)
     try:
         page.refuse_lapsed(reviewed_at)
         if live.staged != raw:
             raise Problem(409, "moved", Message("staged_moved"))
+        _refuse_moved(page, bus, live, was)
         result = await page.send(person, bus, ExecuteSpeed(unit=unit), id)
     except Problem as problem:
         return page.refused(problem, live.settings.name)
-    return _done(page, bus, live, raw, result, undo=None)
+    return _done(page, bus, live, raw, result, was)

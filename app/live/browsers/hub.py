@@ -27,6 +27,7 @@ from bus.contract import BusFigures, Frame, Frames, Progress, Update
 from bus.instants import Clock, monotonic_now
 
 HEARTBEAT_S = 1.0
+MINUTE_S = 60.0
 ALARM_PAUSE_S = 0.05
 """From an alarm to the pages: what a flood of them costs is bounded by it."""
 WATCH_UPDATES_A_SECOND = 5.0
@@ -68,6 +69,7 @@ class Hub:
         self._watch_limit = Bucket(WATCH_UPDATES_A_SECOND, MAX_WATCH_BURST)
         self._watched_is_due = False
         self._alarms_due: asyncio.TimerHandle | None = None
+        self._minute = 0.0
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
             bus.subscribe(partial(self._on_updates, name))
@@ -97,7 +99,7 @@ class Hub:
             now = self._clock()
             screen.refresh(now)
             screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)})
-            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator))
+            screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
         return screen
 
     def _new_screen(self, language: str) -> Screen:
@@ -148,9 +150,10 @@ class Hub:
     def _show_alarms(self) -> None:
         self._alarms_due = None
         units, self._alarmed_units = self._alarmed_units, set()
+        now = self._clock()
         for readers in self._read():
             screen = readers.screen
-            groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator))
+            groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
             for bus, unit in units:
                 groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
             readers.publish(groups)
@@ -166,6 +169,11 @@ class Hub:
         now = self._clock()
         if self._watched_is_due:
             self._notify_watchers()
+        minute = float(now) // MINUTE_S
+        if minute != self._minute:
+            # The time that an alarm shows gets its date as the day ends.
+            self._minute = minute
+            self._show_alarms()
         for readers in self._read():
             screen = readers.screen
             groups = screen.settle(now)

@@ -51,11 +51,12 @@ class GoldenDrift(Protocol):
 class AlarmMarks(Protocol):
     """What the pages show of the alarms."""
 
-    def banner(self, translator: Translator) -> Fields:
-        """The most important of those that wait for an acknowledgement, in the reader's language."""
+    def banner(self, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm with its state, in the reader's language. ``now``: Unix time in seconds."""
 
     def mark(self, bus: str, unit: int) -> str:
-        """The priority of a unit's most important alarm and whether it is acknowledged; empty without one."""
+        """The priority of a unit's first alarm, whether it has cleared and whether it waits for an
+        acknowledgement; empty without one."""
 
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` when an alarm has changed."""

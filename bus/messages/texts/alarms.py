@@ -15,7 +15,7 @@ TEXTS: dict[str, EnglishText] = {
     "alarm_link_degraded_cause": "A loose terminal, a missing termination or interference on the cable.",
     "alarm_link_degraded_consequence": "Values come late, and the connection may be lost.",
     "alarm_link_degraded_response": "Check terminals, shield and termination of the unit in this shift.",
-    "alarm_estop_active": "Emergency stop active",
+    "alarm_estop_active": "Emergency stop",
     "alarm_estop_active_cause": "An emergency stop was pressed, or its circuit is open.",
     "alarm_estop_active_consequence": "The drive stops; the web may break.",
     "alarm_estop_active_response": "Go to the machine, find the reason, and reset the stop there.",

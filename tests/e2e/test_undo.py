@@ -1,0 +1,82 @@
+"""Undo offers the value before the command that it follows, or is not offered."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+
+UNIT = 8
+
+
+@pytest.fixture
+def page(site: Site, shared_page: OpensPages) -> Page:
+    """The page of a unit at 115.0 that was set to 111.0, with the way back to 115.0 on it."""
+    site.set_speed(UNIT, value="115.0")
+    opened = shared_page(viewport={"width": 1280, "height": 800})
+    opened.goto(f"{site.url}/units/line/{UNIT}")
+    expect(opened.locator("body")).to_have_attribute("data-link", "live")
+    expect(opened.locator("#setpoint")).to_have_value("115.0")
+    opened.locator("#setpoint").fill("111.0")
+    send(opened, "Set now")
+    expect(undo(opened)).to_have_text("Undo: set 115.0…")
+    return opened
+
+
+def undo(page: Page) -> Locator:
+    return page.get_by_role("button", name=re.compile("Undo"))
+
+
+def send(page: Page, opens_review: str) -> None:
+    """One reviewed command, and its result closed."""
+    page.get_by_role("button", name=opens_review).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    page.get_by_role("button", name="Close").click()
+
+
+def stage(page: Page, value: str) -> None:
+    page.locator("#setpoint").fill(value)
+    send(page, "Stage…")
+    expect(page.locator(f'[data-live="line/{UNIT}.staged"]').first).to_have_text(re.compile(value))
+
+
+def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Site, page: Page) -> None:
+    stage(page, "119.0")
+    send(page, "Execute staged")
+    expect(undo(page)).to_have_text("Undo: set 111.0…")
+    undo(page).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 111.0")
+    assert site.unit(UNIT)["commanded"] == "111.0"
+
+
+def test_no_undo_of_an_earlier_command_stays_after_another(page: Page) -> None:
+    page.locator(".nudges button").nth(2).click()
+    expect(page.locator("#setpoint-error")).to_contain_text("verified")
+    expect(undo(page)).to_have_count(0)
+
+
+def test_setting_the_line_to_zero_ends_the_undo_before_it(site: Site, page: Page) -> None:
+    before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]
+    try:
+        send(page, "Set line to zero")
+        expect(undo(page)).to_have_count(0)
+    finally:
+        for number, value in enumerate(before, 1):
+            site.set_speed(number, value=value)
+
+
+def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
+    stage(page, "119.0")
+    page.get_by_role("button", name="Execute staged").click()
+    was = page.locator('[data-review] [name="was"]')
+    expect(was).to_have_value("1110")
+    was.evaluate("field => (field.value = '1150')")
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=bad]")).to_be_visible()
+    eventually(lambda: site.unit(UNIT)["commanded"] == "111.0", "nothing was executed")
