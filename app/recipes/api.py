@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 from pydantic import Field
 
 from app.commands.api.commands import RESULT_RESPONSES
-from app.commands.api.responses import command_response
+from app.commands.api.responses import FramesWanted, command_response
 from app.commands.catalogue import SET_LINE
 from app.commands.service.writer import permitted_writer
 from app.errors import Problem, or_404
@@ -87,12 +87,13 @@ async def load_recipe(
     recipe_id: int,
     wanted: LoadRecipe,
     idempotency_key: Annotated[str | None, Header()] = None,
+    frames: FramesWanted = False,
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)
     sent_at = made_at(request)
     result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
-    return command_response(request, bus_or_404(live, recipe.bus), result, None, secret=False)
+    return command_response(request, bus_or_404(live, recipe.bus), result, frames=frames)
 
 
 @router.get("/buses/{bus}/recipe")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -20,10 +20,10 @@ from starlette.websockets import WebSocket
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
-from app.web.shape import message_shown
+from app.web.shape import reason_shown
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
-from bus.messages import ENGLISH, Message, shown
+from bus.messages import Message
 from bus.validation import fault_message
 
 log = structlog.get_logger()
@@ -66,28 +66,20 @@ class _ProblemResponse(JSONResponse):
 
 def problem_json(problem: Problem, detail: str = "") -> JSONResponse:
     """The problem as ``application/problem+json``; ``detail`` replaces its English text."""
+    reason = reason_shown(problem.message)
+    # A value that is a member of the problem is stated there alone.
+    params = {name: value for name, value in reason["params"].items() if name not in problem.extra}
     content = {
         "type": "about:blank",
         "title": HTTPStatus(problem.status).phrase,
         "status": problem.status,
         "code": problem.code,
+        **reason,
+        "params": params,
         "detail": detail or problem.detail,
-        **_message_members(problem),
         **problem.extra,
     }
     return _ProblemResponse(content, problem.status, problem.headers)
-
-
-def _message_members(problem: Problem) -> dict[str, Any]:
-    """``params`` in English, one level deep; ``reason`` with the codes of all levels."""
-    return {"params": _plain(problem.message.params), "reason": message_shown(problem.message)}
-
-
-def _plain(params: Mapping[str, Any]) -> dict[str, int | float | str]:
-    return {
-        name: value if isinstance(value, (int, float)) else shown(value, ENGLISH)
-        for name, value in params.items()
-    }
 
 
 async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
@@ -126,7 +118,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MOST_FAULTS]]
     faults = [Message.of("fault_at", where=where, fault=fault) for where, fault in found]
     named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
-    return Problem(422, "invalid", Message.of("fields_malformed", faults=faults), errors=named)
+    return Problem(422, "invalid", Message.of("fields_malformed", errors=faults), errors=named)
 
 
 async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:

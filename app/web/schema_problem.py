@@ -30,13 +30,13 @@ _MEMBERS: dict[str, Any] = {
     "title": {"type": "string", "description": "The phrase of the HTTP status."},
     "status": {"type": "integer", "description": "The HTTP status, 400 to 599."},
     "code": _CODE,
+    "reason": {"type": "string", "description": "Which text detail is: more exact than code."},
     "detail": {"type": "string", "description": "What happened, why, and what to do; for people."},
     "params": {
         "type": "object",
-        "additionalProperties": True,
-        "description": "The values in detail, by name.",
+        "additionalProperties": {"type": ["integer", "number", "string"]},
+        "description": "The values in detail, by name, but for those that are members of the problem.",
     },
-    "reason": {"$ref": f"{_SCHEMAS}Message"},
     "errors": {
         "type": "array",
         "items": {"$ref": f"{_SCHEMAS}InvalidField"},
@@ -89,7 +89,7 @@ def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
         "type": "object",
         "title": "Problem",
         "description": "A refusal or failure as application/problem+json (RFC 9457).",
-        "required": ["type", "title", "status", "code", "detail"],
+        "required": ["type", "title", "status", "code", "reason", "params", "detail"],
         "properties": {**result, **_MEMBERS},
     }
     code = {"type": "string", "title": "ProblemCode", "enum": sorted(CODES), "description": "The reason."}

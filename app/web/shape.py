@@ -15,7 +15,7 @@ from starlette.responses import Response
 from typing_extensions import TypedDict
 
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import ENGLISH, Message, shown
 
 
 class StrictBody(BaseModel):
@@ -79,6 +79,29 @@ class MessageShown(TypedDict):
 MaybeMessage = Annotated[
     MessageShown | None, Field(description="The field before it as data; null: it is empty.")
 ]
+
+
+class ReasonShown(TypedDict):
+    """A text for programs in the response that it is the text of."""
+
+    reason: Annotated[str, Field(description="Which text detail is: more exact than code.")]
+    params: Annotated[dict[str, int | float | str], Field(description="The values in detail, by name.")]
+    detail: Annotated[str, Field(description="What happened, why, and what to do; for people.")]
+
+
+_REMARKS = frozenset({"nothing_sent", "outcome_because"})
+"""Texts that only add a remark to their ``reason``."""
+
+
+def reason_shown(message: Message) -> ReasonShown:
+    """A text with the code and the values of what it is about, each value a number or an English text."""
+    inner = message.params.get("reason") if message.code in _REMARKS else None
+    about = inner if isinstance(inner, Message) else message
+    params = {
+        name: value if isinstance(value, (int, float)) else shown(value, ENGLISH)
+        for name, value in about.params.items()
+    }
+    return {"reason": about.code, "params": params, "detail": str(message)}
 
 
 def message_shown(message: Message) -> MessageShown:

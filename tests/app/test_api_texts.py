@@ -16,7 +16,7 @@ AS_DATA = {
     "Bus.diagnosis": "diagnosis_messages",
     "BusStatistics.diagnosis": "diagnosis_messages",
     "Cause.detail": "code",
-    "CommandResult.message": "reason",
+    "CommandResult.detail": "reason",
     "Event.message": "messages",
     "Event.new": "messages",
     "Event.old": "messages",
@@ -32,11 +32,10 @@ AS_DATA = {
     "InvalidField.message": "code",
     "Message.detail": "code",
     "Problem.detail": "reason",
-    "Problem.message": "reason",
     "Restore.remarks": "remark_messages",
     "RestoreRow.message": "outcome_message",
     "RestoreRow.words": "meaning_message",
-    "UnitResult.message": "reason",
+    "UnitResult.detail": "reason",
 }
 """By text: the field that has it as data, where that is not called ``…_message``."""
 OF_A_NUMBER = {
@@ -56,6 +55,7 @@ CODES = {
     *("FrequentAlarm.alarm", "AlarmOccurrence.alarm"),
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
     "AlarmSimulation.toml",
+    *("CommandResult.reason", "Problem.reason", "UnitResult.reason"),
     *("ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
     *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from app.commands.api.trace_file import parse_trace_line
+from app.web.shape import iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Command,
@@ -193,10 +194,63 @@ async def test_each_outcome_has_its_status(
     assert response.status_code == status
     result = response.json()
     assert result["outcome"] == result["code"] == outcome
-    assert result["message"] == "as it was"
-    if status != 200:
-        assert result["detail"] == "as it was"
-        assert result["status"] == status
+    assert (result["reason"], result["params"], result["detail"]) == (
+        "term",
+        {"text": "as it was"},
+        "as it was",
+    )
+    assert result.get("status", 200) == status
+    assert not {"frames", "message"} & result.keys()
+
+
+async def test_a_command_to_one_unit_states_its_result_once(stage: Stage, worker: PlayedWorker) -> None:
+    now = time.time()
+    part = UnitOutcome(unit=1, outcome="verified", read_back=5, sent_at=now, proven_at=now)
+    worker.play = responding("verified", units=[part], read_back=5)
+    result = (await stage.request("POST", "/units/1/speed", {"raw": 5})).json()
+    assert (result["unit"], result["units"]) == (1, {})
+    assert (result["sent_at"], result["proven_at"]) == (iso(now), iso(now))
+
+
+async def test_a_reading_takes_no_frames(stage: Stage) -> None:
+    response = await stage.request("GET", "/units/1/parameters?frames=true")
+    assert (response.status_code, response.json()["reason"]) == (422, "parameter_unknown")
+
+
+def members(node: Any, name: str) -> int:
+    """How often a member of this name is in a body."""
+    if isinstance(node, list):
+        return sum(members(each, name) for each in node)
+    if not isinstance(node, dict):
+        return 0
+    return (name in node) + sum(members(each, name) for each in node.values())
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "reason"),
+    [
+        ("POST", "/units/1/speed", {"raw": 99999}, "setpoint_outside_display"),
+        ("PUT", "/units/1/parameters/6", {"raw": 9999999}, "parameter_cannot_be"),
+        ("PUT", "/units/1/analog-output", {"raw": 1}, "analog_output_outside"),
+        ("PUT", "/units/1/parameters/19", {"raw": 0}, "term"),
+        ("POST", "/units/99/speed", {"raw": 5}, "no_such_unit"),
+        ("POST", "/units/1/speed", {"raw": "x"}, "fields_malformed"),
+    ],
+)
+async def test_a_refusal_states_everything_once_and_on_one_level(
+    stage: Stage, worker: PlayedWorker, method: str, path: str, body: dict[str, Any], reason: str
+) -> None:
+    """The nearest value was there four times, and the code of the text three levels down."""
+    problem = (await stage.request(method, path, body)).json()
+    assert problem["reason"] == reason
+    errors = problem.pop("errors", [])
+    assert all(error.keys() == {"where", "message", "code", "params"} for error in errors)
+    for name in ("code", "reason", "params", "detail"):
+        assert members(problem, name) == 1
+    assert members(problem, "nearest") <= 1
+    assert not problem["params"].keys() & problem.keys()
+    assert all(isinstance(value, (int, float, str)) for value in problem["params"].values())
+    assert worker.commands == []
 
 
 async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorker) -> None:
@@ -209,7 +263,9 @@ async def test_a_refusal_names_the_units_error(stage: Stage, worker: PlayedWorke
     assert "REMOTE" in result["detail"]
 
 
-async def test_a_line_action_returns_each_unit_with_frames(stage: Stage, worker: PlayedWorker) -> None:
+async def test_a_line_action_returns_each_unit_and_its_frames_on_request(
+    stage: Stage, worker: PlayedWorker
+) -> None:
     units = [
         UnitOutcome(unit=1, outcome="verified", read_back=100, sent_at=1.0, proven_at=2.0),
         UnitOutcome(unit=2, outcome="unverified", message=term("no response")),
@@ -221,12 +277,14 @@ async def test_a_line_action_returns_each_unit_with_frames(stage: Stage, worker:
         meanings=[term("execute, all")],
     )
     worker.play = responding("unverified", units=units, skew_s=0.02, frames=[frame])
-    response = await stage.request("POST", "/speeds", {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}})
+    body = {"setpoints": {"1": {"raw": 100}, "2": {"raw": 100}}}
+    assert "frames" not in (await stage.request("POST", "/speeds", body)).json()
+    response = await stage.request("POST", "/speeds?frames=true", body)
     result = response.json()
     assert response.status_code == 504
     assert result["units"]["1"]["outcome"] == "verified"
     assert result["units"]["1"]["read_back"] == 100
-    assert result["units"]["2"]["message"] == "no response"
+    assert result["units"]["2"]["detail"] == "no response"
     assert result["skew_s"] == 0.02
     assert result["frames"][0]["hex"] == "10 02 00 83 10 03 7D"
 
@@ -435,7 +493,7 @@ async def test_the_trace_is_read_in_pieces_and_its_file_can_be_read_back(
     assert len(lines) == 2500
     assert parse_trace_line(lines[7]).data == frames[7].data
     shown = (await stage.request("GET", "/trace?limit=3")).json()["frames"]
-    assert [frame["time"] for frame in shown] == [frame.at for frame in frames[-3:]]
+    assert [frame["at"] for frame in shown] == [iso(frame.at) for frame in frames[-3:]]
 
 
 async def test_the_shown_speed_changes_by_readings_alone(stage: Stage, worker: PlayedWorker) -> None:

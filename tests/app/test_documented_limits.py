@@ -47,8 +47,8 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
     (
         "api.md",
         "A body is at most {} kB, with a file of parameter sets {} MB (413); an object has at most {} "
-        "members; an address has at most {} characters of path and {} of query (414); headers have at most {} "
-        "kB and there are at most {} (431).",
+        "members; an address has at most {} characters of path and {} of query (414); "
+        "headers have at most {} kB and there are at most {} (431).",
         (
             bounds.MOST_PLAIN_BODY_BYTES / KB,
             bounds.MOST_BODY_BYTES / KB / KB,

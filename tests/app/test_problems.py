@@ -76,11 +76,11 @@ async def test_malformed_input_is_invalid_and_states_that_nothing_was_sent(
     assert "nothing was sent" in response.json()["detail"]
 
 
-async def test_params_hold_texts_where_a_value_is_a_list_of_messages(engineer: httpx.AsyncClient) -> None:
+async def test_faults_are_in_the_text_and_each_as_data_once(engineer: httpx.AsyncClient) -> None:
     response = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
-    assert response.json()["params"] == {
-        "faults": "raw: it must be an integer; surplus: there is no such field"
-    }
+    problem = response.json()
+    assert problem["detail"].startswith("raw: it must be an integer; surplus: there is no such field;")
+    assert (problem["params"], [error["where"] for error in problem["errors"]]) == ({}, ["raw", "surplus"])
 
 
 async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient) -> None:

@@ -260,8 +260,8 @@ async def test_what_cannot_be_read_is_not_taken_for_unlimited(stage: Stage) -> N
         result = response.json()
         assert (response.status_code, result["code"], result["outcome"]) == (504, "unverified", "unverified")
         assert "could not be read from unit 1" in result["detail"]
-        assert {unit["outcome"] for unit in result["units"].values()} == {"not_sent"}
-        assert set(result["units"]) == ({"1", "2"} if path == "/speeds" else {"1"})
+        assert {unit["outcome"] for unit in result["units"].values()} <= {"not_sent"}
+        assert set(result["units"]) == ({"1", "2"} if path == "/speeds" else set())
     assert all(isinstance(command.action, ReadParameters) for command in worker.commands)
 
 

@@ -106,7 +106,8 @@ def test_a_unit_that_never_responded_is_unknown_and_all_null(plant: Dashboard) -
 
 def test_set_speed_is_verified_and_shown(plant: Dashboard, units: dict[int, Unit]) -> None:
     result = result_of(
-        plant.bus("POST", "/units/1/speed", {"raw": 4099, "execute": True}, "operator"), "verified"
+        plant.bus("POST", "/units/1/speed?frames=true", {"raw": 4099, "execute": True}, "operator"),
+        "verified",
     )
     assert result["read_back"] == 4099
     assert result["frames"]

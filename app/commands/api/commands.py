@@ -21,7 +21,7 @@ from app.commands.api.bodies import (
     SpeedBody,
 )
 from app.commands.api.quantity import QuantityConverter
-from app.commands.api.responses import command_response
+from app.commands.api.responses import FramesWanted, command_response
 from app.commands.api.schemas import CommandResultShown
 from app.commands.catalogue import (
     CHANGE_BAUD,
@@ -87,6 +87,7 @@ class CommandCall:
     key: str | None
     made_at: Monotonic
     query_timeout_s: float | None
+    frames: bool
 
     def deadline(self, body: Body, staged_units: int = 0) -> Deadline:
         """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
@@ -107,12 +108,14 @@ class CommandCall:
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
         secret = kind_of_command(action).is_secret(action)
-        return command_response(self.request, bus_or_404(self.live, self.bus), result, unit, secret=secret)
+        bus = bus_or_404(self.live, self.bus)
+        return command_response(self.request, bus, result, unit, secret=secret, frames=self.frames)
 
 
 def calling(kind: CommandKind[Any]) -> Any:
     """A dependency: the call of who may send such a command."""
     sender = permitted_writer(kind) if kind.request.writes else permitted(kind)
+    wants_frames = Depends(_frames_wanted if kind.request.writes else _no_frames)
 
     async def command_call(
         request: Request,
@@ -122,10 +125,19 @@ def calling(kind: CommandKind[Any]) -> Any:
         person: Person = sender,
         timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
         key: RequestKey = None,
+        frames: bool = wants_frames,
     ) -> CommandCall:
-        return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s)
+        return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s, frames)
 
     return Depends(command_call)
+
+
+async def _frames_wanted(frames: FramesWanted = False) -> bool:
+    return frames
+
+
+async def _no_frames() -> bool:
+    return False
 
 
 @router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)

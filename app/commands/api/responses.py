@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Query
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
@@ -11,7 +12,7 @@ from app.commands.api.schemas import FrameShown, OutcomeMembers
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.web.problems import respond
-from app.web.shape import iso, maybe_shown, message_shown
+from app.web.shape import ReasonShown, iso, message_shown, reason_shown
 from bus.contract import Frame, Result, UnitOutcome
 from bus.errors import unit_error, unit_error_name
 from bus.instants import UnixTime
@@ -27,34 +28,49 @@ STATUS = {
     "not_sent": 503,
 }
 
+FramesWanted = Annotated[bool, Query(description="With the frames that carried the command.")]
+_OF_A_PROBLEM = {"code", *ReasonShown.__annotations__}
+"""What a problem has without the members of a result."""
+
 
 def command_response(
-    request: Request, bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
+    request: Request,
+    bus: BusLive,
+    result: Result,
+    unit: int | None = None,
+    *,
+    secret: bool = False,
+    frames: bool = False,
 ) -> Response:
-    """200 with the result, or the problem it stands for; the members are the same in both."""
+    """200 with the result, or the problem it stands for; the members are the same in both. ``frames``: with
+    what carried the command."""
     body = result_json(bus, result, unit, secret=secret)
+    if frames:
+        body["frames"] = [] if secret else [frame_json(frame) for frame in result.frames]
     status = STATUS[result.outcome]
     if status == 200:
         return JSONResponse(body)
-    return respond(request, Problem(status, result.outcome, outcome_message(result), **_members(body)))
+    members = {name: value for name, value in body.items() if name not in _OF_A_PROBLEM}
+    return respond(request, Problem(status, result.outcome, outcome_message(result), **members))
 
 
 def result_json(
     bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
 ) -> dict[str, Any]:
-    """``units``: the result of each unit, keyed by its number as text. The value of a secret is left out."""
+    """``units``: of a command to several the result of each, keyed by its number as text; of one to ``unit``
+    the members are its own. The value of a secret is left out."""
     by_unit = {str(part.unit): _unit_json(part, secret) for part in result.units}
-    alone = by_unit.get(str(unit), {}) if unit is not None else {}
+    alone = {} if unit is None else by_unit.pop(str(unit), {})
     return {
         **alone,
         "id": result.id,
         "at": iso(result.at),
         "bus": bus.settings.name,
         "unit": unit,
+        "code": result.outcome,
         **_outcome_json(result, secret),
         "skew_s": result.skew_s,
         "units": by_unit,
-        "frames": [] if secret else [frame_json(frame) for frame in result.frames],
     }
 
 
@@ -71,7 +87,6 @@ def frame_json(frame: Frame) -> FrameShown:
     """One frame as it passed the port."""
     return {
         "at": iso(frame.at),
-        "time": frame.at,
         "direction": frame.direction,
         "hex": frame.data.hex(" ").upper(),
         "meaning": frame.meaning,
@@ -94,9 +109,7 @@ def _unit_json(result: UnitOutcome, secret: bool) -> dict[str, Any]:
 def _outcome_json(result: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
     return {
         "outcome": result.outcome,
-        "code": result.outcome,
-        "message": str(outcome_message(result)),
-        "reason": maybe_shown(result.message),
+        **reason_shown(outcome_message(result)),
         "read_back": None if secret else result.read_back,
         "unit_error": result.unit_error,
         "unit_error_name": None if result.unit_error is None else unit_error_name(result.unit_error),
@@ -105,8 +118,3 @@ def _outcome_json(result: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
 
 def _moment(at: UnixTime | None) -> str | None:
     return None if at is None else iso(at)
-
-
-def _members(body: dict[str, Any]) -> dict[str, Any]:
-    """Those that a problem does not have of itself."""
-    return {name: value for name, value in body.items() if name not in ("code", "reason")}

@@ -7,9 +7,8 @@ from typing import Annotated, NotRequired
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.web.shape import MessageShown
+from app.web.shape import MessageShown, ReasonShown
 from bus.contract import Direction, Outcome
-from bus.instants import UnixTime
 
 OutcomeShown = TypeAliasType("OutcomeShown", Outcome)
 """Named, so that clients have one enumeration of it."""
@@ -21,7 +20,6 @@ class FrameShown(TypedDict):
     """One frame as it passed the port."""
 
     at: Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
-    time: Annotated[UnixTime, Field(description="The same in seconds since 1970.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
     meaning: Annotated[str, Field(description="Its meaning, English.")]
@@ -29,13 +27,10 @@ class FrameShown(TypedDict):
     valid: Annotated[bool, Field(description="Whether it is a complete frame with the right checksum.")]
 
 
-class OutcomeMembers(TypedDict):
+class OutcomeMembers(ReasonShown):
     """What became of a command, or of its part at one unit."""
 
     outcome: OutcomeShown
-    code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
-    message: Annotated[str, Field(description="The outcome in words, English.")]
-    reason: Annotated[MessageShown | None, Field(description="message as data; null: only the outcome.")]
     read_back: Annotated[
         int | None,
         Field(description="Raw value that the unit was read to have; null: not read, or a secret."),
@@ -57,6 +52,7 @@ class UnitResultShown(OutcomeMembers):
 class CommandResultShown(OutcomeMembers):
     """The one outcome of a command; where it is about one unit, also that unit's times."""
 
+    code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     id: Annotated[str, Field(description="Of the command: the Idempotency-Key where one was sent.")]
     at: Annotated[str, Field(description="When the outcome was known, ISO 8601 in UTC, milliseconds.")]
     bus: str
@@ -68,9 +64,15 @@ class CommandResultShown(OutcomeMembers):
         ),
     ]
     units: Annotated[
-        dict[str, UnitResultShown], Field(description="The outcome at each unit, by its address.")
+        dict[str, UnitResultShown],
+        Field(description="The outcome at each unit of a command to several, by its address."),
     ]
-    frames: Annotated[list[FrameShown], Field(description="What carried the command; empty for a secret.")]
+    frames: NotRequired[
+        Annotated[
+            list[FrameShown],
+            Field(description="With frames=true: what carried the command; empty for a secret."),
+        ]
+    ]
     sent_at: NotRequired[Moment]
     acknowledged_at: NotRequired[Moment]
     proven_at: NotRequired[Moment]

@@ -281,6 +281,5 @@ def problem_of(objection: ObjectionError) -> Problem:
     extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
     if objection.nearest is not None:
         extra["nearest"] = objection.nearest
-    params = {**objection.message.params, "reason": objection.message}
-    message = Message("nothing_sent", params)
+    message = Message.of("nothing_sent", reason=objection.message)
     return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, message, **extra)

@@ -42,7 +42,7 @@ TEXTS: dict[str, EnglishText] = {
     "too_many_streams": "too many streams are open; close some",
     "nothing_at_path": "there is no page at {path}",
     "method_not_for_path": "{method} is not for {path}; nothing was done",
-    "fields_malformed": "{faults}; nothing was sent",
+    "fields_malformed": "{errors}; nothing was sent",
     "fault_at": "{where}: {fault}",
     "fault_missing": "it is missing",
     "fault_no_such_field": "there is no such field",
