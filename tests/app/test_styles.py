@@ -7,7 +7,7 @@ import re
 from app.web.assets import static_dir
 
 TOKENS = (static_dir() / "css" / "tokens.css").read_text(encoding="utf-8")
-BASE = (static_dir() / "css" / "base.css").read_text(encoding="utf-8")
+PRINT = (static_dir() / "css" / "print.css").read_text(encoding="utf-8")
 SYSTEM = re.compile(r"\b(Canvas|CanvasText|ButtonText|ButtonFace|Highlight|HighlightText|Mark|MarkText)\b")
 WITHOUT_PAINT = {"--shadow"}
 WIDTHS = re.compile(r"^@media [^{]*\bwidth\b[^{]*\{.*?^\}", re.MULTILINE | re.DOTALL)
@@ -31,7 +31,7 @@ def test_each_colour_gives_way_to_a_persons_own() -> None:
 
 def test_paper_is_light_also_where_the_dark_theme_was_chosen() -> None:
     chosen = re.findall(r"^(:root\S*) \{\n  color-scheme: dark", TOKENS, re.MULTILINE)
-    printed = re.findall(r"^  (:root\S*) \{\n    color-scheme: light", BASE, re.MULTILINE)
+    printed = re.findall(r"^  (:root\S*) \{\n    color-scheme: light", PRINT, re.MULTILINE)
     assert (chosen, printed) == ([':root[data-theme="dark"]'], [":root:root"]), (
         "the later of equal weight holds"
     )
