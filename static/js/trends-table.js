@@ -3,31 +3,29 @@ import { summary, valueAt } from "./trends-data.js";
 import { isBit, look } from "./trends-plot.js";
 import { length, formatTime } from "./trends-time.js";
 
-const words = document.getElementById("trend-words").dataset;
+const words = () => document.getElementById("trend-words").dataset;
 const UNKNOWN = "–";
 const MOST_DIGITS = 3;
-const byId = (id) => document.getElementById(id);
+/** @type {Map<number | null, Intl.NumberFormat>} */
 const formats = new Map();
 
+/** @param {number} value @param {number | null} decimals */
 function number(value, decimals) {
-  if (!formats.has(decimals))
-    formats.set(
-      decimals,
-      new Intl.NumberFormat(words.language, {
-        minimumFractionDigits: decimals ?? 0,
-        maximumFractionDigits: decimals ?? MOST_DIGITS,
-        useGrouping: false,
-      }),
-    );
-  return formats.get(decimals).format(value);
+  const [minimumFractionDigits, maximumFractionDigits] = [decimals ?? 0, decimals ?? MOST_DIGITS];
+  const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
+  const found = formats.get(decimals) ?? new Intl.NumberFormat(words().language, shape);
+  formats.set(decimals, found);
+  return found.format(value);
 }
 
+/** @param {Result} result @param {number | null} [value] */
 function text(result, value) {
   if (value === null || value === undefined) return UNKNOWN;
-  if (isBit(result) && (value === 0 || value === 1)) return value ? words.on : words.off;
+  if (isBit(result) && (value === 0 || value === 1)) return value ? words().on : words().off;
   return number(value, isBit(result) ? 2 : result.decimals);
 }
 
+/** @param {number} place */
 function swatch(place) {
   const { name, dash } = look(place);
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
@@ -42,7 +40,8 @@ function swatch(place) {
   return svg;
 }
 
-/** With the head of its column, which a phone shows beside it. */
+/** With the head of its column, which a phone shows beside it.
+ * @param {HTMLTableRowElement} row @param {string} content */
 function cell(row, content, head = "") {
   const td = row.insertCell();
   td.className = "number";
@@ -51,11 +50,13 @@ function cell(row, content, head = "") {
   return td;
 }
 
-/** One row for each value; `on`: remove(name), choose(place). */
+/** One row for each value; `on`: remove(name), choose(place).
+ * @param {HTMLTableSectionElement} body @param {Result[]} results @param {string[]} names @param {RowActions} on */
 export function drawRows(body, results, names, on) {
-  const heads = body.parentElement.tHead.rows[0].cells;
-  const focused = body.contains(document.activeElement) ? document.activeElement : null;
-  const place = focused?.closest("tr").sectionRowIndex;
+  const { tHead } = /** @type {HTMLTableElement} */ (body.parentElement);
+  const heads = /** @type {HTMLTableSectionElement} */ (tHead).rows[0].cells;
+  const focused = body.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
+  const place = focused?.closest("tr")?.sectionRowIndex ?? 0;
   body.replaceChildren(
     ...results.map((result, place) => {
       const row = document.createElement("tr");
@@ -79,7 +80,7 @@ export function drawRows(body, results, names, on) {
       remove.className = "button button--small";
       remove.textContent = "×";
       remove.dataset.key = names[place];
-      remove.setAttribute("aria-label", `${words.remove}: ${result.name}`);
+      remove.setAttribute("aria-label", `${words().remove}: ${result.name}`);
       remove.addEventListener("click", () => on.remove(names[place]));
       cell(row, "").append(remove);
       return row;
@@ -89,18 +90,21 @@ export function drawRows(body, results, names, on) {
 }
 
 /** Where the focus goes when rows are redrawn: to the same button, else (its value was taken away) to the one
- * that came in its place, at last to where a value is added. */
+ * that came in its place, at last to where a value is added.
+ * @param {HTMLElement} button @param {HTMLTableSectionElement} body @param {number} place */
 function twinOf(button, body, place) {
   const same = [...body.querySelectorAll("button")].find(({ dataset }) => dataset.key === button.dataset.key);
   const next = body.rows[Math.min(place, body.rows.length - 1)]?.querySelector("button[aria-label]");
-  return same ?? next ?? byId("trend-add").elements.unit;
+  return same ?? next ?? document.getElementById("trend-add").elements.unit;
 }
 
-/** What the cursor and A and B read; B − A where both are set. */
+/** What the cursor and A and B read; B − A where both are set.
+ * @param {HTMLTableSectionElement} body @param {Result[]} results @param {Cursors} cursors */
 export function drawCursors(body, results, { at, a, b }) {
   [...body.rows].forEach((row, place) => {
     const result = results[place];
     if (!result) return;
+    /** @param {number | null} time */
     const read = (time) => (time === null ? null : valueAt(result, time));
     const [va, vb] = [read(a), read(b)];
     row.cells[1].textContent = text(result, read(at));
@@ -109,39 +113,45 @@ export function drawCursors(body, results, { at, a, b }) {
     row.cells[4].textContent =
       va === null || vb === null || isBit(result) ? UNKNOWN : number(vb - va, result.decimals);
   });
+  /** @param {number | null} time */
   const moment = (time) => (time === null ? UNKNOWN : formatTime(time));
-  byId("time-cursor").textContent = moment(at);
-  byId("time-a").textContent = moment(a);
-  byId("time-b").textContent = moment(b);
-  byId("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
+  document.getElementById("time-cursor").textContent = moment(at);
+  document.getElementById("time-a").textContent = moment(a);
+  document.getElementById("time-b").textContent = moment(b);
+  document.getElementById("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
 }
 
-/** The chart as text. */
+/** The chart as text.
+ * @param {Result[]} results */
 export function summaryText(results) {
   const lines = results.map((result) => {
     const found = summary(result);
-    if (!found) return `${result.name}: ${words.nothing}`;
-    const holes = found.holes ? `, ${words.holes.replace("{n}", found.holes)}` : "";
+    if (!found) return `${result.name}: ${words().nothing}`;
+    const holes = found.holes ? `, ${words().holes.replace("{n}", String(found.holes))}` : "";
     return `${result.name}: ${text(result, found.least)} … ${text(result, found.greatest)}${holes}`;
   });
   return lines.join("; ");
 }
 
-/** What every value reads at a moment. */
+/** What every value reads at a moment.
+ * @param {Result[]} results @param {number} at */
 export const valuesText = (results, at) =>
   [formatTime(at), ...results.map((result) => `${result.name} ${text(result, valueAt(result, at))}`)].join("; ");
 
-/** How fine the picture is. */
+/** How fine the picture is.
+ * @param {Result[]} results */
 export const fineness = (results) => {
   const bucket = Math.max(0, ...results.map((result) => result.bucket_s));
-  return bucket ? words.per.replace("{n}", length(bucket)) : words.every;
+  return bucket ? words().per.replace("{n}", length(bucket)) : words().every;
 };
 
 /** What happened at times `t`, as a list with its count: a press puts the cursor there. `content` gives the nodes
- * of an item. */
+ * of an item.
+ * @template {Mark | Alarm} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
+ * @param {Content<T>} content @param {(seconds: number) => void} put */
 export function drawList(list, count, { items, more }, content, put) {
-  const focused = list.contains(document.activeElement) ? document.activeElement.textContent : null;
-  count.textContent = items.length + (more ? ` – ${words.more}` : "");
+  const focused = list.contains(document.activeElement) ? document.activeElement?.textContent : null;
+  count.textContent = items.length + (more ? ` – ${words().more}` : "");
   list.replaceChildren(
     ...items.map((item) => {
       const button = document.createElement("button");
@@ -156,13 +166,15 @@ export function drawList(list, count, { items, more }, content, put) {
   if (focused) [...list.querySelectorAll("button")].find(({ textContent }) => textContent === focused)?.focus();
 }
 
-/** What it had listed is not known any more. */
+/** What it had listed is not known any more.
+ * @param {HTMLElement} list @param {HTMLElement} count */
 export function clearList(list, count) {
   count.textContent = UNKNOWN;
   list.replaceChildren();
 }
 
-/** An event in a list. */
+/** An event in a list.
+ * @param {Mark} mark */
 export function eventContent(mark) {
   const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
   const { what, old, new: changed } = mark.shown;
