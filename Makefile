@@ -69,6 +69,8 @@ check: development
 	$(BIN)/lint-imports
 	$(BIN)/djlint templates --lint --quiet
 	node_modules/.bin/biome lint static/js static/css tests/js
+	node_modules/.bin/tsc
+	node_modules/.bin/tsc --project types/worker
 
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 

@@ -10,11 +10,15 @@
 import { soon } from "./pace.js";
 import { mayWait } from "./visibility.js";
 
+/** @type {Map<string, Fields>} */
 const values = new Map();
-/** What changed of each group and is not written yet. */
+/** What changed of each group and is not written yet.
+ * @type {Map<string, Fields>} */
 let waiting = new Map();
 let timer = 0;
+/** @type {Map<string, Set<Listener>>} */
 const listeners = new Map();
+/** @type {Map<string, Map<string, Write[]>>} */
 let bound = new Map();
 
 const UNKNOWN = "–";
@@ -22,6 +26,7 @@ const STEPS = 48;
 const LATE_MS = 250;
 const FIGURE_SPACE = "\u2007";
 
+/** @param {HTMLElement} element @returns {Write} */
 function textOf(element) {
   const text = document.createTextNode(element.textContent);
   element.replaceChildren(text);
@@ -33,13 +38,15 @@ function textOf(element) {
   };
 }
 
+/** @param {HTMLElement} element @param {string} [place] @returns {Write} */
 function stateOf(element, place) {
   return (value) => {
-    const state = place === undefined ? value : value.charAt(place);
+    const state = place === undefined ? value : value.charAt(Number(place));
     if (element.dataset.is !== state) element.dataset.is = state;
   };
 }
 
+/** @param {HTMLElement} element @param {string} name @returns {Write} */
 function variableOf(element, name) {
   const property = `--${name}`;
   return (value) => {
@@ -51,13 +58,15 @@ function variableOf(element, name) {
   };
 }
 
+/** @param {HTMLElement} element @returns {Write} */
 function titleOf(element) {
   return (value) => {
     if (element.title !== value) element.title = value;
   };
 }
 
-/** A link that leads nowhere is none. */
+/** A link that leads nowhere is none.
+ * @param {HTMLElement} element @returns {Write} */
 function hrefOf(element) {
   return (value) => {
     if (value) element.setAttribute("href", value);
@@ -65,28 +74,32 @@ function hrefOf(element) {
   };
 }
 
+/** @param {HTMLElement} element @returns {Write} */
 function stepOf(element) {
+  /** @type {string | null} */
   let shown = null;
   return (value) => {
-    const step = value === "" ? "" : Math.round(value * STEPS);
+    const step = value === "" ? "" : String(Math.round(Number(value) * STEPS));
     if (step === shown) return;
     shown = step;
     element.setAttribute("data-step", step);
   };
 }
 
+/** @param {string} key @param {Write} write */
 function add(key, write) {
   const dot = key.indexOf(".");
   const group = key.slice(0, dot);
   const field = key.slice(dot + 1);
-  if (!bound.has(group)) bound.set(group, new Map());
-  const fields = bound.get(group);
-  if (!fields.has(field)) fields.set(field, []);
-  fields.get(field).push(write);
+  const fields = bound.get(group) ?? new Map();
+  const writes = fields.get(field) ?? [];
+  writes.push(write);
+  bound.set(group, fields.set(field, writes));
   const known = values.get(group)?.[field];
-  if (known !== undefined) write(known);
+  if (known !== undefined) write(/** @type {string} */ (known));
 }
 
+/** @type {Record<string, (element: HTMLElement) => void>} */
 const KINDS = {
   "data-live": (element) => add(element.dataset.live, textOf(element)),
   "data-live-is": (element) => {
@@ -112,11 +125,12 @@ export function rebind() {
   }
 }
 
+/** @param {string} group @param {Fields} changed */
 function write(group, changed) {
   const fields = bound.get(group);
   for (const field in changed) {
     const writes = fields?.get(field);
-    if (writes) for (const each of writes) each(changed[field]);
+    if (writes) for (const each of writes) each(/** @type {string} */ (changed[field]));
   }
 }
 
@@ -144,29 +158,31 @@ export function drawAll() {
   for (const [group, changed] of all) write(group, changed);
 }
 
+/** @param {Groups} groups */
 function take(groups) {
   for (const group in groups) {
     const changed = groups[group];
-    const known = values.get(group);
-    if (known) Object.assign(known, changed);
-    else values.set(group, { ...changed });
+    const known = Object.assign(values.get(group) ?? {}, changed);
+    values.set(group, known);
     if (bound.has(group)) {
       const earlier = waiting.get(group);
       if (earlier) Object.assign(earlier, changed);
       else waiting.set(group, { ...changed });
     }
     const subscribers = listeners.get(group);
-    if (subscribers) for (const listener of subscribers) listener(values.get(group), changed);
+    if (subscribers) for (const listener of subscribers) listener(known, changed);
   }
 }
 
-/** Take in groups of changed fields; they are known at once and shown as soon as the device can. */
+/** Take in groups of changed fields; they are known at once and shown as soon as the device can.
+ * @param {Groups} groups */
 export function show(groups) {
   take(groups);
   soon(draw);
 }
 
-/** Show a complete snapshot immediately; a field that it lacks becomes unknown. */
+/** Show a complete snapshot immediately; a field that it lacks becomes unknown.
+ * @param {Groups} groups */
 export function replace(groups) {
   values.clear();
   waiting.clear();
@@ -174,20 +190,23 @@ export function replace(groups) {
   drawAll();
 }
 
-/** Call `listener(fields, changed)` whenever something in `group` changes. */
+/** Call `listener(fields, changed)` whenever something in `group` changes.
+ * @param {string} group @param {Listener} listener */
 export function listen(group, listener) {
-  if (!listeners.has(group)) listeners.set(group, new Set());
-  listeners.get(group).add(listener);
+  const subscribers = listeners.get(group) ?? new Set();
+  listeners.set(group, subscribers.add(listener));
   const known = values.get(group);
   if (known) listener(known, known);
-  return () => listeners.get(group).delete(listener);
+  return () => subscribers.delete(listener);
 }
 
-/** The current text or list of GROUP.FIELD, undefined when it was never received. */
+/** The current text or list of GROUP.FIELD, undefined when it was never received.
+ * @template {string} K @param {K} key @returns {Known<K>} */
 export function value(key) {
   const dot = key.indexOf(".");
-  return values.get(key.slice(0, dot))?.[key.slice(dot + 1)];
+  return /** @type {Known<K>} */ (values.get(key.slice(0, dot))?.[key.slice(dot + 1)]);
 }
 
-/** All fields of a group. */
+/** All fields of a group.
+ * @param {string} group */
 export const fieldsOf = (group) => values.get(group);

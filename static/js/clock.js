@@ -3,11 +3,13 @@
 // A message can only arrive late, so the least delay seen of the last few is the best estimate.
 const UTC = "UTC";
 const REMEMBERED = 12;
+/** @type {number[]} */
 const seen = [];
 const { now: written, zone: named } = document.body.dataset;
 let offset = Number(written) - (performance.getEntriesByType("navigation")[0]?.responseStart ?? 0) / 1000;
 
-/** Take the time of a message from the server, Unix time in seconds. */
+/** Take the time of a message from the server, Unix time in seconds.
+ * @param {number} serverTime */
 export function received(serverTime) {
   seen.push(serverTime - performance.now() / 1000);
   if (seen.length > REMEMBERED) seen.shift();
@@ -22,7 +24,8 @@ export function forget() {
 /** The server's time now, seconds since the epoch. */
 export const now = () => performance.now() / 1000 + offset;
 
-/** An old browser may not know the name of a zone that was renamed since: it takes UTC, never its own. */
+/** An old browser may not know the name of a zone that was renamed since: it takes UTC, never its own.
+ * @param {string} [name] */
 function resolved(name) {
   try {
     return new Intl.DateTimeFormat("en", { timeZone: name }).resolvedOptions().timeZone;

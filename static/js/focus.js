@@ -1,10 +1,12 @@
 // Where a person was at work by keyboard. What makes that place unusable for a while, or puts a new one in its
 // stead (a unit that does not respond, a lost server, a row that was written), gives the focus back here.
 const PLACES = ".main, .rail, .top";
+/** @type {Place | null} */
 let last = null;
 
 const isNowhere = () => document.activeElement === document.body || document.activeElement?.matches(".gone");
 
+/** @param {On<FocusEvent>} event */
 function remember(event) {
   const element = event.target;
   if (!element.closest?.(PLACES)) return;
@@ -13,25 +15,27 @@ function remember(event) {
   last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };
 }
 
-/** Find the same control in a part of the page that was redrawn. */
+/** Find the same control in a part of the page that was redrawn.
+ * @param {Element} element */
 function twinOf(element) {
   const known = ["name", "value", "type", "href", "aria-label"]
     .filter(
       (attribute) => element.hasAttribute(attribute) && (attribute !== "value" || element.matches("button")),
     )
-    .map((attribute) => `[${attribute}="${CSS.escape(element.getAttribute(attribute))}"]`);
+    .map((attribute) => `[${attribute}="${CSS.escape(element.getAttribute(attribute) ?? "")}"]`);
   return element.tagName.toLowerCase() + known.join("");
 }
 
-function successor() {
-  if (last.element.isConnected) return last.element;
-  return document.getElementById(last.home)?.querySelector(last.twin) ?? null;
+/** @param {Place} place */
+function successor({ element, home, twin }) {
+  if (element.isConnected) return element;
+  return document.getElementById(home ?? "")?.querySelector(twin) ?? null;
 }
 
 /** Give the focus back where it has been lost; a person who put it elsewhere keeps it there. */
 export function giveBack() {
   if (!last || !isNowhere()) return;
-  const element = successor();
+  const element = successor(last);
   if (element && !element.closest("[inert]")) element.focus({ preventScroll: true });
 }
 

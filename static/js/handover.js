@@ -5,24 +5,25 @@ const LONGEST_SIDE = 1600;
 const QUALITY = 0.8;
 const input = document.querySelector("[data-pictures]");
 
+/** @param {File} file */
 async function reduced(file) {
   const bitmap = await createImageBitmap(file);
   const scale = Math.min(1, LONGEST_SIDE / Math.max(bitmap.width, bitmap.height));
   const canvas = document.createElement("canvas");
   canvas.width = Math.round(bitmap.width * scale);
   canvas.height = Math.round(bitmap.height * scale);
-  canvas.getContext("2d").drawImage(bitmap, 0, 0, canvas.width, canvas.height);
+  canvas.getContext("2d")?.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
   const blob = await new Promise((done) => canvas.toBlob(done, "image/jpeg", QUALITY));
   return new File([blob], "picture.jpg", { type: "image/jpeg" });
 }
 
 // A file that the browser cannot draw is sent as it is: the server refuses it and gives the reason.
 input?.addEventListener("change", async () => {
-  const button = input.form.querySelector("[type=submit]");
+  const button = /** @type {HTMLFormElement} */ (input.form).querySelector("[type=submit]");
   const drawn = new DataTransfer();
   button.disabled = true;
   try {
-    for (const file of input.files) drawn.items.add(await reduced(file).catch(() => file));
+    for (const file of input.files ?? []) drawn.items.add(await reduced(file).catch(() => file));
     input.files = drawn.files;
   } finally {
     button.disabled = false;

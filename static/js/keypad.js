@@ -4,26 +4,34 @@
 const NUMBERS = "input.input--number:enabled";
 const CLEAR_PX = 12;
 
-let pad = null;
+/** @type {HTMLElement} */
+let pad;
+/** @type {HTMLInputElement | null} */
 let field = null;
+/** @type {HTMLInputElement | null} */
 let touched = null;
 
+/** @param {HTMLInputElement} input */
 const isSigned = (input) => input.dataset.together === "offset";
-const labelOf = (input) => input.ariaLabel ?? input.labels[0]?.textContent.trim() ?? "";
+/** @param {HTMLInputElement} input */
+const labelOf = (input) => input.ariaLabel ?? input.labels?.[0]?.textContent.trim() ?? "";
+/** @param {HTMLInputElement} input */
 const hintOf = (input) =>
   input.dataset.limits ?? document.querySelector(`#${input.getAttribute("aria-describedby")}.field__hint`)?.textContent;
 
 function build() {
-  pad = document.getElementById("keypad").content.firstElementChild.cloneNode(true);
+  const { firstElementChild } = document.getElementById("keypad").content;
+  pad = /** @type {HTMLElement} */ (firstElementChild?.cloneNode(true));
   // A key pressed here is typed there: the field keeps the focus.
   pad.addEventListener("mousedown", (event) => event.preventDefault());
   pad.addEventListener("click", ({ target }) => {
-    if (target.closest("[data-keypad-done]")) field.blur();
+    if (target.closest("[data-keypad-done]")) field?.blur();
     else if (target.closest("[data-keypad-next]")) goOn();
   });
   document.getElementById("main").append(pad);
 }
 
+/** @param {HTMLInputElement} input */
 function open(input) {
   if (!pad) build();
   // The first key replaces the text, the next ones append; so do those after another touch of the field.
@@ -44,6 +52,7 @@ function open(input) {
 
 /** The field is not left behind the pad. */
 function uncover() {
+  if (!field) return;
   const at = field.getBoundingClientRect();
   const over = pad.getBoundingClientRect();
   const isBeside = at.right < over.left || at.left > over.right;
@@ -59,14 +68,17 @@ function close() {
 }
 
 function goOn() {
+  if (!field) return;
+  const { form } = field;
   const all = [...document.querySelectorAll(NUMBERS)].filter((input) => input.checkVisibility());
-  const next = all.slice(all.indexOf(field) + 1).find((input) => input.form === field.form && !input.closest("[inert]"));
+  const next = all.slice(all.indexOf(field) + 1).find((input) => input.form === form && !input.closest("[inert]"));
   if (!next) return field.blur();
   next.focus({ preventScroll: true });
   next.scrollIntoView({ block: "nearest" });
   uncover();
 }
 
+/** @param {HTMLInputElement} input */
 const hasOwnPad = (input) => input.id && document.querySelector(`[data-pad-for="${input.id}"]:not(.keypad)`);
 
 export function start() {
@@ -77,11 +89,12 @@ export function start() {
     if (touched) touched.inputMode = "none";
   });
   document.addEventListener("focusin", ({ target }) => {
-    if (target === touched || (field && target.matches(NUMBERS) && !hasOwnPad(target))) open(target);
+    if (touched && target === touched) open(touched);
+    else if (field && target.matches(NUMBERS) && !hasOwnPad(target)) open(target);
   });
   // A field that is touched again has the focus already.
   document.addEventListener("click", ({ target }) => {
-    if (target === touched && target === document.activeElement) open(target);
+    if (touched && target === touched && target === document.activeElement) open(touched);
   });
   document.addEventListener("focusout", ({ relatedTarget }) => relatedTarget?.matches(NUMBERS) || close());
   document.addEventListener("keydown", ({ key }) => key === "Escape" && close());

@@ -17,6 +17,7 @@ const WENT_HOME = "lineside-went-home";
 const home = document.body.dataset.panel;
 let touchedAt = performance.now();
 let isHome = false;
+/** @type {HTMLElement | null} */
 let cover = null;
 let waking = 0;
 let verdict = "";
@@ -24,6 +25,7 @@ let level = "";
 
 // --- awake ------------------------------------------------------------------------------------------------
 
+/** @type {WakeLockSentinel | null} */
 let lock = null;
 
 async function stayAwake() {
@@ -43,14 +45,17 @@ async function toggleFullScreen() {
 
 // --- a cover over the page --------------------------------------------------------------------------------
 
+/** @param {string} className @param {Node[]} lines */
 function lay(className, ...lines) {
   uncover();
   cover = document.createElement("div");
   cover.className = `cover ${className}`;
   cover.append(...lines);
   document.body.append(cover);
+  return cover;
 }
 
+/** @param {string} text */
 function line(text, className = "") {
   const words = document.createElement("p");
   words.className = className;
@@ -73,7 +78,8 @@ function uncover() {
 }
 
 /** A touch is several events, and a browser makes the click of it last or, once prevented, not at all: the cover
- * stays until all of them are over. */
+ * stays until all of them are over.
+ * @param {Event} event */
 function swallow(event) {
   touchedAt = performance.now();
   isHome = false;
@@ -100,7 +106,7 @@ const needsAttention = () => level === "urgent" || level === "high";
 
 /** To the panel's own page, once until it is touched again. */
 function goHome() {
-  if (isHome || `${location.pathname}${location.search}` === home) return false;
+  if (isHome || home === undefined || `${location.pathname}${location.search}` === home) return false;
   sessionStorage.setItem(WENT_HOME, "");
   location.assign(home);
   return true;
@@ -115,12 +121,13 @@ function arrive() {
 
 function clean() {
   let left = CLEAN_S;
-  lay("cover--clean", line(word("cleaning", left)));
-  cover.dataset.cleaning = "";
-  cover.setAttribute("role", "timer");
+  const words = line(word("cleaning", left));
+  const laid = lay("cover--clean", words);
+  laid.dataset.cleaning = "";
+  laid.setAttribute("role", "timer");
   const timer = setInterval(() => {
     left -= 1;
-    if (left > 0) cover.firstChild.textContent = word("cleaning", left);
+    if (left > 0) words.textContent = word("cleaning", left);
     else {
       clearInterval(timer);
       uncover();
@@ -143,7 +150,7 @@ export function start() {
     level = fields.level ?? "";
     if (!isDark()) return;
     if (needsAttention()) uncover();
-    else cover.firstChild.textContent = verdict;
+    else cover?.firstElementChild?.replaceChildren(verdict);
   });
   document.addEventListener("lineside:lost", () => isDark() && uncover());
   stayAwake();

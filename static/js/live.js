@@ -16,29 +16,33 @@ const SPEAK_MS = 10_000;
 const RETRY_MS = [200, 500, 1000, 2000];
 
 const body = document.body;
-const url = body.dataset.liveUrl;
+const url = body.dataset.liveUrl ?? "";
+/** @type {WebSocket | null} */
 let socket = null;
 let number = -1;
 let receivedAt = performance.now();
 let checkedAt = receivedAt;
-let lostSince = null;
+let lostSince = 0;
 let cause = "closed";
 let tries = 0;
 let retry = 0;
+/** @type {{ units: string[], trace: string }} */
 let interest = { units: [], trace: "" };
+/** @type {(frames: Frame[]) => void} */
 let frames = () => {};
 
 export const link = () => body.dataset.link;
 export const isLive = () => link() === "live";
 
-/** Send to the server which units this page shows and whose frames it follows. */
+/** Send to the server which units this page shows and whose frames it follows.
+ * @param {string[]} units @param {string} [trace] @param {(frames: Frame[]) => void} [onFrames] */
 export function follow(units, trace = "", onFrames = () => {}) {
   interest = { units, trace };
   frames = onFrames;
   if (socket?.readyState === WebSocket.OPEN) sendInterest();
 }
 
-const sendInterest = (want = "") => socket.send(JSON.stringify({ want, ...interest }));
+const sendInterest = (want = "") => socket?.send(JSON.stringify({ want, ...interest }));
 
 function open() {
   clearTimeout(retry);
@@ -61,6 +65,7 @@ function again() {
   if (tries === 3) findCause();
 }
 
+/** @param {LiveMessage} message */
 function receive(message) {
   receivedAt = performance.now();
   if (message.is === "frames") return frames(message.frames);
@@ -76,6 +81,7 @@ function receive(message) {
   beat(message.t);
 }
 
+/** @param {LiveMessage & { is: "snapshot" }} snapshot */
 function onSnapshot(snapshot) {
   for (const unit of document.querySelectorAll("[data-unit]")) {
     if (!(unit.dataset.unit in snapshot.f)) return location.reload();
@@ -93,9 +99,11 @@ const clockFormat = new Intl.DateTimeFormat(language, {
   hourCycle: "h23",
   timeZone: clock.zone,
 });
+/** @param {number} seconds */
 const timeOfDay = (seconds) => clockFormat.format(seconds * 1000) + clock.zoneNote;
 let beaten = 0;
 
+/** @param {number} serverTime */
 function beat(serverTime) {
   const second = Math.floor(serverTime);
   if (second === beaten) return;
@@ -110,6 +118,7 @@ function beat(serverTime) {
 
 const covered = () => document.querySelectorAll(".main, .rail, .top");
 
+/** @param {string} why */
 function onLost(why) {
   if (body.dataset.link === "lost") return;
   lostSince = clock.now() - (performance.now() - receivedAt) / 1000;
@@ -134,6 +143,7 @@ function found() {
 
 function describe() {
   if (body.dataset.link !== "lost") return;
+  /** @type {Record<string, string>} */
   const names = {
     closed: "causeClosed",
     timeout: "causeTimeout",
@@ -182,13 +192,13 @@ function check() {
 function judge() {
   const age = (performance.now() - receivedAt) / 1000;
   if (age > TIMEOUT_S && body.dataset.link !== "lost") onLost("timeout");
-  if (age > TIMEOUT_S && socket?.readyState === WebSocket.OPEN) drop();
+  if (age > TIMEOUT_S && socket?.readyState === WebSocket.OPEN) drop(socket);
   describe();
 }
 
-/** Do not wait for a socket without messages: a cable was pulled, or the device slept. */
-function drop() {
-  const old = socket;
+/** Do not wait for a socket without messages: a cable was pulled, or the device slept.
+ * @param {WebSocket} old */
+function drop(old) {
   socket = null;
   number = -1;
   old.onclose = null;

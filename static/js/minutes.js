@@ -10,12 +10,14 @@ const EVERY_MS = 5000;
 const [WIDTH, HEIGHT] = [600, 100];
 const SVG = "http://www.w3.org/2000/svg";
 
+/** @param {string} className */
 function path(className) {
   const line = document.createElementNS(SVG, "path");
   line.setAttribute("class", className);
   return line;
 }
 
+/** @param {HTMLElement} figure */
 function build(figure) {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
@@ -34,7 +36,8 @@ function build(figure) {
   return { lines, labels };
 }
 
-/** The range to draw: never so narrow that noise looks like movement. */
+/** The range to draw: never so narrow that noise looks like movement.
+ * @param {(number | null)[]} all */
 function range(all) {
   const known = all.filter((value) => value !== null);
   if (!known.length) return null;
@@ -43,17 +46,19 @@ function range(all) {
   return { least: Math.max(0, least - pad), most: most + pad };
 }
 
+/** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
 function outline({ t, avg }, from, { least, most }, step) {
   let d = "";
   let pen = false;
-  let y = 0;
+  let y = "";
   for (let i = 0; i < t.length; i += 1) {
-    if (avg[i] === null) {
+    const drawn = avg[i];
+    if (drawn === null) {
       pen = false;
       continue;
     }
     const x = (((t[i] - from) / SPAN_S) * WIDTH).toFixed(1);
-    const next = (HEIGHT - ((avg[i] - least) / (most - least)) * HEIGHT).toFixed(1);
+    const next = (HEIGHT - ((drawn - least) / (most - least)) * HEIGHT).toFixed(1);
     if (pen && step) d += `L${x} ${y}`;
     d += `${pen ? "L" : "M"}${x} ${next}`;
     y = next;
@@ -62,7 +67,8 @@ function outline({ t, avg }, from, { least, most }, step) {
   return d;
 }
 
-/** A number with as many decimals as the unit itself shows. */
+/** A number with as many decimals as the unit itself shows.
+ * @param {string} unit @param {number} number */
 function inUnitsDecimals(unit, number) {
   const decimals = value(`${unit}.setpoint`)?.[1] ?? 0;
   const [minimumFractionDigits, maximumFractionDigits] = [decimals, decimals];
@@ -70,6 +76,7 @@ function inUnitsDecimals(unit, number) {
   return number.toLocaleString(language, shape);
 }
 
+/** @param {string} unit @param {ReturnType<typeof build>} parts */
 async function draw(unit, { lines, labels }) {
   if (!isLive() || document.visibilityState !== "visible") return;
   const to = now();

@@ -15,30 +15,35 @@ const REMEMBERED = 4;
 /** More than so many times the least of them was not drawing. */
 const CREDIBLE = 2;
 
+/** @type {number[]} */
 const costs = [];
 let paid = 0;
 let timer = 0;
 let measuring = false;
 const after = new MessageChannel();
 
-/** What the last drawing cost, in ms, as far as the costs of the last few, oldest first, make it credible. */
+/** What the last drawing cost, in ms, as far as the costs of the last few, oldest first, make it credible.
+ * @param {number[]} known */
 export function credible(known) {
   const least = Math.min(...known);
-  return known.length < REMEMBERED ? 0 : Math.min(known.at(-1), CREDIBLE * least);
+  return known.length < REMEMBERED ? 0 : Math.min(known.at(-1) ?? 0, CREDIBLE * least);
 }
 
 /** Return the time until which drawing has used up its share, after a drawing of `cost` that began at `began`; all
-    in ms. `until` is the former value. */
+    in ms. `until` is the former value.
+ * @param {number} until @param {number} began @param {number} cost */
 export function usedUp(until, began, cost) {
   const share = cost <= FAST_MS ? FAST_SHARE : SHARE;
   return Math.min(Math.max(until, began) + cost / share, began + LONGEST_MS + AHEAD_MS);
 }
 
-/** When the next drawing may start, from the share used so far. */
+/** When the next drawing may start, from the share used so far.
+ * @param {number} until */
 export const readyAt = (until) => until - AHEAD_MS;
 
 /** Measure from the writing to the end of the frame: the browser paints after the callbacks of the frame, and lays out
-    before them where a pointer is over the page, to find the element below it. */
+    before them where a pointer is over the page, to find the element below it.
+ * @param {number} wrote */
 function measure(wrote) {
   if (measuring || document.hidden) return;
   measuring = true;
@@ -54,6 +59,7 @@ function measure(wrote) {
   });
 }
 
+/** @param {() => boolean} draw */
 function run(draw) {
   timer = 0;
   const began = performance.now();
@@ -63,7 +69,8 @@ function run(draw) {
 }
 
 /** Call `draw` now, or as soon as its share allows; once, however often it is requested until then. `draw` returns
-    whether it drew anything: invisible changes cost no frame. */
+    whether it drew anything: invisible changes cost no frame.
+ * @param {() => boolean} draw */
 export function soon(draw) {
   if (timer) return;
   const wait = readyAt(paid) - performance.now();

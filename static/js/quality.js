@@ -7,7 +7,9 @@ import { giveBack } from "./focus.js";
 import { span, word } from "./words.js";
 
 const CHECK_MS = 250;
+/** @type {Shown[]} */
 let units = [];
+/** @type {Shown[]} */
 let ages = [];
 let turn = 0;
 
@@ -25,21 +27,23 @@ export function findUnits() {
   check();
 }
 
-/** online, stale, offline or unknown. */
+/** online, stale, offline or unknown.
+ * @param {string} unit */
 export function qualityOf(unit) {
   const fields = fieldsOf(unit);
   if (!fields?.at) return "unknown";
-  if (fields.link !== "online") return fields.link;
+  if (fields.link !== "online") return fields.link ?? "unknown";
   const bus = fieldsOf(unit.slice(0, unit.indexOf("/")));
-  const age = clock.now() - fields.at;
-  if (age > bus.offline_after) return "offline";
-  return age > bus.stale_after ? "stale" : "online";
+  const age = clock.now() - Number(fields.at);
+  if (age > Number(bus?.offline_after)) return "offline";
+  return age > Number(bus?.stale_after) ? "stale" : "online";
 }
 
+/** @param {string} unit */
 function ageOf(unit) {
   const at = fieldsOf(unit)?.at;
   if (!at) return word("never");
-  const age = span(clock.now() - at);
+  const age = span(clock.now() - Number(at));
   return qualityOf(unit) === "online" ? age : word("lastResponse", age);
 }
 
@@ -57,6 +61,7 @@ function check() {
   }
 }
 
+/** @param {Shown} one @param {string} quality */
 function mark(one, quality) {
   one.marked = quality;
   one.element.dataset.quality = quality;

@@ -4,18 +4,20 @@
 //   data-reload="GROUP.FIELD" data-drawn-of="what it was when the page was drawn"
 import { listen, value } from "./bind.js";
 
+/** @param {HTMLElement} part */
 function follow(part) {
   const key = part.dataset.redraw;
   const dot = key.indexOf(".");
   const field = key.slice(dot + 1);
   listen(key.slice(0, dot), (fields) => {
-    const present = fields[field] ?? "";
+    const present = /** @type {string} */ (fields[field] ?? "");
     if (part.dataset.drawnOf === present) return;
     part.dataset.drawnOf = present;
     part.dispatchEvent(new CustomEvent("lineside:redraw"));
   });
 }
 
+/** @param {HTMLElement} page */
 function followPage(page) {
   const key = page.dataset.reload;
   const dot = key.indexOf(".");

@@ -9,8 +9,10 @@ import { word } from "./words.js";
 const LAPSE_MS = 30_000;
 const dialog = document.getElementById("review");
 const content = document.getElementById("review-body");
+/** @type {(() => void)[]} */
 let endings = [];
-/** The last thing clicked that only reads, before the first message of the server. */
+/** The last thing clicked that only reads, before the first message of the server.
+ * @type {HTMLElement | null} */
 let early = null;
 
 function opened() {
@@ -43,6 +45,7 @@ function closer() {
   return box;
 }
 
+/** @param {HTMLElement} form */
 function watch(form) {
   const timer = setTimeout(() => end(form, word("lapsed")), LAPSE_MS);
   const bar = form.querySelector("[data-lapse]");
@@ -51,7 +54,8 @@ function watch(form) {
   for (const part of [form, ...form.querySelectorAll("[data-watch]")]) watchUnit(form, part);
 }
 
-/** One unit: the form names it; several: a row each, with the name. */
+/** One unit: the form names it; several: a row each, with the name.
+ * @param {HTMLElement} form @param {HTMLElement} part */
 function watchUnit(form, part) {
   const { of: unit, watch: key, was, name } = part.dataset;
   const group = unit ?? key?.slice(0, key.indexOf("."));
@@ -66,17 +70,20 @@ function watchUnit(form, part) {
   );
 }
 
-/** Why a unit takes nothing from here any more; empty while it does. */
+/** Why a unit takes nothing from here any more; empty while it does.
+ * @param {Fields} fields */
 function whyNot({ link, mode, blocked }) {
   if (link !== "online") return word("stoppedResponding");
   if (mode !== "remote") return word("leftRemote");
   return blocked ? word("wasBlocked", blocked) : "";
 }
 
-/** A part of the page that is fetched as the page is opened or on its way, and not by a press. */
+/** A part of the page that is fetched as the page is opened or on its way, and not by a press.
+ * @param {Element} source */
 const isAutomatic = (source) => source.hasAttribute("hx-trigger");
 
-/** The review is over without a command: the button is gone and the reason stays. */
+/** The review is over without a command: the button is gone and the reason stays.
+ * @param {HTMLElement} form @param {string} reason */
 function end(form, reason) {
   close();
   if (form.dataset.pending !== undefined || form.dataset.ended !== undefined) return;
@@ -85,8 +92,8 @@ function end(form, reason) {
   words.textContent = reason;
   words.hidden = false;
   form.querySelector("[data-review-act]")?.remove();
-  form.querySelector("[data-lapse]")?.parentElement.remove();
-  const cancel = form.querySelector("[data-review-cancel]");
+  form.querySelector("[data-lapse]")?.parentElement?.remove();
+  const cancel = /** @type {HTMLElement} */ (form.querySelector("[data-review-cancel]"));
   cancel.textContent = word("close");
   cancel.focus();
 }
@@ -112,17 +119,19 @@ function dismiss() {
   giveBack();
 }
 
-/** Lock the form while its command is in progress, and show the progress. */
+/** Lock the form while its command is in progress, and show the progress.
+ * @param {HTMLElement} form */
 function lock(form) {
   close();
   form.dataset.pending = "";
   const progress = form.querySelector("[data-review-progress]");
   if (progress) progress.hidden = false;
   for (const button of form.querySelectorAll("button")) button.disabled = true;
-  form.querySelector("[data-lapse]")?.parentElement.remove();
+  form.querySelector("[data-lapse]")?.parentElement?.remove();
 }
 
-/** Show that the request got no response, so the outcome is unknown. */
+/** Show that the request got no response, so the outcome is unknown.
+ * @param {HTMLElement} form */
 function unanswered(form) {
   delete form.dataset.pending;
   form.dataset.unanswered = "";
@@ -161,7 +170,8 @@ function repeatEarly() {
 }
 
 /** A form that the browser sends: not while the server does not respond, and with the moment of the press,
- * so that one that is held up on the way is refused (app/web/arrival.py). */
+ * so that one that is held up on the way is refused (app/web/arrival.py).
+ * @param {On<SubmitEvent, HTMLFormElement>} event */
 function submitted(event) {
   const form = event.target;
   if (event.defaultPrevented || !document.body.dataset.liveUrl) return;

@@ -5,10 +5,11 @@ import { language, word } from "./words.js";
 
 const DECIMAL_SIGN = new Intl.NumberFormat(language)
   .formatToParts(1.5)
-  .find((part) => part.type === "decimal").value;
+  .find((part) => part.type === "decimal")?.value ?? ".";
 const UNDO_MS = 60_000;
 
-/** The number a person typed, comma or point, or NaN. Empty is not zero. */
+/** The number a person typed, comma or point, or NaN. Empty is not zero.
+ * @param {string} text */
 export function numberOf(text) {
   const plain = text.trim().replace(/[−–]/g, "-").replace(",", ".");
   return /^[+-]?\d+(\.\d+)?$/.test(plain) ? Number(plain) : Number.NaN;
@@ -16,8 +17,10 @@ export function numberOf(text) {
 
 // --- the field and its pad ----------------------------------------------------------------------------
 
+/** @param {HTMLInputElement} input */
 const isAllSelected = (input) => input.selectionStart === 0 && input.selectionEnd === input.value.length;
 
+/** @param {HTMLInputElement} input */
 function followUnit(input) {
   const key = input.dataset.follows;
   // Typed before this script was there.
@@ -34,7 +37,7 @@ function followUnit(input) {
   input.addEventListener("input", () => {
     input.dataset.touched = "";
     // A message about the former number does not apply to this one.
-    const place = document.getElementById(input.getAttribute("aria-describedby"));
+    const place = document.getElementById(input.getAttribute("aria-describedby") ?? "");
     if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
   });
   // A value half typed is not selected again: the next digit is appended.
@@ -49,6 +52,7 @@ function followUnit(input) {
   addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }
 
+/** @param {HTMLInputElement} input @param {string} key */
 function press(input, key) {
   const untouched = input.dataset.follows !== undefined && input.dataset.touched === undefined;
   const fresh = untouched || isAllSelected(input);
@@ -71,22 +75,26 @@ function keepUndo() {
 
 // --- many at once ----------------------------------------------------------------------------------------
 
+/** @type {Record<string, (present: number, by: number) => number>} */
 const TOOLS = {
   scale: (present, by) => (present * by) / 100,
   offset: (present, by) => present + by,
 };
 
-/** A setpoint, as [raw, decimals], that a tool has changed, as text; null where the setpoint is not known. */
+/** A setpoint, as [raw, decimals], that a tool has changed, as text; null where the setpoint is not known.
+ * @param {string} tool @param {Partial<Setpoint>} [setpoint] */
 export function changed(tool, [raw, decimals] = [], by = 0) {
   if (typeof raw !== "number" || typeof decimals !== "number") return null;
   return TOOLS[tool](raw / 10 ** decimals, by).toFixed(decimals).replace(".", DECIMAL_SIGN);
 }
 
-/** Online and not in LOCAL; see the row in templates/setpoints/page.html. */
+/** Online and not in LOCAL; see the row in templates/setpoints/page.html.
+ * @param {Element} element */
 const canBeSet = (element) => !element.closest("[inert]") && element.checkVisibility();
 
+/** @param {HTMLElement} form @param {string} tool */
 function fillIn(form, tool) {
-  const source = form.querySelector(`[data-together="${tool}"]`);
+  const source = /** @type {HTMLInputElement} */ (form.querySelector(`[data-together="${tool}"]`));
   const by = numberOf(source.value);
   source.setAttribute("aria-invalid", Number.isNaN(by) ? "true" : "false");
   const fault = document.createElement("p");
@@ -103,6 +111,7 @@ function fillIn(form, tool) {
   }
 }
 
+/** @param {HTMLElement} form @param {string} what */
 function together(form, what) {
   if (what in TOOLS || what === "value") return fillIn(form, what);
   for (const tick of form.querySelectorAll("[data-tick]")) tick.checked = what === "all" && canBeSet(tick);
@@ -111,6 +120,7 @@ function together(form, what) {
 
 /** A completed change is no draft: the next change starts with empty fields. */
 function forgetDone() {
+  /** @type {HTMLFormElement | null} */
   let reviewed = null;
   document.addEventListener("submit", ({ target }) => {
     if (target.matches("[data-setpoints]")) reviewed = target;
@@ -121,6 +131,10 @@ function forgetDone() {
   });
 }
 
+/** The field that a key of a pad types into. @param {HTMLElement} key */
+const fieldOf = (key) =>
+  /** @type {HTMLInputElement} */ (document.getElementById(key.closest("[data-pad-for]")?.dataset.padFor ?? ""));
+
 export function start() {
   document.addEventListener("lineside:done", keepUndo);
   forgetDone();
@@ -128,14 +142,14 @@ export function start() {
   document.addEventListener("click", (event) => {
     const button = event.target.closest("[data-pad], [data-use], [data-together-do]");
     if (!button) return;
-    if (button.dataset.pad)
-      press(document.getElementById(button.closest("[data-pad-for]").dataset.padFor), button.dataset.pad);
-    else if (button.dataset.togetherDo) together(button.closest("form"), button.dataset.togetherDo);
+    const { pad, togetherDo } = button.dataset;
+    if (pad) press(fieldOf(button), pad);
+    else if (togetherDo) together(/** @type {HTMLFormElement} */ (button.closest("form")), togetherDo);
     else {
       const input = (button.closest("form, td") ?? document).querySelector(
         "input:not([type=hidden], [type=checkbox])",
       );
-      input.value = button.dataset.use;
+      input.value = button.dataset.use ?? "";
       input.dispatchEvent(new Event("input", { bubbles: true }));
       input.focus();
     }

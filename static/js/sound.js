@@ -10,9 +10,12 @@ const CHECK_MS = 500;
 const TONE_S = 0.18;
 const PAUSE_S = 0.28;
 const LOUDNESS = 0.4;
-const find = (name) => document.querySelector(`[data-sound-${name}]`);
+/** @param {string} name */
+/** @template {keyof SoundParts} K @param {K} name */
+const find = (name) => /** @type {SoundParts[K]} */ (document.querySelector(`[data-sound-${name}]`));
 
 let settings = settingsOf(null);
+/** @type {AudioContext | null} */
 let audio = null;
 let alarms = { priority: "", at: 0 };
 const muted = { until: 0, lost: false };
@@ -32,6 +35,7 @@ function read() {
   }
 }
 
+/** @param {Partial<SoundSettings>} changed */
 function store(changed) {
   settings = { ...settings, ...changed };
   try {
@@ -58,7 +62,9 @@ function queue() {
   });
 }
 
+/** @param {string} priority */
 function play(priority) {
+  if (!audio) return;
   const { tones, hertz } = TONES[priority];
   for (let i = 0; i < tones; i++) {
     const begins = audio.currentTime + i * PAUSE_S;
@@ -97,6 +103,7 @@ function draw() {
   button.textContent = word(
     state === "blocked" ? "alarmSoundAllow" : link() === "lost" ? "lostSoundSilence" : "alarmSoundSilence",
   );
+  /** @type {Record<string, string>} */
   const names = { off: "alarmSoundOff", blocked: "alarmSoundBlocked" };
   if (shown) shown.textContent = word(names[state] ?? "alarmSoundOn");
 }
@@ -109,7 +116,7 @@ function silence() {
   }
   muted.until = alarms.at;
   draw();
-  const body = new URLSearchParams({ until: alarms.at });
+  const body = new URLSearchParams({ until: String(alarms.at) });
   if ("soundActs" in find("strip").dataset) fetch("/alarms/silence", { method: "POST", body }).catch(() => {});
 }
 
@@ -161,8 +168,9 @@ export function start() {
     if (key === STORED) settings = settingsOf(newValue);
   });
   // Any press gives leave, as long as sound is on. That of the button does so in its own handler: it would silence.
+  /** @param {Event} event */
   const openElsewhere = ({ target }) =>
-    settings.on && !hasLeave() && !find("strip").contains(target) && open();
+    settings.on && !hasLeave() && !find("strip").contains(/** @type {Node | null} */ (target)) && open();
   for (const kind of ["pointerup", "keyup"]) addEventListener(kind, openElsewhere);
   listen("alarms_present", (fields) => {
     alarms = { priority: fields.sound ?? "", at: Number(fields.sound_at) || 0 };

@@ -8,6 +8,7 @@ const [WIDTH, HEIGHT] = [240, 40];
 /** The height of the drawing, as a part of the value, at least. */
 const LEAST_REACH = 0.02;
 const SVG = "http://www.w3.org/2000/svg";
+/** @type {Set<TrendSpark>} */
 const visible = new Set();
 let requested = false;
 
@@ -32,12 +33,14 @@ class TrendSpark extends HTMLElement {
     return `${this.dataset.spark}/${this.dataset.value ?? "actual"}`;
   }
 
+  /** @param {Spark} spark @param {number} from @param {number} to */
   draw({ t, avg }, from, to) {
-    this.path.setAttribute("d", outline(t, avg, from, to));
+    this.path?.setAttribute("d", outline(t, avg, from, to));
   }
 }
 
-/** An SVG path over the span; a null lifts the pen. Never so high that noise looks like movement. */
+/** An SVG path over the span; a null lifts the pen. Never so high that noise looks like movement.
+ * @param {number[]} t @param {(number | null)[]} values @param {number} from @param {number} to */
 function outline(t, values, from, to) {
   const known = values.filter((value) => value !== null);
   const [least, greatest] = [Math.min(...known), Math.max(...known)];
@@ -46,12 +49,13 @@ function outline(t, values, from, to) {
   let pen = "M";
   let path = "";
   for (let i = 0; i < t.length; i++) {
-    if (values[i] === null) {
+    const value = values[i];
+    if (value === null) {
       pen = "M";
       continue;
     }
     const x = ((t[i] - from) / (to - from)) * WIDTH;
-    const y = HEIGHT / 2 - ((values[i] - middle) / reach) * (HEIGHT - 4);
+    const y = HEIGHT / 2 - ((value - middle) / reach) * (HEIGHT - 4);
     path += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
     pen = "L";
   }
@@ -59,11 +63,13 @@ function outline(t, values, from, to) {
 }
 
 const observer = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) visible[isIntersecting ? "add" : "delete"](target);
+  for (const { target, isIntersecting } of entries)
+    visible[isIntersecting ? "add" : "delete"](/** @type {TrendSpark} */ (target));
   if (!requested) refresh();
 });
 
-/** Null without a complete response: the lines keep their state. */
+/** Null without a complete response: the lines keep their state.
+ * @param {URLSearchParams} query @returns {Promise<Record<string, Spark> | null>} */
 async function fetchSparks(query) {
   try {
     const response = await fetch(`/api/v1/history/sparks?${query}`);

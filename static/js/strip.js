@@ -3,6 +3,7 @@ import { listen } from "./bind.js";
 
 const title = document.title;
 
+/** @param {string} level */
 function drawing(level) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
@@ -13,6 +14,7 @@ function drawing(level) {
   return svg;
 }
 
+/** @param {StripEntry} entry */
 function entry([key, level, name, text, since]) {
   const link = document.createElement("a");
   link.className = "mark strip__item";
@@ -30,26 +32,30 @@ function entry([key, level, name, text, since]) {
   return item;
 }
 
+/** @param {StripEntry[]} strip @param {number} abnormal */
 function draw(strip, abnormal) {
   document.title = abnormal > 0 ? `(${abnormal}) ${title}` : title;
   for (const list of document.querySelectorAll("[data-strip]")) {
-    const focused = list.contains(document.activeElement) ? document.activeElement.href : null;
+    const active = /** @type {HTMLAnchorElement} */ (document.activeElement);
+    const focused = list.contains(active) ? active.href : null;
     list.replaceChildren(...strip.map(entry));
     if (focused) [...list.querySelectorAll("a")].find((link) => link.href === focused)?.focus();
   }
 }
 
-/** To a screen reader: only when it is more or less than before, never at first, and not each unit on its ramp. */
+/** To a screen reader: only when it is more or less than before, never at first, and not each unit on its ramp.
+ * @param {string} verdict */
 function announce(verdict) {
   const place = document.getElementById("verdict");
   if (place) place.textContent = verdict;
 }
 
 export function start() {
-  let known = null;
+  /** @type {string | undefined} */
+  let known;
   listen("line_summary", (fields, changed) => {
-    if ("strip" in changed) draw(fields.strip, Number(fields.abnormal));
-    if (known !== null && fields.abnormal !== known) announce([fields.verdict, fields.counts].filter(Boolean).join(" · "));
+    if ("strip" in changed) draw(fields.strip ?? [], Number(fields.abnormal));
+    if (known !== undefined && fields.abnormal !== known) announce([fields.verdict, fields.counts].filter(Boolean).join(" · "));
     known = fields.abnormal ?? known;
   });
 }

@@ -15,13 +15,17 @@ self.addEventListener("install", (event) => {
 
 self.addEventListener("activate", (event) => event.waitUntil(self.clients.claim()));
 
-/** What was sent and did not arrive is not sent again: the way leads back to the page that it was sent from. */
+/** @param {string} path */
+const kept = async (path) => (await caches.match(path)) ?? Response.error();
+
+/** What was sent and did not arrive is not sent again: the way leads back to the page that it was sent from.
+ * @param {Request} request */
 async function visit(request) {
   try {
     return await fetch(request);
   } catch {
     if (request.method !== "GET") return Response.redirect(request.referrer || "/", 303);
-    return caches.match(OFFLINE);
+    return kept(OFFLINE);
   }
 }
 
@@ -29,5 +33,5 @@ self.addEventListener("fetch", (event) => {
   const { request } = event;
   const path = new URL(request.url).pathname;
   if (request.mode === "navigate") event.respondWith(visit(request));
-  else if (KEPT.includes(path)) event.respondWith(fetch(request).catch(() => caches.match(path)));
+  else if (KEPT.includes(path)) event.respondWith(fetch(request).catch(() => kept(path)));
 });

@@ -13,12 +13,14 @@ const time = new Intl.DateTimeFormat(language, {
   timeZone: zone,
 });
 
+/** @param {string} text */
 function cell(text) {
   const span = document.createElement("span");
   span.textContent = text;
   return span;
 }
 
+/** @param {Frame} frame */
 function line(frame) {
   const row = document.createElement("div");
   row.className = "frames__line";
@@ -32,10 +34,11 @@ function line(frame) {
   return row;
 }
 
+/** @param {HTMLElement} box @param {Frame[]} frames */
 function write(box, frames) {
   const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 40;
   box.append(...frames.map(line));
-  while (box.childElementCount > MOST_LINES) box.firstElementChild.remove();
+  while (box.childElementCount > MOST_LINES) box.firstElementChild?.remove();
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
 

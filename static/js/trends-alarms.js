@@ -3,7 +3,8 @@ import { formatTime } from "./trends-time.js";
 
 const SIZE = 18;
 const EDGE = 4;
-/** By priority, the most important first; `shape`: corners as parts of its size, none: a disc. */
+/** By priority, the most important first; `shape`: corners as parts of its size, none: a disc.
+ * @type {Record<string, AlarmLook>} */
 const LOOKS = {
   urgent: {
     number: "1",
@@ -48,7 +49,8 @@ const LOOKS = {
 };
 
 /** Where each alarm of a span is drawn: `row` counts the priorities that occur, the most important at the top; `x`
- * and `until` are places of `place(seconds)`, within the span. The most important is drawn last, over others. */
+ * and `until` are places of `place(seconds)`, within the span. The most important is drawn last, over others.
+ * @param {Alarm[]} alarms @param {Span} span @param {(seconds: number) => number} place */
 export function placed(alarms, [from, to], place) {
   const shown = alarms.filter((alarm) => alarm.t < to && (alarm.until ?? to) > from);
   const priorities = Object.keys(LOOKS).filter((priority) => shown.some((alarm) => alarm.priority === priority));
@@ -62,7 +64,8 @@ export function placed(alarms, [from, to], place) {
     .sort((a, b) => b.row - a.row || a.x - b.x);
 }
 
-/** Draw them at the top of a plot. `colour` gives a name of tokens.css as the canvas understands it. */
+/** Draw them at the top of a plot. `colour` gives a name of tokens.css as the canvas understands it.
+ * @param {uPlot} plot @param {Alarm[]} alarms @param {Span} range @param {(name: string) => string} colour */
 export function drawAlarms(plot, alarms, range, colour) {
   const { ctx, bbox } = plot;
   const size = SIZE * devicePixelRatio;
@@ -92,6 +95,8 @@ export function drawAlarms(plot, alarms, range, colour) {
   ctx.restore();
 }
 
+/** @param {CanvasRenderingContext2D} ctx @param {[number, number][]} shape @param {number} x @param {number} y
+ * @param {number} size */
 function outline(ctx, shape, x, y, size) {
   ctx.beginPath();
   if (shape.length) for (const [across, down] of shape) ctx.lineTo(x + across * size, y + down * size);
@@ -99,7 +104,8 @@ function outline(ctx, shape, x, y, size) {
   ctx.closePath();
 }
 
-/** An alarm in a list. `words` has the priorities and `active`. */
+/** An alarm in a list. `words` has the priorities and `active`.
+ * @param {Alarm} alarm @param {TrendWords} words */
 export function alarmContent({ t, until, priority, place, name }, words) {
   const mark = document.createElement("span");
   mark.className = "alarm-priority alarm-priority--word";
@@ -107,7 +113,7 @@ export function alarmContent({ t, until, priority, place, name }, words) {
   const shape = document.createElement("i");
   shape.className = "alarm-priority__shape";
   shape.ariaHidden = "true";
-  mark.append(shape, words[priority]);
+  mark.append(shape, words[priority] ?? "");
   const end = until === null ? words.active : formatTime(until);
   return [mark, `${formatTime(t)} – ${end} · ${place && `${place} · `}${name}`];
 }

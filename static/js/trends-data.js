@@ -7,58 +7,68 @@ const RETAIN_NULLS = 1;
 /** The page's clock and the server's, and the time that the scripts took. */
 const FIRST_WITHIN_S = 10;
 
+/** @param {string} path @param {URLSearchParams} query @param {AbortSignal} [signal] */
 async function get(path, query, signal) {
   return json(await fetch(`${HISTORY}${path}?${query}`, { signal }));
 }
 
+/** @param {Response} response */
 async function json(response) {
   if (response.ok) return response.json();
   const problem = await response.json().catch(() => ({}));
   throw new Error(problem.detail ?? response.status);
 }
 
+/** @param {Span} span */
 const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0.001)) });
 
-/** For each value named `{t, min, max, avg, decimals, bucket_s, …}`, times in seconds. */
+/** For each value named `{t, min, max, avg, decimals, bucket_s, …}`, times in seconds.
+ * @param {string[]} names @param {Span} range @param {number} points @param {AbortSignal} signal
+ * @returns {Promise<Result[]>} */
 export function fetchSeries(names, range, points, signal) {
   if (!names.length) return Promise.resolve([]);
   const early = takeFirst(names, range);
   if (early) return fetch(early, { signal }).then(json);
-  const query = new URLSearchParams({ ...spanOf(range), points, format: "epoch" });
+  const query = new URLSearchParams({ ...spanOf(range), points: String(points), format: "epoch" });
   for (const name of names) query.append("series", name);
   return get("/series", query, signal);
 }
 
 /** The response that the page requested while its scripts were loading; once, and only if it is the
- * one wanted. */
+ * one wanted.
+ * @param {string[]} names @param {Span} range */
 function takeFirst(names, [from, to]) {
   const link = document.getElementById("trend-first");
   if (!link) return null;
   link.remove();
   const query = new URL(link.href).searchParams;
-  const near = (name, at) => Math.abs(Date.parse(query.get(name)) / 1000 - at) < FIRST_WITHIN_S;
+  /** @param {string} name @param {number} at */
+  const near = (name, at) => Math.abs(Date.parse(query.get(name) ?? "") / 1000 - at) < FIRST_WITHIN_S;
   const same = query.getAll("series").join() === names.join() && near("from", from) && near("to", to);
   return same ? link.href : null;
 }
 
-/** What happened over the span: `{marks: [{t, what, …}], more}`. */
+/** What happened over the span: `{marks: [{t, what, …}], more}`.
+ * @param {string[]} names @param {Span} range @returns {Promise<{ marks: Mark[], more: boolean }>} */
 export function fetchMarks(names, range) {
   return get("/marks", unitQuery(names, range));
 }
 
 /** The alarms that were active over the span: `{alarms: [{t, until, priority, name, place}], more}`, times in
- * seconds, `until` null while one is active. */
+ * seconds, `until` null while one is active.
+ * @param {string[]} names @param {Span} range @returns {Promise<{ alarms: Alarm[], more: boolean }>} */
 export async function fetchAlarms(names, range) {
   const { occurrences, more } = await json(await fetch(`/api/v1/alarms/occurrences?${unitQuery(names, range)}`));
-  const alarms = occurrences.map(({ from, to, priority, shown }) => ({
+  const alarms = /** @type {Occurrence[]} */ (occurrences).map(({ from, to, priority, shown }) => ({
     t: Date.parse(from) / 1000,
-    until: to && Date.parse(to) / 1000,
+    until: to === null ? null : Date.parse(to) / 1000,
     priority,
     ...shown,
   }));
   return { alarms, more };
 }
 
+/** @param {string[]} names @param {Span} range */
 function unitQuery(names, range) {
   const query = new URLSearchParams(spanOf(range));
   for (const unit of new Set(names.map((name) => name.slice(0, name.lastIndexOf("/")))))
@@ -66,27 +76,31 @@ function unitQuery(names, range) {
   return query;
 }
 
+/** @param {string[]} names @param {Span} range @param {string} file */
 export function exportAddress(names, range, file) {
   const query = new URLSearchParams({ ...spanOf(range), format: file });
   for (const name of names) query.append("series", name);
   return `${HISTORY}/export?${query}`;
 }
 
-/** One table: times, then for each result average, least and greatest, each through `shift`. */
+/** One table: times, then for each result average, least and greatest, each through `shift`.
+ * @param {Result[]} results @param {(value: number, place: number) => number} [shift] @returns {uPlot.AlignedData} */
 export function joined(results, shift = (value) => value) {
   if (!results.length) return [[]];
+  /** @param {Result} result @param {"avg" | "min" | "max"} name @param {number} i */
   const column = (result, name, i) => result[name].map((value) => (value === null ? null : shift(value, i)));
   const tables = results.map((result, i) => [
     result.t,
-    ...["avg", "min", "max"].map((name) => column(result, name, i)),
+    .../** @type {const} */ (["avg", "min", "max"]).map((name) => column(result, name, i)),
   ]);
   return uPlot.join(
-    tables,
+    /** @type {uPlot.AlignedData[]} */ (tables),
     tables.map((table) => table.map(() => RETAIN_NULLS)),
   );
 }
 
-/** The value of a result at a time: its last point before; null in a gap or before its first. */
+/** The value of a result at a time: its last point before; null in a gap or before its first.
+ * @param {Result} result @param {number} at */
 export function valueAt(result, at) {
   let low = 0;
   let high = result.t.length;
@@ -100,17 +114,19 @@ export function valueAt(result, at) {
   return last ? null : result.avg[low - 1];
 }
 
-/** Least, average and greatest of all that is shown, and the holes in it. */
+/** Least, average and greatest of all that is shown, and the holes in it.
+ * @param {Result} result */
 export function summary(result) {
   let least = Number.POSITIVE_INFINITY;
   let greatest = Number.NEGATIVE_INFINITY;
   let total = 0;
   let count = 0;
   for (let i = 0; i < result.t.length; i++) {
-    if (result.avg[i] === null) continue;
-    least = Math.min(least, result.min[i]);
-    greatest = Math.max(greatest, result.max[i]);
-    total += result.avg[i];
+    const [average, low, high] = [result.avg[i], result.min[i], result.max[i]];
+    if (average === null || low === null || high === null) continue;
+    least = Math.min(least, low);
+    greatest = Math.max(greatest, high);
+    total += average;
     count += 1;
   }
   return count ? { least, greatest, average: total / count, holes: result.t.length - count } : null;

@@ -5,7 +5,8 @@ const STILL = 4;
 const KEY_STEP = 0.01;
 const KEY_PAN = 0.25;
 
-/** `time(clientX)` gives the time at a place; `cursor` has `at` and `put(seconds)`. */
+/** `time(clientX)` gives the time at a place; `cursor` has `at` and `put(seconds)`.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {Cursor} cursor */
 export function gestures(element, view, time, cursor) {
   element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
   drag(element, view);
@@ -14,6 +15,7 @@ export function gestures(element, view, time, cursor) {
   element.addEventListener("keydown", (event) => key(event, view, cursor));
 }
 
+/** @param {WheelEvent} event @param {View} view @param {TimeAt} time */
 function wheel(event, view, time) {
   event.preventDefault();
   const sideways = event.shiftKey ? event.deltaY : event.deltaX;
@@ -21,8 +23,10 @@ function wheel(event, view, time) {
   else view.zoom(event.deltaY > 0 ? WHEEL_STEP : 1 / WHEEL_STEP, time(event.clientX));
 }
 
-/** With Shift, or the middle button, the mouse pulls the picture; without it selects a span (uPlot's own). */
+/** With Shift, or the middle button, the mouse pulls the picture; without it selects a span (uPlot's own).
+ * @param {HTMLElement} element @param {View} view */
 function drag(element, view) {
+  /** @type {number | null} */
   let last = null;
   element.addEventListener(
     "mousedown",
@@ -44,7 +48,8 @@ function drag(element, view) {
   });
 }
 
-/** A press that does not move sets cursor A, the next B, the third takes both away. */
+/** A press that does not move sets cursor A, the next B, the third takes both away.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
 function press(element, view, time) {
   let begun = 0;
   element.addEventListener("pointerdown", (event) => {
@@ -58,8 +63,10 @@ function press(element, view, time) {
   });
 }
 
-/** One finger pulls, two pinch. */
+/** One finger pulls, two pinch.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
 function touch(element, view, time) {
+  /** @type {Map<number, number>} */
   const fingers = new Map();
   element.addEventListener("pointerdown", (event) => {
     if (event.pointerType !== "mouse") fingers.set(event.pointerId, event.clientX);
@@ -72,19 +79,21 @@ function touch(element, view, time) {
     if (after.length === 1) view.pan((before[0] - after[0]) / element.clientWidth);
     else pinch(view, time, before, after);
   });
-  for (const name of ["pointerup", "pointercancel", "pointerleave"])
+  for (const name of /** @type {const} */ (["pointerup", "pointercancel", "pointerleave"]))
     element.addEventListener(name, (event) => fingers.delete(event.pointerId));
 }
 
+/** @param {View} view @param {TimeAt} time @param {number[]} before @param {number[]} after */
 function pinch(view, time, before, after) {
   const apart = Math.abs(after[0] - after[1]);
   if (apart > 10) view.zoom(Math.abs(before[0] - before[1]) / apart, time((after[0] + after[1]) / 2));
 }
 
+/** @param {KeyboardEvent} event @param {View} view @param {Cursor} cursor */
 function key(event, view, cursor) {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   const [from, to] = view.range();
-  const side = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+  const side = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1 })[event.key];
   const at = cursor.at ?? (from + to) / 2;
   if (side && event.shiftKey) view.pan(side * KEY_PAN);
   else if (side) cursor.put(Math.min(to, Math.max(from, at + side * KEY_STEP * (to - from))));

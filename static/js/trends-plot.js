@@ -20,18 +20,23 @@ const BAND = 20;
 const LETTER = 7;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
+/** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+/** @type {Map<string, string>} */
 const colours = new Map();
 
 /** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. To
- * find one out costs a computation of style, and every mark needs one at every redraw. */
+ * find one out costs a computation of style, and every mark needs one at every redraw.
+ * @param {string} name */
 function colour(name, percent = 100) {
   const key = `${name} ${percent}`;
-  if (!colours.has(key)) colours.set(key, foundColour(name, percent));
-  return colours.get(key);
+  const found = colours.get(key) ?? foundColour(name, percent);
+  colours.set(key, found);
+  return found;
 }
 
+/** @param {string} name @param {number} percent */
 function foundColour(name, percent) {
   const probe = document.createElement("i");
   const color = css(name) ? `var(${name})` : "currentcolor";
@@ -42,7 +47,8 @@ function foundColour(name, percent) {
   return found;
 }
 
-/** Hue and dash of the value at a place: 32 values differ in one of the two. */
+/** Hue and dash of the value at a place: 32 values differ in one of the two.
+ * @param {number} place */
 export function look(place) {
   return {
     name: `--curve-${(place % CURVES) + 1}`,
@@ -50,21 +56,28 @@ export function look(place) {
   };
 }
 
+/** @param {{ value: string }} result */
 export const isBit = (result) => !["commanded", "actual", "analog"].includes(result.value);
 
 export class Picture {
-  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, alarms, a, b} to be drawn over the curves. */
+  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, alarms, a, b} to be drawn over the curves.
+   * @param {HTMLElement} plot @param {HTMLElement} lanes @param {PictureEvents} on @param {() => Overlay} overlay */
   constructor(plot, lanes, on, overlay) {
     this.elements = { plot, lanes };
     this.on = on;
     this.overlay = overlay;
+    /** @type {Span} */
     this.range = [0, 1];
     this.shape = "";
-    this.curves = this.lanes = null;
+    /** @type {uPlot | null} */
+    this.curves = null;
+    /** @type {uPlot | null} */
+    this.lanes = null;
     new ResizeObserver(() => this.resize()).observe(plot);
   }
 
-  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown. */
+  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown.
+   * @param {Result[]} results @param {Span} range @param {string} bound @param {number} chosen */
   draw(results, range, bound, chosen) {
     const place = new Map(results.map((result, i) => [result, i]));
     const numbers = results.filter((result) => !isBit(result));
@@ -77,13 +90,15 @@ export class Picture {
     this.range = range;
     if (shape !== this.shape) this.build(numbers, bits, place, bound, chosen);
     this.shape = shape;
+    /** @param {number} value @param {number} i */
     const lift = (value, i) => bits.length - 1 - i + value * LANE_FILL;
-    this.curves.setData(joined(numbers), false);
+    this.curves?.setData(joined(numbers), false);
     this.lanes?.setData(joined(bits, lift), false);
     this.move(range);
   }
 
-  /** Another span of the same data. */
+  /** Another span of the same data.
+   * @param {Span} range */
   move(range) {
     this.range = range;
     const [min, max] = range;
@@ -100,12 +115,15 @@ export class Picture {
     this.shape = "";
   }
 
+  /** @param {Result[]} numbers @param {Result[]} bits @param {Map<Result, number>} place
+   * @param {string} bound @param {number} chosen */
   build(numbers, bits, place, bound, chosen) {
     this.curves?.destroy();
     this.lanes?.destroy();
+    /** @param {Result} result */
     const scaleOf = (result) =>
       bound === "own" ? `y${place.get(result)}` : result.value === "analog" ? "analog" : "speed";
-    const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0] ?? {}) : null;
+    const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0]) : null;
     const scales = [...new Set(numbers.map(scaleOf))];
     const gutter = bits.length && this.elements.plot.clientWidth > NARROW ? GUTTER_WIDE : GUTTER;
     const axes = scales.map((scale, i) => ({
@@ -148,12 +166,17 @@ export class Picture {
     });
   }
 
+  /** @param {HTMLElement} element @param {Result[]} results @param {Map<Result, number>} place
+   * @param {(result: Result) => string} scaleOf @param {uPlot.Axis[]} axes
+   * @param {PlotShape} shape @returns {uPlot} */
   plot(element, results, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
-    const stepped = uPlot.paths.stepped({ align: 1 });
+    const stepped = uPlot.paths.stepped?.({ align: 1 });
+    /** @type {uPlot.Series[]} */
     const series = [{}];
+    /** @type {uPlot.Band[]} */
     const bands = [];
     for (const result of results) {
-      const { name, dash } = look(place.get(result));
+      const { name, dash } = look(place.get(result) ?? 0);
       const stroke = colour(name);
       const common = { scale: scaleOf(result), spanGaps: false, paths: lanes ? stepped : undefined };
       const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
@@ -166,6 +189,7 @@ export class Picture {
         },
       );
     }
+    /** @type {uPlot.Options} */
     const options = {
       width: element.clientWidth || 600,
       height: this.height(results.length, lanes),
@@ -191,7 +215,7 @@ export class Picture {
       },
       hooks: {
         setCursor: [
-          (plot) => this.on.cursor(plot.cursor.left >= 0 ? plot.posToVal(plot.cursor.left, "x") : null),
+          (plot) => this.on.cursor(cursorAt(plot)),
         ],
         setSelect: [(plot) => this.selected(plot)],
         draw: [(plot) => this.drawOverlay(plot)],
@@ -201,6 +225,7 @@ export class Picture {
     return new uPlot(options, [[]], element);
   }
 
+  /** @param {number} values @param {number} lanes */
   height(values, lanes) {
     if (lanes) return lanes * LANE + 54;
     if (!values) return LANE;
@@ -213,6 +238,7 @@ export class Picture {
       if (plot && width && plot.width !== width) plot.setSize({ width, height: plot.height });
   }
 
+  /** @param {uPlot} plot */
   selected(plot) {
     const { left, width } = plot.select;
     if (width < 8) return;
@@ -221,21 +247,25 @@ export class Picture {
     this.on.selected(from, to);
   }
 
-  /** The time at a place of the screen, seconds. */
+  /** The time at a place of the screen, seconds.
+   * @param {number} clientX */
   timeAt(clientX) {
     if (!this.curves) return (this.range[0] + this.range[1]) / 2;
     const box = this.curves.over.getBoundingClientRect();
     return this.curves.posToVal(clientX - box.left, "x");
   }
 
-  /** Put the cursor on a time. */
+  /** Put the cursor on a time.
+   * @param {number} at */
   point(at) {
     this.curves?.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
   }
 
+  /** @param {uPlot} plot */
   drawOverlay(plot) {
     const { marks, alarms, a, b } = this.overlay();
     const { ctx, bbox } = plot;
+    /** @param {number | null} at @param {string} stroke @param {number[]} dash @param {string} label */
     const line = (at, stroke, dash, label) => {
       if (at === null || at < this.range[0] || at > this.range[1]) return;
       const x = Math.round(plot.valToPos(at, "x", true)) + 0.5;
@@ -260,11 +290,19 @@ export class Picture {
   }
 }
 
+/** @param {string} name @param {number} width */
 function shortened(name, width) {
   const most = Math.floor(width / LETTER) - 1;
   return name.length > most ? `${name.slice(0, most - 1)}…` : name;
 }
 
+/** The time at the cursor, null while it is not over the plot. @param {uPlot} plot */
+function cursorAt(plot) {
+  const { left = -1 } = plot.cursor;
+  return left >= 0 ? plot.posToVal(left, "x") : null;
+}
+
+/** @returns {uPlot.Axis} */
 function axis() {
   const ink = colour("--quiet");
   return {

@@ -2,6 +2,7 @@
 import { zone } from "./clock.js";
 
 const language = document.documentElement.lang || "en";
+/** @type {Record<string, Intl.DateTimeFormatOptions>} */
 const PARTS = {
   clock: { hour: "2-digit", minute: "2-digit" },
   second: { hour: "2-digit", minute: "2-digit", second: "2-digit" },
@@ -17,16 +18,16 @@ const PARTS = {
     second: "2-digit",
   },
 };
+/** @type {Map<string, Intl.DateTimeFormat>} */
 const formats = new Map();
 
-/** Each is made when it is first wanted: one costs a millisecond. */
+/** Each is made when it is first wanted: one costs a millisecond.
+ * @param {string} kind @returns {Intl.DateTimeFormat} */
 function format(kind) {
-  if (!formats.has(kind))
-    formats.set(
-      kind,
-      new Intl.DateTimeFormat(language, { timeZone: zone, hourCycle: "h23", ...PARTS[kind] }),
-    );
-  return formats.get(kind);
+  const found =
+    formats.get(kind) ?? new Intl.DateTimeFormat(language, { timeZone: zone, hourCycle: "h23", ...PARTS[kind] });
+  formats.set(kind, found);
+  return found;
 }
 
 const WALL = new Intl.DateTimeFormat("en", {
@@ -43,10 +44,12 @@ export const DAY = 86400;
 const SHIFT_HOURS = 8;
 const FIRST_SHIFT = 6;
 
-/** Seconds since the epoch as text; `kind` is a key of PARTS. */
+/** Seconds since the epoch as text; `kind` is a key of PARTS.
+ * @param {number} seconds */
 export const formatTime = (seconds, kind = "moment") => format(kind).format(seconds * 1000);
 
-/** The wall clock at the site, as if it were UTC: seconds that can be counted with. */
+/** The wall clock at the site, as if it were UTC: seconds that can be counted with.
+ * @param {number} seconds */
 function wall(seconds) {
   const parts = Object.fromEntries(
     WALL.formatToParts(seconds * 1000).map(({ type, value }) => [type, Number(value)]),
@@ -54,20 +57,23 @@ function wall(seconds) {
   return Date.UTC(parts.year, parts.month - 1, parts.day, parts.hour, parts.minute, parts.second) / 1000;
 }
 
-/** The instant at which the wall clock at the site shows this; near a change of summer time, one of the two. */
+/** The instant at which the wall clock at the site shows this; near a change of summer time, one of the two.
+ * @param {number} wallSeconds */
 function instant(wallSeconds) {
   const guess = wallSeconds - (wall(wallSeconds) - wallSeconds);
   return guess - (wall(guess) - wallSeconds);
 }
 
-/** Six o'clock this morning, or yesterday's before six. */
+/** Six o'clock this morning, or yesterday's before six.
+ * @param {number} now */
 export function morning(now) {
   const clock = wall(now);
   const six = clock - (clock % DAY) + FIRST_SHIFT * 3600;
   return instant(six > clock ? six - DAY : six);
 }
 
-/** The shift that ended last: shifts of eight hours change at six. */
+/** The shift that ended last: shifts of eight hours change at six.
+ * @param {number} now */
 export function lastShift(now) {
   const clock = wall(now);
   const length = SHIFT_HOURS * 3600;
@@ -75,11 +81,14 @@ export function lastShift(now) {
   return [instant(end - length), instant(end)];
 }
 
-/** For an input of type datetime-local, and back. */
+/** For an input of type datetime-local, and back.
+ * @param {number} seconds */
 export const toField = (seconds) => new Date(Math.floor(wall(seconds)) * 1000).toISOString().slice(0, 19);
+/** @param {string} text */
 export const fromField = (text) => instant(Date.parse(`${text.length === 16 ? `${text}:00` : text}Z`) / 1000);
 
-/** Labels under the time axis, no finer than the distance between them. */
+/** Labels under the time axis, no finer than the distance between them.
+ * @param {uPlot} _plot @param {number[]} splits @param {number} _axis @param {number} _space @param {number} increment */
 export function axisLabels(_plot, splits, _axis, _space, increment) {
   let before = "";
   return splits.map((at) => {
@@ -93,7 +102,8 @@ export function axisLabels(_plot, splits, _axis, _space, increment) {
   });
 }
 
-/** The numbers at an axis in the language of the page, not of the browser, each with the digits of its step. */
+/** The numbers at an axis in the language of the page, not of the browser, each with the digits of its step.
+ * @param {uPlot} _plot @param {number[]} splits @param {number} _axis @param {number} _space @param {number} step */
 export function axisNumbers(_plot, splits, _axis, _space, step) {
   const digits = (String(step).split(".")[1] ?? "").length;
   const shape = { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false };
@@ -101,7 +111,8 @@ export function axisNumbers(_plot, splits, _axis, _space, step) {
   return splits.map((split) => number.format(split));
 }
 
-/** 0.2 s, 30 s, 5 min, 8 h, 3 d. */
+/** 0.2 s, 30 s, 5 min, 8 h, 3 d.
+ * @param {number} seconds */
 export function length(seconds) {
   const number = new Intl.NumberFormat(language, { maximumFractionDigits: seconds < 10 ? 3 : 1 });
   if (seconds < 120) return `${number.format(seconds)} s`;

@@ -7,6 +7,7 @@ const MOST_SPAN = 12 * 365 * 86400;
 const DEFAULT_SPAN = 3600;
 const DEFAULT_VALUES = 8;
 export const MOST_VALUES = 32;
+/** @type {Record<string, (now: number) => { from: number, to: number | null }>} */
 const PRESETS = {
   morning: (now) => ({ from: morning(now), to: null }),
   shift: (now) => {
@@ -18,10 +19,12 @@ const PRESETS = {
 /** A view: `series` ("bus/unit/value"), `scale` shared or own, `marks`, cursors `a` and `b` (or null), and either
  * `span` seconds up to now, `from` up to now, or `from` … `to`. */
 export class View extends EventTarget {
+  /** @param {{ has(name: string): boolean, first(count: number): string[] }} catalogue */
   constructor(catalogue) {
     super();
     const query = new URLSearchParams(location.search);
-    const moment = (name) => (query.has(name) ? Date.parse(query.get(name)) / 1000 : Number.NaN);
+    /** @param {string} name */
+    const moment = (name) => Date.parse(query.get(name) ?? "") / 1000;
     this.series = query
       .getAll("s")
       .filter((name) => catalogue.has(name))
@@ -42,33 +45,39 @@ export class View extends EventTarget {
     return this.to === null;
   }
 
-  /** The span shown now, seconds since the epoch. */
+  /** The span shown now, seconds since the epoch.
+   * @returns {Span} */
   range(end = now()) {
     if (this.to !== null) return [this.from ?? this.to - this.span, this.to];
     return [this.from ?? end - this.span, end];
   }
 
+  /** @param {number} span */
   follow(span) {
     this.change({ span: clamp(span), from: null, to: null });
   }
 
+  /** @param {string} name */
   preset(name) {
     this.change(PRESETS[name](now()));
   }
 
-  /** Whether this is what a preset shows now. */
+  /** Whether this is what a preset shows now.
+   * @param {string} name */
   isPreset(name) {
     const { from, to } = PRESETS[name](now());
     return this.from === from && this.to === to;
   }
 
+  /** @param {number} from @param {number} to */
   show(from, to) {
     const middle = (from + to) / 2;
     const half = clamp(to - from) / 2;
     this.change({ from: middle - half, to: middle + half });
   }
 
-  /** Closer (factor < 1) or wider around a time; what follows now goes on doing so when it widens around now. */
+  /** Closer (factor < 1) or wider around a time; what follows now goes on doing so when it widens around now.
+   * @param {number} factor @param {number} [around] */
   zoom(factor, around) {
     const [from, to] = this.range();
     const centre = around ?? (this.live ? to : (from + to) / 2);
@@ -76,7 +85,8 @@ export class View extends EventTarget {
     else this.show(centre - (centre - from) * factor, centre + (to - centre) * factor);
   }
 
-  /** By parts of the span, later when positive; past now it follows now. */
+  /** By parts of the span, later when positive; past now it follows now.
+   * @param {number} parts */
   pan(parts) {
     const [from, to] = this.range();
     const by = (to - from) * parts;
@@ -90,15 +100,18 @@ export class View extends EventTarget {
     else this.follow(to - from);
   }
 
+  /** @param {string} name */
   add(name) {
     if (!this.series.includes(name) && this.series.length < MOST_VALUES)
       this.change({ series: [...this.series, name] });
   }
 
+  /** @param {string} name */
   remove(name) {
     this.change({ series: this.series.filter((other) => other !== name) });
   }
 
+  /** @param {Partial<View>} what */
   change(what) {
     Object.assign(this, what);
     history.replaceState(null, "", `?${this.query()}`);
@@ -111,13 +124,17 @@ export class View extends EventTarget {
     if (!this.series.length) query.append("s", "");
     if (this.from === null && this.to === null)
       query.set("span", String(Math.round(this.span * 1000) / 1000));
-    for (const name of ["from", "to", "a", "b"]) if (this[name] !== null) query.set(name, iso(this[name]));
+    for (const [name, at] of Object.entries({ from: this.from, to: this.to, a: this.a, b: this.b }))
+      if (at !== null) query.set(name, iso(at));
     if (this.scale === "own") query.set("scale", "own");
     if (!this.marks) query.set("marks", "0");
     return query;
   }
 }
 
+/** @param {number} seconds */
 export const iso = (seconds) => new Date(Math.round(seconds * 1000)).toISOString();
+/** @param {number} span */
 const clamp = (span) => Math.min(MOST_SPAN, Math.max(LEAST_SPAN, span));
+/** @template T @param {number} value @param {T} otherwise */
 const numberOr = (value, otherwise) => (Number.isFinite(value) ? value : otherwise);

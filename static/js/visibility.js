@@ -4,10 +4,12 @@
 
 const LATE_MS = 1000;
 const AHEAD = "10% 0px";
-/** By hidden unit, when its next drawing is due. */
+/** By hidden unit, when its next drawing is due.
+ * @type {Map<string, number>} */
 const due = new Map();
 
-/** Whether a unit is outside the window and its next drawing is not due yet. */
+/** Whether a unit is outside the window and its next drawing is not due yet.
+ * @param {string} unit */
 export function mayWait(unit) {
   const at = due.get(unit);
   if (at === undefined) return false;
@@ -17,16 +19,18 @@ export function mayWait(unit) {
   return false;
 }
 
-/** Call `draw` when units may have become visible, and `drawAll` when anything may have. */
+/** Call `draw` when units may have become visible, and `drawAll` when anything may have.
+ * @param {() => void} draw @param {() => void} drawAll */
 export function start(draw, drawAll) {
   let turn = 0;
   const watcher = new IntersectionObserver(
     (entries) => {
       let seen = false;
       for (const { target, isIntersecting } of entries) {
-        if (isIntersecting) seen = due.delete(target.dataset.unit) || seen;
+        const { unit } = /** @type {HTMLElement} */ (target).dataset;
+        if (isIntersecting) seen = due.delete(unit) || seen;
         // Not all in the same moment: a quarter of them at a time.
-        else due.set(target.dataset.unit, performance.now() + (LATE_MS * (1 + (turn++ % 4))) / 4);
+        else due.set(unit, performance.now() + (LATE_MS * (1 + (turn++ % 4))) / 4);
       }
       if (seen) draw();
     },

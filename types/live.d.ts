@@ -1,0 +1,46 @@
+// What the server sends over the socket of a page; app/live makes it.
+
+type StripEntry = [key: string, level: string, name: string, text: string, since: string];
+type Person = [name: string, role: string];
+type Setpoint = [raw: number | null, decimals: number | null];
+
+/** The fields of a group: texts, also of numbers, and three lists. Empty: not known. */
+interface Fields {
+  /** Unix time, seconds. */
+  at?: string;
+  /** Ages, seconds. */
+  stale_after?: string;
+  offline_after?: string;
+  setpoint?: Setpoint;
+  strip?: StripEntry[];
+  here?: Person[];
+  abnormal?: string;
+  blocked?: string;
+  counts?: string;
+  level?: string;
+  link?: string;
+  mode?: string;
+  sound?: string;
+  sound_at?: string;
+  verdict?: string;
+  [field: string]: string | Setpoint | StripEntry[] | Person[] | undefined;
+}
+/** What a page knows of GROUP.FIELD. */
+type Known<K> = (K extends `${string}.setpoint` ? Setpoint : string) | undefined;
+type Groups = Record<string, Fields>;
+type Listener = (fields: Fields, changed: Fields) => void;
+
+/** A frame on a bus. */
+interface Frame {
+  at: number;
+  direction: "in" | "out";
+  hex: string;
+  meaning: string;
+  valid: boolean;
+}
+
+/** `n`: the number of a message, `p`: of the one before; `t`: Unix time, seconds. */
+type LiveMessage =
+  | { is: "snapshot"; n: number; t: number; f: Groups }
+  | { is: "changes"; p: number; n: number; t: number; f: Groups }
+  | { is: "frames"; frames: Frame[] };
