@@ -75,12 +75,14 @@ check: development
 development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
 
 # The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
-# is tested with the tools beside it, so it takes the versions that they leave.
+# is tested with the tools beside it, so it takes the versions that they leave. npm touches the stamp of $(NODE_TOOLS)
+# though it installs nothing: the lock is made newer than that.
 lock: development
 	$(BIN)/pip install -q uv
 	$(LOCK) --extra apprise --extra parquet --group build --group dev pyproject.toml -o requirements-dev.lock
 	$(LOCK) --group build -c requirements-dev.lock pyproject.toml -o requirements.lock
 	npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved
+	@touch package-lock.json
 
 clean:
 	rm -rf $(VENV) node_modules static/vendor dist build

@@ -42,10 +42,51 @@ interface Alarm {
   place: string;
 }
 
+/** The nodes of one item of a list. */
+type Content<T> = (item: T) => (string | Node)[];
+
 interface CatalogueUnit {
   key: string;
   name: string;
   labels: Record<string, string>;
+}
+
+/** The least and the most that a picture shows. */
+interface Scale {
+  least: number;
+  most: number;
+}
+
+/** The times of the cursors, null where one is not set. */
+interface Cursors {
+  at: number | null;
+  a: number | null;
+  b: number | null;
+}
+
+/** Drawn over the curves. */
+interface Overlay {
+  marks: Mark[];
+  alarms: Alarm[];
+  a: number | null;
+  b: number | null;
+}
+
+interface PictureEvents {
+  cursor(at: number | null): void;
+  selected(from: number, to: number): void;
+}
+
+/** `barefoot`: without labels below, because lanes are there; `lanes`: how many it has, 0 for curves. */
+interface PlotShape {
+  margin: { left: number; right: number };
+  barefoot?: boolean;
+  lanes?: number;
+}
+
+interface RowActions {
+  remove(name: string): void;
+  choose(place: number): void;
 }
 
 /** The cursor of the picture; `put` moves it and announces what the values read there. */
@@ -55,14 +96,6 @@ interface Cursor {
 }
 
 type View = import("../static/js/trends-view.js").View;
-
-interface SoundSettings {
-  on: boolean;
-  /** The least important priority that has sound. */
-  from: string;
-  /** Whether a lost server has. */
-  lost: boolean;
-}
 
 /** The time at a place of the window, in pixels from its left edge. */
 type TimeAt = (clientX: number) => number;

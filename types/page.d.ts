@@ -40,7 +40,7 @@ interface SoundParts {
   test: HTMLElement;
 }
 
-/** What is found by a selector, where there is one. */
+/** The kind of element that a selector finds, where it finds one. */
 interface Kinds extends HTMLElementTagNameMap {
   "[data-counts-act]": HTMLButtonElement;
   "[data-follows]": HTMLInputElement;
@@ -51,7 +51,7 @@ interface Kinds extends HTMLElementTagNameMap {
   "input.input--number:enabled": HTMLInputElement;
 }
 
-/** Whatever a script looks for is HTML, unless it says otherwise. */
+/** A script looks for HTML elements, unless it names another kind. */
 interface ParentNode {
   querySelector<K extends keyof Parts>(selectors: K): Parts[K];
   querySelector<K extends keyof Kinds>(selectors: K): Kinds[K] | null;
@@ -129,11 +129,50 @@ interface WindowEventMap {
   pointerup: On<PointerEvent>;
 }
 
+/** Writes a value into an element that is bound to it. */
+type Write = (value: string) => void;
+
+/** An element that shows a unit or its age; `marked`: the quality that it has been given. */
+interface Shown {
+  element: HTMLElement;
+  unit: string;
+  marked?: string;
+}
+
+/** Where a person was at work: an element, the id of a part around it, a selector for its successor there. */
+interface Place {
+  element: HTMLElement;
+  home?: string;
+  twin: string;
+}
+
 /** What htmx does for one element, as far as the scripts read or change it. */
 interface HtmxRequest {
   readonly sourceElement: HTMLElement;
   readonly target: string | HTMLElement | null;
   readonly request: { readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
+}
+
+// --- sound --------------------------------------------------------------------------------------------------
+
+interface SoundSettings {
+  on: boolean;
+  /** The least important priority that has sound. */
+  from: string;
+  /** Whether a lost server has. */
+  lost: boolean;
+}
+
+/** The priority that sounds, empty for none; `at`: when the newest alarm began or the tones were played, seconds. */
+interface Sounding {
+  priority: string;
+  at: number;
+}
+
+/** Silenced here: alarms up to a time, and this loss of the server. */
+interface Muted {
+  until: number;
+  lost: boolean;
 }
 
 // --- the trends page ---------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ let waiting = new Map();
 let timer = 0;
 /** @type {Map<string, Set<Listener>>} */
 const listeners = new Map();
-/** @typedef {(value: string) => void} Write @type {Map<string, Map<string, Write[]>>} */
+/** @type {Map<string, Map<string, Write[]>>} */
 let bound = new Map();
 
 const UNKNOWN = "–";

@@ -1,7 +1,7 @@
 // Where a person was at work by keyboard. What makes that place unusable for a while, or puts a new one in its
 // stead (a unit that does not respond, a lost server, a row that was written), gives the focus back here.
 const PLACES = ".main, .rail, .top";
-/** @typedef {{ element: HTMLElement, home?: string, twin: string }} Place @type {Place | null} */
+/** @type {Place | null} */
 let last = null;
 
 const isNowhere = () => document.activeElement === document.body || document.activeElement?.matches(".gone");

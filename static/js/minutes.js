@@ -46,7 +46,7 @@ function range(all) {
   return { least: Math.max(0, least - pad), most: most + pad };
 }
 
-/** @param {Spark} spark @param {number} from @param {{ least: number, most: number }} scale @param {boolean} step */
+/** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
 function outline({ t, avg }, from, { least, most }, step) {
   let d = "";
   let pen = false;

@@ -7,9 +7,9 @@ import { giveBack } from "./focus.js";
 import { span, word } from "./words.js";
 
 const CHECK_MS = 250;
-/** @typedef {{ element: HTMLElement, unit: string, marked: string }} Shown @type {Shown[]} */
+/** @type {Shown[]} */
 let units = [];
-/** @type {{ element: HTMLElement, unit: string }[]} */
+/** @type {Shown[]} */
 let ages = [];
 let turn = 0;
 

@@ -15,8 +15,7 @@ const PRIORITIES = ["urgent", "high", "medium", "low"];
  * is on, the least important priority that has it, and whether a lost server has. `alarms`: the priority that sounds,
  * and when the newest of those that do began. `muted`: `until`, those up to this time were silenced here; `lost`, this
  * loss was. `link`: "live", "lost" or on the way to it.
- * @param {SoundSettings} settings @param {{ priority: string, at: number }} alarms
- * @param {{ until: number, lost: boolean }} muted @param {string} [link] */
+ * @param {SoundSettings} settings @param {Sounding} alarms @param {Muted} muted @param {string} [link] */
 export function soundingNow(settings, alarms, muted, link) {
   if (!settings.on) return "";
   if (link === "lost") return settings.lost && !muted.lost ? "lost" : "";
@@ -35,7 +34,7 @@ export function soundState(settings, hasLeave, priority, link) {
 }
 
 /** Whether the tones are due: at once when another priority or alarm sounds, then again and again.
- * @param {string} priority @param {{ priority: string, at: number }} sounded @param {number} now */
+ * @param {string} priority @param {Sounding} sounded @param {number} now */
 export const isDue = (priority, sounded, now) =>
   priority !== "" && (priority !== sounded.priority || now - sounded.at >= TONES[priority].everyS);
 

@@ -12,16 +12,16 @@ const MOVES = {
   live: (view) => view.toggleLive(),
 };
 
-/** Let the controls of the page change the view. `words`: its texts; `say` shows why nothing was changed, or "".
- * @param {HTMLElement} root @param {View} view @param {TrendWords} words @param {(fault: string) => void} say */
-export function bindControls(root, view, words, say) {
+/** Let the controls of the page change the view. `words`: its texts; `explain` shows why nothing was changed, or "".
+ * @param {HTMLElement} root @param {View} view @param {TrendWords} words @param {(fault: string) => void} explain */
+export function bindControls(root, view, words, explain) {
   root.addEventListener("click", ({ target }) => {
     const button = target.closest("[data-span], [data-preset], [data-move]");
     if (button) press(button, view);
   });
   document.getElementById("trend-exact").addEventListener("submit", (event) => {
     event.preventDefault();
-    say(showExactly(view) ? "" : words.backwards);
+    explain(showExactly(view) ? "" : words.backwards);
   });
   const [scale, marks] = [document.getElementById("trend-scale"), document.getElementById("trend-marks")];
   scale.addEventListener("change", () => view.change({ scale: scale.value }));
@@ -29,7 +29,7 @@ export function bindControls(root, view, words, say) {
   document.getElementById("trend-add").addEventListener("submit", (event) => {
     event.preventDefault();
     const { unit, value } = document.getElementById("trend-add").elements;
-    if (view.series.length >= MOST_VALUES) say(words.full);
+    if (view.series.length >= MOST_VALUES) explain(words.full);
     else view.add(`${unit.value}/${value.value}`);
   });
 }

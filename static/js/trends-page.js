@@ -84,7 +84,7 @@ export class TrendsPage {
   start() {
     const { root, view } = this;
     view.addEventListener("change", (event) => this.changed(/** @type {CustomEvent<string[]>} */ (event).detail));
-    bindControls(root, view, this.words, (fault) => this.say(fault));
+    bindControls(root, view, this.words, (fault) => this.explain(fault));
     for (const media of MEDIA) matchMedia(media).addEventListener("change", () => this.recolour());
     new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });
     gestures(document.getElementById("trend-picture"), view, (x) => this.picture.timeAt(x), this.cursor);
@@ -95,7 +95,7 @@ export class TrendsPage {
     return first;
   }
 
-  // --- what is fetched ------------------------------------------------------------------------------------
+  // --- requests -------------------------------------------------------------------------------------------
 
   async fetchAll() {
     this.pending?.abort();
@@ -106,7 +106,7 @@ export class TrendsPage {
       const found = await fetchSeries(wanted, this.view.range(), this.points(), this.pending.signal);
       this.results = found.map((result, i) => ({ ...result, name: this.catalogue.title(wanted[i]) }));
       this.names = wanted;
-      this.say("");
+      this.explain("");
       this.drawAll();
     } catch (error) {
       if (!(error instanceof DOMException && error.name === "AbortError")) this.showFault(error);
@@ -148,7 +148,7 @@ export class TrendsPage {
     if (Date.now() - this.requestedAt.marks >= MARKS_EVERY_S * 1000) this.fetchEvents();
   }
 
-  // --- what is changed ------------------------------------------------------------------------------------
+  // --- changes --------------------------------------------------------------------------------------------
 
   /** @param {string[]} names of what the view has changed */
   changed(names) {
@@ -195,7 +195,7 @@ export class TrendsPage {
     this.drawAll();
   }
 
-  // --- what is shown --------------------------------------------------------------------------------------
+  // --- the parts ------------------------------------------------------------------------------------------
 
   drawAll() {
     const { view } = this;
@@ -231,7 +231,7 @@ export class TrendsPage {
   }
 
   /** @template {Mark | Alarm} T @param {"events" | "alarms"} name @param {T[]} items @param {boolean} more
-   * @param {(item: T) => (string | Node)[]} content */
+   * @param {Content<T>} content */
   list(name, items, more, content) {
     drawList(...listOf(name), { items, more }, content, this.cursor.put);
   }
@@ -240,11 +240,11 @@ export class TrendsPage {
    * @param {unknown} error */
   showFault(error) {
     const why = error instanceof TypeError ? this.words.noResponse : /** @type {Error} */ (error).message;
-    this.say(this.words.fault.replace("{n}", why));
+    this.explain(this.words.fault.replace("{n}", why));
   }
 
   /** @param {string} fault */
-  say(fault) {
+  explain(fault) {
     this.fault.textContent = fault;
   }
 }

@@ -61,9 +61,7 @@ export const isBit = (result) => !["commanded", "actual", "analog"].includes(res
 
 export class Picture {
   /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, alarms, a, b} to be drawn over the curves.
-   * @param {HTMLElement} plot @param {HTMLElement} lanes
-   * @param {{ cursor(at: number | null): void, selected(from: number, to: number): void }} on
-   * @param {() => { marks: Mark[], alarms: Alarm[], a: number | null, b: number | null }} overlay */
+   * @param {HTMLElement} plot @param {HTMLElement} lanes @param {PictureEvents} on @param {() => Overlay} overlay */
   constructor(plot, lanes, on, overlay) {
     this.elements = { plot, lanes };
     this.on = on;
@@ -170,7 +168,7 @@ export class Picture {
 
   /** @param {HTMLElement} element @param {Result[]} results @param {Map<Result, number>} place
    * @param {(result: Result) => string} scaleOf @param {uPlot.Axis[]} axes
-   * @param {{ margin: { left: number, right: number }, barefoot?: boolean, lanes?: number }} shape @returns {uPlot} */
+   * @param {PlotShape} shape @returns {uPlot} */
   plot(element, results, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
     const stepped = uPlot.paths.stepped?.({ align: 1 });
     /** @type {uPlot.Series[]} */

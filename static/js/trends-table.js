@@ -51,8 +51,7 @@ function cell(row, content, head = "") {
 }
 
 /** One row for each value; `on`: remove(name), choose(place).
- * @param {HTMLTableSectionElement} body @param {Result[]} results @param {string[]} names
- * @param {{ remove(name: string): void, choose(place: number): void }} on */
+ * @param {HTMLTableSectionElement} body @param {Result[]} results @param {string[]} names @param {RowActions} on */
 export function drawRows(body, results, names, on) {
   const { tHead } = /** @type {HTMLTableElement} */ (body.parentElement);
   const heads = /** @type {HTMLTableSectionElement} */ (tHead).rows[0].cells;
@@ -100,8 +99,7 @@ function twinOf(button, body, place) {
 }
 
 /** What the cursor and A and B read; B − A where both are set.
- * @param {HTMLTableSectionElement} body @param {Result[]} results
- * @param {{ at: number | null, a: number | null, b: number | null }} cursors */
+ * @param {HTMLTableSectionElement} body @param {Result[]} results @param {Cursors} cursors */
 export function drawCursors(body, results, { at, a, b }) {
   [...body.rows].forEach((row, place) => {
     const result = results[place];
@@ -149,8 +147,8 @@ export const fineness = (results) => {
 
 /** What happened at times `t`, as a list with its count: a press puts the cursor there. `content` gives the nodes
  * of an item.
- * @template {{ t: number }} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
- * @param {(item: T) => (string | Node)[]} content @param {(seconds: number) => void} put */
+ * @template {Mark | Alarm} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
+ * @param {Content<T>} content @param {(seconds: number) => void} put */
 export function drawList(list, count, { items, more }, content, put) {
   const focused = list.contains(document.activeElement) ? document.activeElement?.textContent : null;
   count.textContent = items.length + (more ? ` – ${words().more}` : "");

@@ -12,7 +12,7 @@ from itertools import groupby
 from tests.vocabulary import ROOT, words_of
 
 FOLDERS = ("app", "bus", "tests", "benchmarks")
-COMMENTED = ("app", "static/css", "static/js", "templates", "tests/js")
+COMMENTED = ("app", "static/css", "static/js", "templates", "tests/js", "types")
 _ENDINGS = ("", "s", "es")
 _BEFORE_A_DOCSTRING = (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, None)
 _NO_STATEMENT = (tokenize.NL, tokenize.COMMENT)
@@ -20,6 +20,7 @@ _COMMENTS = {
     ".css": re.compile(r"/\*.*?\*/", re.DOTALL),
     ".html": re.compile(r"\{#.*?#\}", re.DOTALL),
     ".js": re.compile(r"/\*.*?\*/|(?:(?<!\S)//[^\n]*\s*)+|(?<!\S)test\(\"[^\"]*\"", re.DOTALL),
+    ".ts": re.compile(r"/\*.*?\*/|(?:(?<!\S)//[^\n]*\s*)+", re.DOTALL),
     ".sql": re.compile(r"(?:^--[^\n]*\s*)+", re.MULTILINE),
 }
 """Suffix of a file → its comments; of JavaScript also the names of tests."""
