@@ -26,8 +26,6 @@ from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
 from tests.mounted import mounted
 
-pytestmark = pytest.mark.soak
-
 CLOCK = """\
 import os, time
 from pathlib import Path
@@ -126,6 +124,7 @@ def clock_events(site: Site) -> list[dict[str, Any]]:
     return list(response_of(site, "/events", kind="clock")["events"])
 
 
+@pytest.mark.soak
 def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(site: Site) -> None:
     """No file may grow, from one moment to the next: as a full disk or one that was mounted read-only."""
     assert site.server is not None
@@ -146,6 +145,7 @@ def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(
     site.command("audit", "verify")
 
 
+@pytest.mark.soak
 def test_pages_overwritten_while_it_runs_are_detected_and_reported(site: Site) -> None:
     """Those of the readings: at the next look at them."""
     store = site.folder / "data" / "history.db"
@@ -185,6 +185,7 @@ def test_a_history_that_is_read_only_at_the_start_is_reported(site: Site) -> Non
     eventually(lambda: state(site) == "ok", "history again", within=PROCEDURE_S)
 
 
+@pytest.mark.soak
 def test_on_a_disk_that_fills_the_events_are_the_last_to_suffer(tmp_path: Path) -> None:
     data = tmp_path / "data"
     data.mkdir()
