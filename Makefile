@@ -40,10 +40,9 @@ other-tests: development
 	node --test tests/js/*.test.js
 	nice -n 5 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
 
-# What takes long, alone on the machine: it measures. Then each property with a thousand random examples.
+# What takes long, alone on the machine: it measures. Then each property with many random examples. 25 minutes.
 soak: development
-	$(BIN)/pytest -m soak -s
-	$(BIN)/pytest -m hypothesis --hypothesis-profile=soak -n 2 --dist loadfile
+	$(BIN)/python -m tests.soak
 
 # The browser tests N times: how often each failed.
 flaky: development

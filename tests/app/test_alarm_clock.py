@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from app.alarms.occurrences import occurrences
@@ -47,6 +47,9 @@ def cycles(draw: st.DrawFn) -> list[Cycle]:
     return found
 
 
+ALWAYS_BACK = [Cycle(*(-7200.0 * (3 * cycle + entry) for entry in range(3))) for cycle in range(6)]
+
+
 @pytest.fixture(scope="module")
 def journal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Journal]:
     with alarm_journal(tmp_path_factory.mktemp("journal")) as journal:
@@ -54,12 +57,14 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Journal]:
 
 
 number = iter(range(1_000_000))
+REACH_S = 130_000.0
+"""More than all steps of some cycles together, which may all go back."""
 
 
 def written(journal: Journal, several: list[Cycle]) -> tuple[str, float]:
     """The alarm with these cycles, and the begin of a time that only it has."""
     alarm = next(number)
-    begin = 200_000.0 * alarm
+    begin = 4 * REACH_S * alarm
     for risen, seen, cleared in several:
         journal.write(
             str(alarm),
@@ -74,7 +79,7 @@ def written(journal: Journal, several: list[Cycle]) -> tuple[str, float]:
 @given(several=cycles())
 async def test_figures_leave_out_what_the_clock_made_negative(journal: Journal, several: list[Cycle]) -> None:
     _, begin = written(journal, several)
-    start, end = UnixTime(T + begin - 90_000), UnixTime(T + begin + 90_000)
+    start, end = UnixTime(T + begin - REACH_S), UnixTime(T + begin + REACH_S)
     journal.spans = [ObservedSpan(start, end)]
     found = {figure.code: figure.value for figure in (await measure(journal, start, end)).figures}  # type: ignore[arg-type]
     assert [code for code, value in found.items() if value is not None and value < 0] == []
@@ -88,10 +93,11 @@ async def test_figures_leave_out_what_the_clock_made_negative(journal: Journal, 
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@example(several=ALWAYS_BACK)
 @given(several=cycles())
 async def test_an_occurrence_never_ends_before_it_began(journal: Journal, several: list[Cycle]) -> None:
     alarm, begin = written(journal, several)
-    span = UnixTime(T + begin - 90_000), UnixTime(T + begin + 90_000)
+    span = UnixTime(T + begin - REACH_S), UnixTime(T + begin + REACH_S)
     found = await occurrences(journal.store, [alarm], *span)
     assert len(found) == len(several)
     assert [each for each in found if each.end is not None and each.end < each.start] == []

@@ -11,8 +11,7 @@ import pytest
 
 from app.alarms.store import AlarmStore, JournalEntry
 from app.database import Database
-
-KILLS, KILLS_SOAK = 2, 50
+from tests.sizes import sizes
 
 
 def flood_and_kill(store: Path, passes: int) -> None:
@@ -35,7 +34,7 @@ def check_chain(entries: list[JournalEntry]) -> None:
         state = entry.after
 
 
-@pytest.mark.parametrize("kills", [KILLS, pytest.param(KILLS_SOAK, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("kills", sizes(2, 50))
 async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path, kills: int) -> None:
     path = tmp_path / "store.db"
     dice = random.Random(14)

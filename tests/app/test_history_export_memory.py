@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from pyarrow import parquet
 
 from app.database.connection import Database
 from app.history.intake.writer import MIGRATIONS
@@ -16,47 +17,21 @@ from app.history.series.rollup import Rollup, combine, pack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE
 from app.history.store import tables
+from tests.app import measured_export
+from tests.sizes import sizes
 
-pytestmark = pytest.mark.soak
-
-DAYS = 60
-ROWS = DAYS * 1440
-MOST_MB = 100
+MAX_GROWTH_MB = 100
 """All rows at once would be half as much again and more."""
-EXPORT = """\
-import asyncio, json, resource, sys
-from pathlib import Path
-import pyarrow.parquet
-from app.history.export.download import response
-from app.history.service import History
-from app.history.api.spans import Span, series_queries
-from app.settings import Server, Settings
-from bus.settings import BusSettings, UnitSettings
 
-def peak():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
-async def main(folder, file, start, end):
-    bus = BusSettings(name="line", port="/dev/null", unit=(UnitSettings(id=1, name="Nip"),))
-    history = History(Settings(server=Server(data=Path(folder)), bus=(bus,)))
-    history.start()
-    queries = series_queries(history, ["line/1/actual", "line/1/analog", "line/1/run"], Span(start, end), 1)
-    before, count = peak(), 0
-    answer = await response(history, queries, file, "minutes")
-    with open(Path(folder) / "export", "wb") as out:
-        async for part in answer.body_iterator:
-            count += out.write(part.encode() if isinstance(part, str) else part)
-    print(json.dumps({"grown": peak() - before, "bytes": count}))
-    history.close()
-
-folder, file, start, end = sys.argv[1:]
-asyncio.run(main(folder, file, int(start), int(end)))
-"""
+@pytest.fixture(scope="module", params=sizes(1, 60))
+def days(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
 
 
 @pytest.fixture(scope="module")
-def months(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
-    """A store with the minutes of some months, and when that ends."""
+def months(tmp_path_factory: pytest.TempPathFactory, days: int) -> tuple[Path, int]:
+    """A store with the minutes of so many days, and when that ends."""
     folder = tmp_path_factory.mktemp("months")
     end = micros(time.time()) // DAY * DAY
     minutes = [_minute(n) for n in range(60)]
@@ -65,11 +40,11 @@ def months(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
 
     def write(connection: tables.StoreConnection) -> None:
         unit = tables.unit_id(connection, "line", 1)
-        starts = range(end - DAYS * DAY, end, HOUR)
+        starts = range(end - days * DAY, end, HOUR)
         insert = "INSERT INTO {} VALUES (?, ?, ?)"
         connection.executemany(insert.format("minutes"), [(unit, start, blob) for start in starts])
-        days = range(end - DAYS * DAY, end, DAY)
-        connection.executemany(insert.format("hours"), [(unit, day, hours) for day in days])
+        midnights = range(end - days * DAY, end, DAY)
+        connection.executemany(insert.format("hours"), [(unit, day, hours) for day in midnights])
         tables.write_raw_from(connection, end)
 
     database = Database(folder / FILE, MIGRATIONS)
@@ -85,19 +60,20 @@ def _minute(number: int) -> Rollup:
 
 
 @pytest.mark.parametrize("file", ["csv", "parquet"])
-def test_months_do_not_fill_memory(months: tuple[Path, int], file: str) -> None:
+def test_months_do_not_fill_memory(months: tuple[Path, int], days: int, file: str) -> None:
     folder, end = months
-    span = (str(end - DAYS * DAY), str(end))
+    span = (str(end - days * DAY), str(end))
     done = subprocess.run(
-        [sys.executable, "-c", EXPORT, str(folder), file, *span], capture_output=True, text=True
+        [sys.executable, "-m", measured_export.__name__, str(folder), file, *span],
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     measured = json.loads(done.stdout.splitlines()[-1])
+    rows = days * 1440
     if file == "csv":
         with (folder / "export").open() as lines:
-            assert sum(1 for _ in lines) == ROWS + 1
+            assert sum(1 for _ in lines) == rows + 1
     else:
-        from pyarrow import parquet
-
-        assert parquet.ParquetFile(folder / "export").metadata.num_rows == ROWS
-    assert measured["grown"] < MOST_MB, measured
+        assert parquet.ParquetFile(folder / "export").metadata.num_rows == rows
+    assert measured["grown_mb"] < MAX_GROWTH_MB, measured

@@ -107,9 +107,12 @@ def measure(
     health, command = Waits(), Waits()
     with target.api("operator") as client:
         calls = ((health_request(target), health), (commands(client), command))
-        # The server's first requests load modules, which is no growth.
+        # The first requests of each kind load modules, templates and pages of the store, which is no growth.
         for call, _ in calls:
             probe(call, Waits(), after_s(warm_s))
+        if warm_s:
+            with attacking(target, attack, warm_s):
+                pass
         before, lost = memory_mib(target.server.pid), links_lost(target)
         most = [before]
         with attacking(target, attack, seconds) as is_over:

@@ -1,6 +1,7 @@
 """Attacks on a running server: others are served meanwhile, and it is over when they stop.
 
-Short here; ``make soak`` attacks in every way and prints what others notice.
+``make test`` carries out each once, briefly; ``make soak`` measures and prints what others notice. A new
+one is a function in `tests.attacks.attackers` and needs nothing else.
 """
 
 from __future__ import annotations
@@ -10,11 +11,21 @@ from collections.abc import Iterator
 import pytest
 
 from tests.attacks.attackers import ATTACKS
-from tests.attacks.measure import EVENTS, HEADING, Measured, add_worker_token, fill_the_log, measure
+from tests.attacks.measure import (
+    EVENTS,
+    HEADING,
+    Measured,
+    add_worker_token,
+    attacking,
+    fill_the_log,
+    health_request,
+    measure,
+)
 from tests.e2e.site import Site, site
 
+BRIEF_S = 0.1
 SHORT_S = 1.0
-LONG_S = 20.0
+LONG_S = 8.0
 SHORT = (
     "bodies without an end",
     "snapshots without end",
@@ -47,6 +58,13 @@ def test_others_are_served_meanwhile(target: Site, attack: str) -> None:
     measured = measure(target, attack, SHORT_S, warm_s=0.0, settle_s=0.0)
     assert measured.health.served, measured.health.failed
     assert measured.command.served, measured.command.failed
+
+
+@pytest.mark.parametrize("attack", [attack for attack in ATTACKS if attack not in SHORT])
+def test_each_attack_can_be_carried_out(target: Site, attack: str) -> None:
+    with attacking(target, attack, BRIEF_S):
+        pass
+    health_request(target)()
 
 
 @pytest.fixture(scope="module")

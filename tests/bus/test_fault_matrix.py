@@ -41,6 +41,7 @@ from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.judge import Case, half_done, made_up, rash_broadcasts, too_late, unrequested, untrue_result
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
+from tests.sizes import sizes
 
 UNITS = 4
 ALONE = 0.25
@@ -192,7 +193,7 @@ def test_a_unit_that_takes_every_address_for_its_own() -> None:
     assert trial.outcomes()["verified"] > 5
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(2, 12))])
+@pytest.mark.parametrize("seed", sizes(1, *range(2, 12)))
 def test_all_faults_together(seed: int) -> None:
     trial = virtual_trial(ALL_AT_ONCE, seed, count=200)
     assert trial.complaints == []

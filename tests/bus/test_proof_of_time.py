@@ -10,6 +10,7 @@ import pytest
 from bus.contract import SetSpeed
 from bus.simulator.faults import FaultKind
 from tests.bus.virtual_line import VirtualLine, run
+from tests.sizes import sizes
 
 UNITS = 4
 RATE = 0.05
@@ -60,7 +61,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert run(scene, UNITS, seed=10) != first
 
 
-@pytest.mark.parametrize(("units", "minutes"), [(2, 2.4), pytest.param(8, 10, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("units", "minutes"), sizes((2, 2.4), (8, 10)))
 def test_minutes_without_a_fault_report_every_unit_alike(units: int, minutes: float) -> None:
     """Long enough to read every parameter beside the scan."""
     seconds = 60 * minutes

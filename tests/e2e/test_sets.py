@@ -72,8 +72,8 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/3/parameters/12", json={"raw": 21}).status_code == 200
         page.goto("/")
-        strip = page.locator("[data-strip]")
-        expect(strip).to_contain_text(
+        status = page.get_by_role("region", name="Line status")
+        expect(status).to_contain_text(
             re.compile(r"#12 differs from the golden set: changed by engineer-program \d\d:\d\d")
         )
         site.line.remote.do("parameter", unit=3, number=7, raw=61)
@@ -82,10 +82,10 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
             r"2 values differ from the golden set: "
             r"1 changed by engineer-program \d\d:\d\d, 1 changed at the panel"
         )
-        expect(strip).to_contain_text(both)
+        expect(status).to_contain_text(both)
     site.stop()
     site.start()
-    expect(strip).to_contain_text(both)
+    expect(status).to_contain_text(both)
     with site.api("engineer") as client:
         both_rows = lambda: len(client.get("/buses/line/units/3/drift").json()["rows"]) == 2  # noqa: E731
         eventually(both_rows, "both rows were read after the restart", within=PROCEDURE_S)
@@ -108,7 +108,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
                 client.put(f"/buses/line/units/3/parameters/{number}", json={"raw": raw}).status_code == 200
             )
     page.goto("/")
-    expect(strip).not_to_contain_text("Coater")
+    expect(status).not_to_contain_text("Coater")
 
 
 def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(

@@ -19,6 +19,7 @@ from playwright.sync_api import Page, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import sizes
 
 OFFICE = {"width": 1280, "height": 900}
 PINCH = """([left, right]) => {
@@ -357,9 +358,9 @@ def test_the_export_of_the_page_is_what_it_shows(site: Site, shared_page: OpensP
     assert all(any(row[column] for row in rows) for column in (1, 2))
 
 
-@pytest.mark.soak
-def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site) -> None:
-    for kill in range(1, 4):
+@pytest.mark.parametrize("kills", sizes(1, 3))
+def test_a_killed_server_loses_a_second_at_most_and_no_event(own_site: Site, kills: int) -> None:
+    for kill in range(1, kills + 1):
         began = time.time()
         raw = own_site.unit(1)["commanded_raw"]
         with own_site.api("operator") as client:

@@ -7,8 +7,6 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages
 
-pytestmark = pytest.mark.soak
-
 PHONE = {"width": 360, "height": 600}
 LAST = "line/8"
 SHOW = """async (texts) => {
@@ -51,12 +49,14 @@ def show_two(page: Page) -> None:
     assert last != "22.2"
 
 
+@pytest.mark.soak
 def test_a_unit_outside_the_window_is_drawn_a_second_later(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
     show_two(page)
     expect(page.locator(f'[data-live="{LAST}.actual"]')).to_contain_text("22.2")
 
 
+@pytest.mark.soak
 def test_a_unit_scrolled_into_view_is_current_in_that_frame(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PHONE))
     show_two(page)

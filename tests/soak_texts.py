@@ -1,0 +1,66 @@
+"""The texts that tests expect which only ``make soak`` runs, compared with those that there are."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+from tests.catalogs import wanted
+
+ROOT = Path(__file__).resolve().parent.parent
+SOAK = "pytest.mark.soak"
+BY_FIRST = {"get_by_text", "get_by_label", "to_have_text", "to_contain_text"}
+BY_NAME = {"get_by_role"}
+_FIELD = re.compile(r"\{[^}]*\}")
+
+
+def words_of(text: str) -> list[str]:
+    """The words without the fields and the values in their places."""
+    return re.findall(r"[^\W\d]+", _FIELD.sub("", text))
+
+
+@cache
+def texts() -> tuple[str, ...]:
+    """The words of every English text of pages and messages."""
+    found = ((text,) if isinstance(text, str) else text for text in wanted().values())
+    return tuple(" ".join(words_of(text)) for forms in found for text in forms)
+
+
+def is_known(expected: str) -> bool:
+    """Whether a third of its pairs of words are in one text: names and other texts fill its fields."""
+    words = words_of(expected)
+    pairs = [" ".join(pair) for pair in pairwise(words)] or words
+    return any(3 * sum(pair in text for pair in pairs) >= len(pairs) for text in texts())
+
+
+def soak_functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """The test functions of a module that are marked, each or all of them."""
+    marked = f"pytestmark = {SOAK}" in map(ast.unparse, tree.body)
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (
+            marked or SOAK in map(ast.unparse, node.decorator_list)
+        ):
+            yield node
+
+
+def expected_texts(function: ast.AST) -> Iterator[tuple[int, str]]:
+    """Each text that a function looks for on a page, with its line."""
+    for call in ast.walk(function):
+        if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Attribute):
+            continue
+        by_name = (word.value for word in call.keywords if word.arg == "name")
+        given = call.args[:1] if call.func.attr in BY_FIRST else by_name if call.func.attr in BY_NAME else ()
+        for each in given:
+            if isinstance(each, ast.Constant) and isinstance(each.value, str):
+                yield call.lineno, each.value
+
+
+def unknown_texts(file: Path) -> list[str]:
+    """What the soak tests of a file look for that no page can show."""
+    tree = ast.parse(file.read_text("utf-8"))
+    found = (pair for function in soak_functions(tree) for pair in expected_texts(function))
+    return [f"{file.name}:{line}: {text}" for line, text in found if not is_known(text)]
