@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from copy import copy
 from importlib.metadata import version
 
@@ -55,7 +56,7 @@ from app.web.bounds import BoundedRequest
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
 from app.web.security import AllowedHosts, HeaderRules, OwnPagesOnly
 from app.web.services import Registry
-from app.wiring import Services
+from app.wiring import Services, running
 
 FEATURES = (
     web_pages,
@@ -110,8 +111,8 @@ def create_app(
     settings: Settings, *, demo: bool = False, worker_tokens: Mapping[str, str] | None = None
 ) -> FastAPI:
     """The complete app over ``settings``. ``demo``: requests from this machine are signed in.
-    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. It serves within
-    :func:`app.wiring.running`.
+    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
+    within its lifespan, or within :func:`app.wiring.running` where the server does not call that.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for
     two services of one type.
@@ -121,6 +122,7 @@ def create_app(
         title="Lineside",
         summary="Monitor and command a line of DIGIMAX IV drives",
         version=version("lineside"),
+        lifespan=_lifespan,
         openapi_url=None,
     )
     of_buses = {name: vars(bus).values() for name, bus in services.buses.items()}
@@ -146,3 +148,10 @@ def create_app(
     refuse_undeclared(app)
     guard(app, services.turns)
     return app
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    services: Services = app.state.services
+    async with running(services):
+        yield

@@ -108,6 +108,6 @@ def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Con
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
         log_level="error",  # a warning for each malformed request would let anyone fill the disk
         server_header=False,
-        lifespan="off",
+        lifespan="off",  # `serve` runs the services: an error of their start is one line there
         timeout_graceful_shutdown=GRACEFUL_S,
     )

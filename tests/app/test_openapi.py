@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from app.auth import rules, store
 from app.auth.store import Token
 from app.main import create_app
 from app.web.access import Role
-from app.wiring import Services, running
+from app.wiring import Services
 from tests.app.complete_app import settings_in
 
 ENDLESS = "GET /api/v1/stream"
@@ -47,14 +46,9 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     key = Token(0, "test", Role.ENGINEER, "test", 0.0, None)
     services.database.write_now(lambda c: store.add_token(c, rules.secret_hash(token), key))
     server = uvicorn.Server(
-        uvicorn.Config(app, port=0, log_level="warning", lifespan="off", ws="websockets-sansio")
+        uvicorn.Config(app, port=0, log_level="warning", lifespan="on", ws="websockets-sansio")
     )
-
-    async def serve() -> None:
-        async with running(services):
-            await server.serve()
-
-    thread = threading.Thread(target=asyncio.run, args=(serve(),))
+    thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:
         thread.join(0.02)
