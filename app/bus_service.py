@@ -21,9 +21,10 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
+from app.history.service import History
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
-from app.pipeline import HistoryIntake, Pipeline
+from app.pipeline import Pipeline
 from app.sets.drift import BusDrift
 from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
@@ -42,7 +43,7 @@ class BusDependencies:
 
     events: EventLog
     database: Database
-    history: HistoryIntake
+    history: History
     sets: SetStore
     alarms: AlarmStore
     own_alarms: tuple[AlarmSettings, ...]
@@ -63,6 +64,7 @@ class BusService:
 
     def __init__(self, live: BusLive, site: BusDependencies) -> None:
         name = live.settings.name
+        self._history = site.history
         self.live = live
         self.recorder = ChangeRecorder(site.events, name)
         self.pipeline = Pipeline(live, site.history, self.recorder)
@@ -96,6 +98,7 @@ class BusService:
         self.first_writes = FirstWrites(live, self.commands, self.sets, site.local_time)
 
     async def load(self) -> None:
+        self.feed.coverage.until = await self._history.newest(self.live.settings.name)
         await self.safeguards.load()
         await self.drift.load()
 
