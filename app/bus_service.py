@@ -21,10 +21,11 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
+from app.history.service import History
 from app.lifespan import Lifespan
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
-from app.pipeline import HistoryIntake, Pipeline
+from app.pipeline import Pipeline
 from app.sets.drift import BusDrift
 from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
@@ -44,7 +45,7 @@ class BusDependencies:
     lifespan: Lifespan
     events: EventLog
     database: Database
-    history: HistoryIntake
+    history: History
     sets: SetStore
     alarms: AlarmStore
     own_alarms: tuple[AlarmSettings, ...]
@@ -64,6 +65,7 @@ class BusService:
 
     def __init__(self, live: BusLive, site: BusDependencies) -> None:
         name = live.settings.name
+        self._history = site.history
         self.live = live
         self.recorder = ChangeRecorder(site.events, name)
         self.pipeline = Pipeline(live, site.history, self.recorder)
@@ -108,6 +110,7 @@ class BusService:
         )
 
     async def _load(self) -> None:
+        self.feed.coverage.until = await self._history.newest(self.live.settings.name)
         await self.safeguards.load()
         await self.drift.load()
 

@@ -5,8 +5,10 @@ The live state comes first, and with it the browsers; history and events never h
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
+
+from msgspec.structs import replace
 
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
@@ -18,6 +20,9 @@ from bus.messages import Message, number, term
 KEPT = (Reading, ParameterValue, UnitLink, BusLink)
 """Updates for the history; momentary ones do not wait in its queue."""
 IMPLAUSIBLE = Message("updates_implausible")
+KNOWN = Message("updates_late_known")
+OVER_QUOTA = Message("updates_over_quota")
+"""Why updates of a worker are refused."""
 
 
 class HistoryIntake(Protocol):
@@ -35,6 +40,8 @@ class Pipeline:
         self._history = history
         self._recorder = recorder
         self._changes = Changes(live.settings)
+        self.since = UnixTime(0.0)
+        """From when on history believes the worker: what was before was stored then, or is missing."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """A worker's complete state: it is live. History had its readings, or gets them as backlog; the
@@ -71,11 +78,13 @@ class Pipeline:
         """A worker's hello was refused. ``holder`` and ``refused``: the tokens and their addresses."""
         self._recorder.note(refusal_of_worker(at, holder, refused, reason))
 
-    def updates_refused(self, at: UnixTime, count: int) -> None:
-        """Updates of a worker were not taken in: their time cannot be, or their unit is not configured."""
+    def updates_refused(self, at: UnixTime, counts: Mapping[Message, int]) -> None:
+        """So many updates of a worker were not taken in, for each reason; they are summed up."""
         what = Message("event_updates_refused")
-        refused = LineEvent("worker", None, at, what, "", str(count), IMPLAUSIBLE, series=what.code)
-        self._recorder.note(refused)
+        for reason, count in counts.items():
+            if count:
+                refused = LineEvent("worker", None, at, what, "", "", reason, reason.code, count)
+                self._recorder.note(refused)
 
     def worker_disconnected(self, at: UnixTime, cause: Message) -> None:
         self._live.lose_worker(at, cause)
@@ -86,7 +95,18 @@ class Pipeline:
         self._recorder.note(LineEvent("clock", None, at, what, "", ""))
 
     def _append(self, updates: Sequence[Update]) -> None:
-        self._history.append(self._live.settings.name, updates)
+        believed = [each for update in updates if (each := self._believed(update)) is not None]
+        self._history.append(self._live.settings.name, believed)
+
+    def _believed(self, update: Update) -> Update | None:
+        """A state from before has its place in history already. A parameter that was another then scales
+        readings only from when that is known."""
+        match update:
+            case UnitLink() | BusLink():
+                return update if update.at >= self.since else None
+            case ParameterValue():
+                return replace(update, at=max(update.at, self.since))
+        return update
 
 
 def refusal_of_worker(at: UnixTime, holder: str, refused: str, reason: Message) -> LineEvent:

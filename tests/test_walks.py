@@ -18,9 +18,9 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 
 from app.feed.ingest import Ingest, IngestPosition
+from app.feed.rates import FeedQuota
 from app.live.browsers.browser import Browser
 from app.web.access import Role
-from bus.bucket import Bucket
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
@@ -95,8 +95,10 @@ class PlayedConnection:
 
 async def connected(house: House) -> PlayedConnection:
     bus, connection = house.services.buses[BUS], PlayedConnection()
-    bucket = Bucket(1000.0, 1000)
-    connection.ingest = Ingest(hello(), IngestPosition("w1"), bus.channel, bus.pipeline, connection, bucket)
+    followed = (FeedQuota(), bus.feed.coverage)
+    connection.ingest = Ingest(
+        hello(), IngestPosition("w1"), bus.channel, bus.pipeline, connection, *followed
+    )
     await connection.ingest.receive(encode(snapshot()))
     return connection
 

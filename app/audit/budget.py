@@ -54,16 +54,16 @@ class EventBudget(Generic[T]):
         self._all = Bucket(1 / FORGIVEN_OF_ALL_EVERY_S, BURST_OF_ALL)
         self._series: dict[Hashable, _Series[T]] = {}
 
-    def admits(self, key: Hashable, event: T, now: Monotonic, *, burst: int = BURST) -> bool:
+    def admits(self, key: Hashable, event: T, now: Monotonic, *, burst: int = BURST, count: int = 1) -> bool:
         """Whether to record this event of a series, of which ``burst`` are recorded one by one; where not, it
-        is kept for a summary."""
+        is kept for a summary, as ``count`` of them."""
         series = self._series.setdefault(key, _Series(Bucket(1 / FORGIVEN_EVERY_S, burst)))
         series.last_at = now
         if not series.count and series.bucket.has_room(now) and self._all.has_room(now):
             return series.bucket.take(now) and self._all.take(now)
         if not series.count:
             series.first_at, series.due_at = now, now + series.pause_s
-        series.last, series.count = event, series.count + 1
+        series.last, series.count = event, series.count + count
         return False
 
     def due(self, now: Monotonic, *, everything: bool = False) -> list[Summary[T]]:

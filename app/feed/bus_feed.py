@@ -11,10 +11,10 @@ import structlog
 from app.feed.channel import Channel, MessageSink
 from app.feed.holders import Credential, Ending, Holder
 from app.feed.ingest import Ingest, IngestPosition
-from app.feed.rates import update_bucket
+from app.feed.late import Coverage
+from app.feed.rates import FeedQuota
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
-from bus.bucket import Bucket
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
 from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -61,7 +61,8 @@ class BusFeed:
     _pipeline: Pipeline
     monotonic: MonotonicClock = monotonic_now
     timeout_ticks: int = TIMEOUT_TICKS
-    _bucket: Bucket = field(default_factory=update_bucket)
+    coverage: Coverage = field(default_factory=Coverage)
+    _quota: FeedQuota = field(default_factory=FeedQuota)
     _received: IngestPosition = field(default_factory=lambda: IngestPosition(""))
     _holder: Holder | None = None
     _connection: WorkerConnection | None = None
@@ -137,8 +138,8 @@ class BusFeed:
             self._release(connection, NO_WORKER, Ending.LEFT)
 
     async def _follow(self, hello: Hello, connection: WorkerConnection) -> None:
-        channel, pipeline, bucket = self._channel, self._pipeline, self._bucket
-        ingest = Ingest(hello, self._received, channel, pipeline, connection, bucket, unix_now)
+        channel, pipeline, quota = self._channel, self._pipeline, self._quota
+        ingest = Ingest(hello, self._received, channel, pipeline, connection, quota, self.coverage, unix_now)
         works = (self._receive(ingest, connection), self._tick(ingest))
         tasks = {asyncio.create_task(work) for work in works}
         try:

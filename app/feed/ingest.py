@@ -8,29 +8,34 @@ well-formed one only what is plausible (:mod:`app.feed.plausibility`).
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
-from app.feed.plausibility import Sorted, judge_snapshot, sort_updates
-from app.feed.rates import cost_of
-from app.pipeline import Pipeline
-from bus.bucket import Bucket
+from app.feed.late import Coverage
+from app.feed.plausibility import judge_snapshot, sort_updates
+from app.feed.rates import FeedQuota
+from app.pipeline import IMPLAUSIBLE, KNOWN, OVER_QUOTA, Pipeline
 from bus.contract import (
     Batch,
     ClockSync,
     Delivered,
     Hello,
     MalformedMessageError,
+    ParameterValue,
     Progress,
+    Reading,
     Result,
     Snapshot,
+    Update,
     WantSnapshot,
     WorkerMessage,
     decode_from_worker,
 )
 from bus.instants import Clock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
 
 
 @dataclass(slots=True)
@@ -43,14 +48,15 @@ class IngestPosition:
 
 @dataclass(eq=False, repr=False)
 class Ingest:
-    """One connection of one worker. ``bucket`` measures what comes for the bus, over all its connections."""
+    """One connection of one worker. ``quota`` and ``coverage`` are of the bus, over all its connections."""
 
     _hello: Hello
     _received: IngestPosition
     _channel: Channel
     _pipeline: Pipeline
     _connection: MessageSink
-    _bucket: Bucket
+    _quota: FeedQuota
+    _coverage: Coverage
     _now: Clock = unix_now
     _clock: WorkerClock = field(default_factory=WorkerClock)
     _snapshot_seq: int | None = None
@@ -61,6 +67,8 @@ class Ingest:
 
     def __post_init__(self) -> None:
         self._units: Collection[int] = self._pipeline.units
+        self._window = self._coverage.window(self._now())
+        self._pipeline.since = self._window.since
         self._settled = self._delivered = self._received.seq
         self._clock.observe(self._hello.sent_at, self._now(), monotonic_now())
 
@@ -71,7 +79,7 @@ class Ingest:
         self._channel.on_message()
         message = decode_from_worker(data)
         await self._take(message)
-        await self._hold_back(self._bucket.pour(cost_of(message), monotonic_now()))
+        await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))
 
     async def _take(self, message: WorkerMessage) -> None:
         match message:
@@ -115,19 +123,43 @@ class Ingest:
         if batch.seq <= self._received.seq:
             return
         self._received.seq = batch.seq
-        shifted_updates = (shifted(update, self._clock.offset_s) for update in batch.updates)
-        self._deliver(sort_updates(shifted_updates, self._units, self._now(), live=batch.live))
+        self._deliver(shifted(batch, self._clock.offset_s))
 
-    def _deliver(self, updates: Sorted) -> None:
-        for update in (*updates.late, *updates.live):
+    def _deliver(self, batch: Batch) -> None:
+        now, refused = self._now(), Counter[Message]()
+        found = sort_updates(batch.updates, self._units, now, live=batch.live)
+        refused[IMPLAUSIBLE] = found.refused
+        for update in (*found.late, *found.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
-        if updates.late:
-            self._pipeline.batch(updates.late, live=False)
-        if updates.live:
-            self._pipeline.batch(updates.live, live=True)
-        if updates.refused:
-            self._pipeline.updates_refused(self._now(), updates.refused)
+        # Of a live batch what is late was held up on its way: the app stood still.
+        until = now if batch.live else self._window.until
+        late = self._within_quota(self._in_window(found.late, until, refused), refused)
+        live = self._within_quota(found.live, refused)
+        if late:
+            self._pipeline.batch(late, live=False)
+        if live:
+            self._pipeline.batch(live, live=True)
+        self._coverage.advance(batch, [*late, *live], now)
+        self._pipeline.updates_refused(now, refused)
+
+    def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
+        """Those of the time that was not followed; what is sent again after a crash is left out."""
+        fresh = [update for update in late if not self._window.is_repeated(update)]
+        taken = [update for update in fresh if self._window.admits(update, self._clock.offset_s, until)]
+        refused[KNOWN] += len(fresh) - len(taken)
+        return taken
+
+    def _within_quota(self, updates: Sequence[Update], refused: Counter[Message]) -> list[Update]:
+        """Without the values that no wire can have carried."""
+        now = monotonic_now()
+        taken = [
+            update
+            for update in updates
+            if not isinstance(update, Reading | ParameterValue) or self._quota.admits_value(now)
+        ]
+        refused[OVER_QUOTA] += len(updates) - len(taken)
+        return taken
 
     async def _miss(self, batch: Batch, expected: int) -> None:
         if batch.seq > expected and not self._snapshot_wanted:

@@ -1,10 +1,13 @@
 """How much a worker may send. Pure.
 
-Nothing is dropped: input over the rate is not read yet, and waits in the worker's own buffer. A worker
-that polls 255 units at 9600 baud, and is followed, sends a tenth of this.
+Input over the rate is not read yet, and waits in the worker's own buffer. A worker that polls 255 units at
+9600 baud, and is followed, sends a tenth of this. Only values are refused, which no wire can have carried.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
 
 from bus.bucket import Bucket
 from bus.contract import (
@@ -17,6 +20,7 @@ from bus.contract import (
     Update,
     WorkerMessage,
 )
+from bus.instants import Monotonic
 
 PER_S = 2_000.0
 """Updates of the live state, each of which goes to every open page."""
@@ -25,13 +29,30 @@ AT_ONCE = 10_000.0
 LATE_COST = 0.25
 """Of an update that goes to history only."""
 TEXT_COST = 40.0
-"""Of a state with its cause, or a diagnosis: the text is translated for each language."""
+"""Of a state, which history keeps and whose cause is translated for each language, or a diagnosis."""
+MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
+"""Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
+MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 400.0, 40_000.0
+"""Readings and parameters: ten times what 9600 baud carries, as a worker polls no faster on a port that is
+faster than its baud rate; and all that a worker keeps."""
 HELLOS_PER_S, HELLOS_AT_ONCE = 0.5, 20.0
 
 
-def update_bucket() -> Bucket:
-    """What the updates of one bus are measured by."""
-    return Bucket(PER_S, AT_ONCE)
+@dataclass(slots=True)
+class FeedQuota:
+    """What comes for one bus, over all connections of its workers."""
+
+    _updates: Bucket = field(default_factory=partial(Bucket, PER_S, AT_ONCE))
+    _bytes: Bucket = field(default_factory=partial(Bucket, MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE))
+    _values: Bucket = field(default_factory=partial(Bucket, MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE))
+
+    def pause_s(self, message: WorkerMessage, size: int, now: Monotonic) -> float:
+        """Count a message of ``size`` bytes; for how many seconds nothing more is read."""
+        return max(self._updates.pour(cost_of(message), now), self._bytes.pour(size, now))
+
+    def admits_value(self, now: Monotonic) -> bool:
+        """Count one value; False where a wire cannot have carried it."""
+        return self._values.take(now)
 
 
 def hello_bucket() -> Bucket:
@@ -58,5 +79,5 @@ def _cost_of_update(update: Update) -> float:
         case BusFigures(units=units):
             return TEXT_COST + len(units) / 8
         case UnitLink() | BusLink():
-            return TEXT_COST if update.cause else 1.0
+            return TEXT_COST
     return 1.0

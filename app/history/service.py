@@ -82,6 +82,22 @@ class History:
             self.report(each.damaged)
         return found
 
+    async def newest(self, bus: str) -> UnixTime | None:
+        """The time of the newest stored reading of a bus; None where there is none that can be read."""
+
+        def read(connection: tables.StoreConnection, tail: Tail) -> int | None:
+            keys = tables.units_of(connection, bus)
+            stored = [tables.newest_reading(connection, key) for key in keys]
+            waiting = [run.until for unit, run in tail.everything() if unit in keys]
+            return max((at for at in (*stored, *waiting) if at is not None), default=None)
+
+        try:
+            at = await self.read(read)
+        except StoreError as error:
+            log.warning("the end of the history cannot be read", bus=bus, why=str(error))
+            return None
+        return None if at is None else seconds(at)
+
     def report(self, damaged: Iterable[BlockKey]) -> None:
         """Blocks that could not be read: the writer sets them aside and reports them."""
         self._writer.report(damaged)

@@ -40,8 +40,8 @@ class ChangeRecorder:
     def note(self, change: LineEvent) -> None:
         """Record this soon, on its own or in a summary."""
         key = (change.unit, change.kind, change.series)
-        burst = FEW if change.kind in ("bus", "worker") else BURST
-        if self._budget.admits(key, change, self._monotonic(), burst=burst):
+        burst = 1 if change.count else FEW if change.kind in ("bus", "worker") else BURST
+        if self._budget.admits(key, change, self._monotonic(), burst=burst, count=change.count or 1):
             self._put(change)
 
     async def follow(self) -> None:
@@ -76,7 +76,7 @@ class ChangeRecorder:
                 unit=change.unit,
                 what=change.what,
                 old=change.old,
-                new=change.new,
+                new=str(change.count) if change.count else change.new,
                 message=change.message or "",
                 at=change.at,
             )
@@ -104,6 +104,8 @@ class ChangeRecorder:
 
 
 def _summed_up(summary: Summary[LineEvent]) -> LineEvent:
+    if summary.last.count:
+        return replace(summary.last, count=summary.count)
     if summary.count == 1:
         return summary.last
     seconds = round(summary.seconds)

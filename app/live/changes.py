@@ -26,6 +26,8 @@ class LineEvent:
     message: Message | None = None
     series: str = ""
     """Separates series of one unit and kind, where one must not crowd out the other."""
+    count: int = 0
+    """How many it stands for, of what is summed up from the first on: it becomes `new`."""
 
 
 _RECORDED: dict[Condition, tuple[EventKind, Message, tuple[Message, Message]]] = {

@@ -25,7 +25,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
 
 
 def held(folder: Path) -> int:
-    """What is really allocated, in bytes."""
+    """The bytes that are really allocated."""
     return (folder / FILE).stat().st_blocks * 512
 
 
@@ -90,7 +90,7 @@ def test_the_end_gives_it_back_unless_the_disk_is_short(tmp_path: Path, disk: di
     made.close()
     assert held(tmp_path) >= SIZE
     made = Reserve(tmp_path, SIZE)
-    assert made.left == 1.0, "what is left of the run before is taken over"
+    assert made.left == 1.0, "the rest of the run before is taken over"
     disk["bytes"] = KEPT_FREE
     made.close()
     assert not (tmp_path / FILE).exists()

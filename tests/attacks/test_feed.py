@@ -23,7 +23,7 @@ from app.audit.store import Filter
 from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.ingest import Ingest
-from app.feed.rates import HELLOS_AT_ONCE, update_bucket
+from app.feed.rates import HELLOS_AT_ONCE, FeedQuota
 from app.feed.workers import TOO_OFTEN
 from app.live.browsers.browser import Browser
 from app.web.access import Role
@@ -181,10 +181,12 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
             msgspec.structs.replace(reading(1, 7777), at=at) for at in (now + 3600, now - 9 * 86_400, 0.0)
         ]
         unknown = [reading(200, 7777)]
+        recorder = scene.house.services.buses[BUS].recorder
+        await recorder.recorded()  # what the attacks before have left to sum up
         await scene.attack(encode(snapshot()), encode(Batch(1, now, [*updates, *unknown])))
         unit = (await scene.admin.get("/api/v1/buses/dry-end/units/1")).json()
         assert unit["commanded_raw"] != 7777
-        await scene.house.services.buses[BUS].recorder.recorded()
+        await recorder.recorded()
         events, _ = await scene.house.services.events.page(Filter(kind="worker"), 10)
         refused = [event for event in events if event["what"] == "updates of the bus worker refused"]
         assert refused[0]["new"] == "4"
@@ -300,7 +302,7 @@ def test_messages_over_the_rate_are_not_read_yet(
         await scene.attack(encode(snapshot()), *batches)
 
     monkeypatch.setattr(Ingest, "_hold_back", hold_back)
-    monkeypatch.setattr(scene.house.services.buses[BUS].feed, "_bucket", update_bucket())
+    monkeypatch.setattr(scene.house.services.buses[BUS].feed, "_quota", FeedQuota())
     runner.run(attack())
     # 20,000 updates, of which a quarter of an hour's backlog may come at once.
     assert sum(pause > 0 for pause in pauses) > 10

@@ -72,7 +72,7 @@ def test_with_the_disk_full_what_people_must_do_works_and_is_recorded(plant: Das
     _is_recorded(plant)
 
 
-def test_history_notes_and_pictures_give_way_and_the_page_says_so(plant: Dashboard) -> None:
+def test_history_notes_and_pictures_give_way_and_the_page_shows_it(plant: Dashboard) -> None:
     fill(plant.folder)
     eventually(lambda: _history_state(plant) == "paused", "history gives way", within=PROCEDURE_S)
     (shift,) = plant.call("GET", "/shifts?limit=1").json()["shifts"]

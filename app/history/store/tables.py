@@ -151,6 +151,13 @@ def oldest_raw(connection: StoreConnection) -> int | None:
     return None if row[0] is None else int(row[0])
 
 
+def newest_reading(connection: StoreConnection, unit: int) -> int | None:
+    """The time of the newest stored reading of a unit, µs. Raises DamagedBlock."""
+    query = "SELECT start, data FROM raw WHERE unit = ? ORDER BY start DESC LIMIT 1"
+    row = connection.execute(query, (unit,)).fetchone()
+    return None if row is None else max((run.until for run in _runs_of(unit, *row)), default=None)
+
+
 def rollup_row(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
     query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
     row = connection.execute(query, (unit, start)).fetchone()

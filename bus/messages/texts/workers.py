@@ -46,6 +46,10 @@ TEXTS = {
     "updates_implausible": (
         "invalid time or a unit that is not configured; check the clock and the units of the bus worker"
     ),
+    "updates_late_known": (
+        "late, and of a time that the bus worker reported before or was connected; nothing stored was changed"
+    ),
+    "updates_over_quota": "more than the wire can carry; is another program using the token of this bus?",
     "event_worker_started": "bus worker started, port {port}",
     "event_worker_back": "bus worker is back, port {port}",
     "event_worker_refused": "bus worker refused",

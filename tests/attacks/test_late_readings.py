@@ -1,0 +1,159 @@
+"""A stolen worker token against the history: nothing that is stored changes, or gets another beside it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from app.feed.holders import Credential
+from app.feed.late import FIRST_S
+from app.feed.rates import MAX_VALUES_AT_ONCE, FeedQuota
+from app.history.intake.tail import Tail
+from app.history.series.runs import HOUR, Run, micros
+from app.history.store import tables
+from bus.contract import MOST_UPDATES, Batch, Reading, Snapshot, UnitState, encode
+from tests.app.complete_app import House, complete_app
+from tests.app.stage import hello, reading, snapshot, unit_state, until
+from tests.attacks.test_feed import HostileSocket
+
+BUS = "dry-end"
+DAY_S = 86_400.0
+
+
+async def connect(house: House, *batches: Batch, state: Snapshot | None = None, worker: str = "w1") -> None:
+    """One connection from its hello to its announced end."""
+    messages = [encode(each) for each in (hello(worker), state or snapshot(), *batches)]
+    await house.services.workers.serve(HostileSocket(messages), Credential("stolen", BUS, "192.0.2.66"))
+
+
+def of(begin: float, actual: int, count: int = 10, each_s: float = 1.0) -> list[Any]:
+    """Readings of unit 1 from a time on."""
+    return [replace(reading(1, actual), at=begin + place * each_s) for place in range(count)]
+
+
+async def stored(house: House, begin: float, end: float) -> list[int]:
+    """The actual speed of every reading of unit 1 that history has, once all that came is written."""
+    history = house.services.history
+    await until(lambda: history.status.waiting == 0, "everything stored")
+
+    def read(connection: tables.StoreConnection, tail: Tail) -> list[Run]:
+        key, span = tables.find_unit(connection, BUS, 1), (micros(begin), micros(end))
+        if key is None:
+            return []
+        blocks = tables.raw_between(connection, key, span[0] - HOUR, span[1])
+        inside = [run for run in blocks if span[0] <= run.at < span[1]]
+        return inside + tail.runs(key, *span)
+
+    return [run.actual for run in await history.read(read) for _ in range(run.readings)]
+
+
+async def refusals(house: House) -> list[dict[str, Any]]:
+    await house.services.buses[BUS].recorder.recorded()
+    return [each for each in await house.events("worker") if "refused" in each["what"]]
+
+
+@asynccontextmanager
+async def followed(folder: Path, at: float) -> AsyncIterator[House]:
+    """An app whose bus was followed at that time, with 5000 as stored; started again since."""
+    async with complete_app(folder) as house:
+        house.services.buses[BUS].feed.coverage.until = at - 1
+        await connect(house, Batch(1, at, of(at, 5000), live=False), worker="before")
+        assert await stored(house, at - 1, at + 100) == [5000] * 10
+    async with complete_app(folder) as house:
+        yield house
+
+
+async def test_nothing_is_stored_beside_stored_readings(tmp_path: Path) -> None:
+    begin = time.time() - 7 * DAY_S + 3600
+    async with followed(tmp_path, begin) as house:
+        forged = of(begin + 0.5, 1, 9)
+        for live in (False, True):
+            await connect(house, Batch(1, time.time(), forged, live=live), worker=f"forger {live}")
+        assert await stored(house, begin - 1, begin + 100) == [5000] * 10
+        refused = await refusals(house)
+        # Of the last seconds, which a worker sends again after a crash, it is left out in silence.
+        assert sum(int(event["new"]) for event in refused) == 2 * len(forged) - 10
+        assert "of a time that the bus worker reported before" in refused[0]["message"]
+
+
+async def test_the_time_that_the_app_was_away_is_delivered_once(tmp_path: Path) -> None:
+    begin = time.time() - 3600
+    async with followed(tmp_path, begin) as house:
+        await connect(house, Batch(1, time.time(), of(begin + 60, 6000), live=False))
+        assert await stored(house, begin - 1, begin + 100) == [5000] * 10 + [6000] * 10
+        await connect(house, Batch(2, time.time(), of(begin + 60.5, 1, 8), live=False), worker="forger")
+        assert await stored(house, begin - 1, begin + 100) == [5000] * 10 + [6000] * 10
+
+
+async def test_of_one_connection_each_time_counts_once(tmp_path: Path) -> None:
+    begin = time.time() - 3600
+    async with followed(tmp_path, begin) as house:
+        honest, forged = of(begin + 60, 6000), of(begin + 60.5, 1, 9)
+        batches = [Batch(seq, time.time(), part, live=False) for seq, part in ((1, honest), (2, forged))]
+        await connect(house, *batches)
+        assert await stored(house, begin + 50, begin + 100) == [6000] * 10
+
+
+async def test_the_time_of_a_connection_is_not_delivered_later(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        feed, begin = house.services.buses[BUS].feed, time.time()
+        feed.coverage.until = begin - 3600
+        await connect(house, Batch(1, time.time(), [reading(1, 5000)]))
+        await connect(house, Batch(1, time.time(), of(begin - 3000, 1), live=False), worker="forger")
+        assert await stored(house, begin - 3600, begin - 10) == []
+
+
+async def test_a_first_worker_cannot_invent_a_week(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        now = time.time()
+        week = [replace(reading(1, 1), at=now - age) for age in (6 * DAY_S, 3600.0, FIRST_S + 60)]
+        await connect(house, Batch(1, now, [*week, *of(now - 600, 5000)], live=False))
+        assert await stored(house, now - 7 * DAY_S, now) == [5000] * 10
+
+
+async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) -> None:
+    """Decimals (#3) from three months ago would show all of it a hundredth as large."""
+    begin = time.time() - 3600
+    async with followed(tmp_path, begin) as house:
+        state = unit_state(1, {3: 4})
+        long_ago = [replace(value, at=begin - 90 * DAY_S) for value in state.parameters]
+        forged = UnitState(state.unit, state.link, None, long_ago)
+        await connect(house, state=replace(snapshot(), units=[forged]), worker="forger")
+        await stored(house, begin, begin + 1)
+        steps = await house.services.history.read(
+            lambda store, _: store.execute("SELECT at FROM parameter WHERE raw = 4").fetchall()
+        )
+        assert all(at > micros(begin) for (at,) in steps)
+
+
+async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        feed, begin = house.services.buses[BUS].feed, time.time() - 3 * DAY_S
+        feed.coverage.until = begin
+        flood = [
+            Batch(1 + number, time.time(), _tight(begin + 60 * number), live=False)
+            for number in range(int(MAX_VALUES_AT_ONCE) // MOST_UPDATES + 20)
+        ]
+        feed._quota._updates.capacity = 1e9  # the test does not wait until the rest is read
+        await connect(house, *flood)
+        refused = [event for event in await refusals(house) if "wire can carry" in event["message"]]
+        assert 0 < len(refused) <= 2, "one at once, and their sum"
+        total = sum(int(event["new"]) for event in refused)
+        # The test takes some seconds, in which some more are admitted.
+        assert 10 * MOST_UPDATES < total <= 20 * MOST_UPDATES
+        await until(lambda: house.services.history.status.waiting == 0, "everything stored")
+
+
+def _tight(begin: float) -> Sequence[Reading]:
+    return of(begin, 1, MOST_UPDATES, 0.01)
+
+
+def test_a_quota_is_of_the_bus_and_outlives_a_connection() -> None:
+    quota = FeedQuota()
+    assert all(quota.admits_value(0.0) for _ in range(int(MAX_VALUES_AT_ONCE)))
+    assert not quota.admits_value(0.0)
