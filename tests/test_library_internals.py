@@ -38,7 +38,7 @@ METHODS: dict[type, str] = {
 }
 ATTRIBUTES: dict[type, str] = {
     HttpToolsProtocol: "client config cycle flow headers loop pipeline scope transport ws_protocol_class",
-    WebSocketsSansIOProtocol: "close_sent handshake_complete loop queue transport",
+    WebSocketsSansIOProtocol: "close_sent conn frames handshake_complete loop queue read_paused transport",
 }
 
 

@@ -16,6 +16,7 @@ from app.server.accepting import accept_connections
 from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
+from app.server.refusal_log import ErrorLines, NoteRefused, RefusalLog
 from app.server.stamping import StampingProtocol
 from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
@@ -39,7 +40,10 @@ class Server(uvicorn.Server):
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self._services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self._services.workers.responds
-        super().__init__(_config(app, self._watch, connections))
+        refusals, errors = RefusalLog(), ErrorLines()
+        super().__init__(_config(NoteRefused(app, refusals), self._watch, connections, refusals))
+        errors.install()
+        self._sum_up = (refusals.sum_up, errors.sum_up)
         self._serving = serving
         self._ended = asyncio.Event()
         self._accepting: list[asyncio.Task[None]] = []
@@ -75,6 +79,8 @@ class Server(uvicorn.Server):
             now = asyncio.get_running_loop().time()
             for connection in tuple(self.server_state.connections):
                 connection.check(now)  # type: ignore[union-attr]
+            for sum_up in self._sum_up:
+                sum_up()
             with suppress(TimeoutError):
                 async with asyncio.timeout(TICK_S):
                     await self._ended.wait()
@@ -93,10 +99,12 @@ class Server(uvicorn.Server):
         return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 
 
-def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Config:
+def _config(app: Any, watch: LoopWatch, connections: Connections, refusals: RefusalLog) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames."""
-    protocol = partial(StampingProtocol, watch=watch, open_connections=connections, turns=Starts())
+    protocol = partial(
+        StampingProtocol, watch=watch, open_connections=connections, turns=Starts(), refusals=refusals
+    )
     return uvicorn.Config(
         app,
         loop="none",
@@ -106,7 +114,8 @@ def _config(app: Any, watch: LoopWatch, connections: Connections) -> uvicorn.Con
         ws_max_size=MOST_MESSAGE_BYTES,
         access_log=False,
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
-        log_level="error",  # a warning for each malformed request would let anyone fill the disk
+        log_config=None,
+        log_level="error",
         server_header=False,
         lifespan="off",  # `serve` runs the services: an error of their start is one line there
         timeout_graceful_shutdown=GRACEFUL_S,

@@ -9,6 +9,7 @@ from app.server.addresses import source_of
 from app.server.connections import Connection, Connections
 from app.server.intake import InputInTurn
 from app.server.pace import Backlog
+from app.server.refusal_log import RefusalLog
 
 CLOSING_S = 5.0
 """What a client gets to read the end of a connection."""
@@ -19,9 +20,12 @@ class CountedProtocol(InputInTurn):
 
     connection: Connection
 
-    def __init__(self, *args: Any, open_connections: Connections, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, open_connections: Connections, refusals: RefusalLog, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
         self._open_connections = open_connections
+        self._refusals = refusals
         self._backlog = Backlog()
         self._closing_since: float | None = None
 

@@ -62,6 +62,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Nothing refers to this protocol any more but itself."""
+        if self._pace.awaited in (Awaited.HEAD, Awaited.BODY) and not self._is_ending:
+            self._refusals.note(self.connection.address, "incomplete")
         super().connection_lost(exc)
         self._unparsed.clear()
         self.flow.resumed = bool
@@ -120,6 +122,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             connection=self.connection,
             open_connections=self._open_connections,
             turns=self._turns,
+            refusals=self._refusals,
         )
         self.ws_protocol_class = continued  # type: ignore[assignment]
         super().handle_websocket_upgrade()
@@ -231,6 +234,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self._end()
         else:
             self.transport.close()
+        self._refusals.note(self.connection.address, refusal.code)
         self._is_ending = True
         self._drop_input()
 

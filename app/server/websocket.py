@@ -113,6 +113,14 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         if self._is_allowed():
             super().handle_pong(event)
 
+    def handle_parser_exception(self) -> None:
+        """What cannot be parsed, or may not be sent, ends the connection."""
+        assert self.conn.close_sent is not None
+        path = self.scope["path"] if self.handshake_initiated else ""
+        self._refusals.note(self.connection.address, str(self.conn.close_sent), path)
+        self._drop_input()
+        super().handle_parser_exception()
+
     def handle_ping(self) -> None:
         """A frame of the client; its response waits for the client to read."""
         if self.transport.get_write_buffer_size() > MOST_UNREAD_BYTES:

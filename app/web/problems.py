@@ -181,8 +181,8 @@ async def _on_error(request: Request, error: Exception) -> Response:
         case UnicodeDecodeError() | json.JSONDecodeError():
             problem = Problem(422, "invalid", Message("body_not_utf8"))
         case _:
-            log.error("failed", path=request.url.path, exc_info=error)
-            # Starlette calls this outside of every middleware, so the headers of all others are set here.
+            # Starlette raises it again, for the server to log. It calls this outside of every middleware, so
+            # the headers of all others are set here.
             problem = Problem(500, "failed", Message("server_failed")).with_headers(**HEADERS)
     return respond(request, problem)
 

@@ -136,7 +136,8 @@ class Uplink:
             self._log_unreachable(f"the dashboard refused this worker: {error}")
             return True
         except InvalidStatus as error:
-            self._log_unreachable(_about_status(error.response))
+            self._log_unreachable(f"{self._url}: {_about_status(error.response)}")
+            return error.response.status_code in (401, 403)
         except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
             self._log_unreachable(f"no dashboard at {self._url}: {str(error) or type(error).__name__}")
         return False

@@ -22,6 +22,7 @@ from app.server.http import (
     HttpProtocol,
 )
 from app.server.pace import LEAST_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
+from app.server.refusal_log import RefusalLog
 from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
@@ -40,6 +41,7 @@ class Site:
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
     turns: Starts = field(default_factory=Starts)
+    refusals: RefusalLog = field(default_factory=RefusalLog)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0
     received: int = 0
@@ -104,7 +106,8 @@ async def served() -> AsyncIterator[Site]:
             super().data_received(data)
 
     def protocol() -> HttpProtocol:
-        protocol = Counting(config, state, {}, open_connections=site.connections, turns=site.turns)
+        shared = {"open_connections": site.connections, "turns": site.turns, "refusals": site.refusals}
+        protocol = Counting(config, state, {}, **shared)
         site.protocols.append(protocol)
         return protocol
 

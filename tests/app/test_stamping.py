@@ -17,6 +17,7 @@ from uvicorn.server import ServerState
 from app.server import stamping
 from app.server.connections import Connections
 from app.server.loop_watch import LoopWatch
+from app.server.refusal_log import RefusalLog
 from app.server.stamping import ARRIVED_AT, StampingProtocol
 from app.server.starting import Starts
 from app.server.tcp_wait import TcpWait, tcp_wait
@@ -99,7 +100,13 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
     loop = asyncio.get_running_loop()
     server = await loop.create_server(
         lambda: StampingProtocol(
-            config, state, {}, watch=watch, open_connections=Connections(), turns=Starts()
+            config,
+            state,
+            {},
+            watch=watch,
+            open_connections=Connections(),
+            turns=Starts(),
+            refusals=RefusalLog(),
         ),
         "127.0.0.1",
         0,

@@ -20,6 +20,7 @@ from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
 from app.server.intake import SLICE_BYTES
 from app.server.pace import STALL_S
+from app.server.refusal_log import RefusalLog
 from app.server.starting import Starts
 from app.server.trust import trust_sender
 from app.server.websocket import (
@@ -114,9 +115,9 @@ async def site() -> AsyncIterator[Site]:
         site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
     )
     loop = asyncio.get_running_loop()
-    turns = Starts()
+    shared = {"open_connections": site.connections, "turns": Starts(), "refusals": RefusalLog()}
     server = await loop.create_server(
-        lambda: HttpProtocol(config, site.state, {}, open_connections=site.connections, turns=turns),
+        lambda: HttpProtocol(config, site.state, {}, **shared),
         "127.0.0.1",
         0,
     )

@@ -150,6 +150,15 @@ async def test_a_wrong_token_is_named() -> None:
         async with FakeApp() as app, linked(app, token="wrong"):
             await _logged(logs)
     assert "does not accept the token (401): create one with 'lineside token create'" in logs[0]["why"]
+    assert logs[0]["why"].startswith(feed_url(app.url))
+
+
+async def test_a_refused_token_is_tried_again_seldom_and_logged_once() -> None:
+    with capture_logs() as logs:
+        async with FakeApp() as app:
+            uplink = Uplink(app.url, "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            assert [await uplink._try() for _ in range(5)] == [True] * 5
+    assert len(logs) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,110 @@
+"""The log of requests that were refused: one line for an address, and then their number once a minute.
+
+A client decides how many requests it sends: a line for each, and more so a traceback, would let it fill the
+disk.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import structlog
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.server.addresses import source_of
+from app.server.repeats import Repeats
+from bus.instants import MonotonicClock, monotonic_now
+
+_log = structlog.get_logger()
+
+REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
+"""Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
+MAX_SHOWN = 100
+"""Characters of what a client sent."""
+_OF_CLIENTS = frozenset(
+    {
+        "ASGI callable returned without completing handshake.",
+        "Invalid UTF-8 sequence received from client.",
+        "opening handshake failed",
+        "parser failed",
+    }
+)
+"""What uvicorn and websockets log of a refused handshake or frame, which is noted here by its address."""
+
+
+class RefusalLog:
+    """Logs what was refused, by the address of the client."""
+
+    def __init__(self, now: MonotonicClock = monotonic_now) -> None:
+        self._now = now
+        self._repeats = Repeats()
+
+    def note(self, address: str, reason: str, request: str = "") -> None:
+        """One more. ``request``: its path, of which the first is shown."""
+        source = source_of(address)
+        if self._repeats.is_first(source, self._now()):
+            _log.warning("request refused", address=source, reason=reason, request=request[:MAX_SHOWN])
+
+    def sum_up(self) -> None:
+        """Log the numbers of the minutes that have passed; to be called about once a second."""
+        for source, count in self._repeats.take_counts(self._now()).items():
+            _log.warning(f"refused {count:,} requests from {source} in the last minute")
+
+
+class NoteRefused:
+    """Middleware: notes each response that refuses a request or a handshake."""
+
+    def __init__(self, app: ASGIApp, refusals: RefusalLog) -> None:
+        self._app = app
+        self._refusals = refusals
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def watching(message: Message) -> None:
+            if message.get("status") in REFUSED and _is_shown(scope, message["status"]):
+                address = (scope.get("client") or ("",))[0]
+                self._refusals.note(address, str(message["status"]), scope["path"])
+            await send(message)
+
+        await self._app(scope, receive, watching)
+
+
+def _is_shown(scope: Scope, status: int) -> bool:
+    """Whether it is worth a line: a browser without a session gets a 401 too."""
+    return status != 401 or any(name == b"authorization" for name, _ in scope["headers"])
+
+
+class ErrorLines(logging.Handler):
+    """Logs the errors that uvicorn and asyncio report, each once a minute: with its traceback where it is a
+    failure of ours, without where a client has caused it."""
+
+    def __init__(self, now: MonotonicClock = monotonic_now) -> None:
+        super().__init__(logging.ERROR)
+        self._now = now
+        self._repeats = Repeats()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage().partition("\n")[0].strip()
+        error = record.exc_info[1] if record.exc_info else None
+        place = f"{text} {_place_of(error)}".strip()
+        if text not in _OF_CLIENTS and self._repeats.is_first(place, self._now()):
+            _log.error(text, exc_info=error)
+
+    def install(self) -> None:
+        """Log in the place of all other handlers."""
+        for name in ("uvicorn", "asyncio"):
+            logger = logging.getLogger(name)
+            logger.handlers, logger.propagate = [self], False
+
+    def sum_up(self) -> None:
+        """Log how often each text came in the minutes that have passed."""
+        for text, count in self._repeats.take_counts(self._now()).items():
+            _log.error(f"{count:,} times more in the last minute: {text}")
+
+
+def _place_of(error: BaseException | None) -> str:
+    """Where it was raised."""
+    trace = error.__traceback__ if error else None
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = "" if trace is None else f"{trace.tb_frame.f_code.co_qualname}:{trace.tb_lineno}"
+    return f"{type(error).__name__} in {where}" if error else ""
