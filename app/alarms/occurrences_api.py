@@ -17,7 +17,7 @@ from app.history.api.spans import SpanOf
 from app.history.service import seconds
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import iso
+from app.web.shape import Instant, MaybeInstant, iso
 from app.web.templating import templates_of
 from app.web.turns import SEARCH
 
@@ -42,8 +42,8 @@ OccurrenceShown = TypedDict(
         "bus": BusName,
         "unit": UnitNumber,
         "priority": AlarmPriorityShown,
-        "from": Annotated[str, Field(description="When it was annunciated, ISO 8601.")],
-        "to": Annotated[str | None, Field(description="Until when it was active; null: it still is.")],
+        "from": Annotated[Instant, Field(description="When it was annunciated, ISO 8601.")],
+        "to": Annotated[MaybeInstant, Field(description="Until when it was active; null: it still is.")],
         "shown": OccurrenceTextShown,
     },
 )

@@ -16,7 +16,7 @@ from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.services import service
-from app.web.shape import MessageShown, iso, message_shown
+from app.web.shape import MaybeInstant, MessageShown, iso, message_shown
 
 router = APIRouter(prefix="/api/v1/alarms/own", tags=["alarms"], route_class=ApiRoute)
 
@@ -54,7 +54,7 @@ class OwnAlarmShown(TypedDict):
     ]
     version: Annotated[int | None, Field(description="Another one after each change; null: configuration.")]
     changed_by: Annotated[str | None, Field(description="null: configuration.")]
-    changed_at: Annotated[str | None, Field(description="ISO 8601 in UTC; null: configuration.")]
+    changed_at: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC; null: configuration.")]
     name: str
     bus: str
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]

@@ -19,7 +19,7 @@ from app.audit.api import CSV
 from app.errors import Problem
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import iso
+from app.web.shape import Instant, iso
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
@@ -59,8 +59,8 @@ class FrequentAlarmShown(TypedDict):
 ObservedShown = TypedDict(
     "ObservedShown",
     {
-        "from": Annotated[str, Field(description="ISO 8601; where alarms were observed only later: then.")],
-        "to": str,
+        "from": Annotated[Instant, Field(description="Where alarms were observed only later: then.")],
+        "to": Instant,
         "observed_s": Annotated[float, Field(description="How long alarms were observed in this time.")],
     },
 )

@@ -14,7 +14,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry
-from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_shown
+from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
@@ -25,12 +25,10 @@ AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
 ConsequenceShown = TypeAliasType("ConsequenceShown", Consequence)
 TimeToRespondShown = TypeAliasType("TimeToRespondShown", TimeToRespond)
 """Named, so that clients have one enumeration of each."""
-WhenOrNull = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
-CameAt = Annotated[str | None, Field(description="When its occurrence began, ISO 8601; null: it never came.")]
-ClearedAt = Annotated[str | None, Field(description="When its condition ended, ISO 8601; null: it did not.")]
-AcknowledgedAt = Annotated[
-    str | None, Field(description="When a person acknowledged it, ISO 8601; null: none has.")
-]
+WhenOrNull = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
+CameAt = Annotated[MaybeInstant, Field(description="When its occurrence began; null: it never came.")]
+ClearedAt = Annotated[MaybeInstant, Field(description="When its condition ended; null: it did not.")]
+AcknowledgedAt = Annotated[MaybeInstant, Field(description="When a person acknowledged it; null: none has.")]
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
 UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 
@@ -49,12 +47,12 @@ class AlarmShown(TypedDict):
     active: Annotated[bool, Field(description="Whether its condition holds, its delays included.")]
     acknowledged: bool
     silenced: Annotated[bool, Field(description="Whether its sound was ended before its acknowledgement.")]
-    since: Annotated[str | None, Field(description="When it got into its state; null: it never had another.")]
+    since: Annotated[MaybeInstant, Field(description="When it got into its state; null: never another.")]
     came: CameAt
     cleared: ClearedAt
     acknowledged_at: AcknowledgedAt
     unknown_since: Annotated[
-        str | None, Field(description="Since when its condition is not known; null: it is known.")
+        MaybeInstant, Field(description="Since when its condition is not known; null: it is known.")
     ]
     value: Annotated[str | None, Field(description="The present value where it is about one.")]
     value_message: MaybeMessage
@@ -83,7 +81,7 @@ class AlarmTransitionShown(TypedDict):
     """One change of an alarm."""
 
     id: int
-    time: str
+    time: Instant
     alarm: Annotated[str, Field(description="The id of the occurrence.")]
     name: str
     code: str

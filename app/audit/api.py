@@ -19,7 +19,7 @@ from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import MaybeMessage, csv_text, iso, json_response, maybe_shown
+from app.web.shape import Instant, MaybeInstant, MaybeMessage, csv_text, iso, json_response, maybe_shown
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 from bus.messages import in_english
@@ -46,7 +46,7 @@ class EventMessage(BaseModel):
 class EventFrameShown(BaseModel):
     """One frame that carried a command."""
 
-    at: Annotated[UnixTime, Field(description="Seconds since 1970.")]
+    at: Annotated[Instant, Field(description="ISO 8601 in UTC, milliseconds.")]
     direction: Annotated[str, Field(description="out: a request, in: a response.")]
     data: Annotated[str, Field(description="The bytes on the wire, hexadecimal.")]
     meaning: Annotated[str, Field(description="Its meaning, English.")]
@@ -58,7 +58,7 @@ class EventShown(BaseModel):
     ``unreadable``: its time (then null), frames or messages are not what the server wrote."""
 
     id: int
-    time: Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
+    time: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
     kind: str
     who: str
     origin: Annotated[str, Field(description="Which way it came: page, api, command line, restore …")]
@@ -118,7 +118,7 @@ def shown(event: Event) -> dict[str, Any]:
         **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
         "time": iso(event["time"]) if is_moment(event["time"]) else None,
         "count": event["count"] or 1,
-        "frames": json.loads(event["frames"]),
+        "frames": [{**frame, "at": iso(frame["at"])} for frame in json.loads(event["frames"])],
     }
 
 

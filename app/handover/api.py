@@ -35,7 +35,7 @@ from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MOST_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
-from app.web.shape import StrictBody, iso
+from app.web.shape import Instant, StrictBody, iso
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -101,8 +101,8 @@ class ShiftSignBody(StrictBody):
 class ShiftSummaryShown(TypedDict):
     """A shift in the list."""
 
-    start: str
-    end: str
+    start: Instant
+    end: Instant
     notes: Annotated[int, Field(description="How many it has.")]
     leaving: SignatureShown | None
     coming: SignatureShown | None
@@ -112,7 +112,7 @@ class ShiftsShown(TypedDict):
     """Shifts, newest first. ``next`` is the ``before`` of the next page."""
 
     shifts: list[ShiftSummaryShown]
-    next: str
+    next: Instant
 
 
 @router.get("")

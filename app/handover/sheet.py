@@ -26,7 +26,7 @@ from app.handover.record import (
 from app.handover.rules.shift_times import Shift, site_time
 from app.handover.signatures import Signature, SignedSheet
 from app.settings import Settings
-from app.web.shape import MessageShown, iso, message_shown
+from app.web.shape import Instant, MessageShown, iso, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -46,8 +46,8 @@ class ShiftNoteShown(TypedDict):
     """One note. It is never changed."""
 
     id: int
-    time: Annotated[str, Field(description="What it is about. ISO 8601, UTC.")]
-    written_at: Annotated[str, Field(description="By the clock of the server.")]
+    time: Annotated[Instant, Field(description="What it is about. ISO 8601, UTC.")]
+    written_at: Annotated[Instant, Field(description="By the clock of the server.")]
     who: str
     text: str
     bus: str | None
@@ -69,10 +69,10 @@ class ShiftEventsShown(TypedDict):
 class ShiftSheetShown(TypedDict):
     """What the next shift has to know, up to ``until``."""
 
-    start: str
-    end: str
-    until: Annotated[str, Field(description="The end of the shift, or before it when the sheet was made.")]
-    made_at: str
+    start: Instant
+    end: Instant
+    until: Annotated[Instant, Field(description="End of the shift, or before it when the sheet was made.")]
+    made_at: Instant
     site: str
     time_zone: Annotated[str, Field(description="IANA name.")]
     standing: Annotated[
@@ -105,7 +105,7 @@ class SignatureShown(TypedDict):
     """Who signed, and when by the clock of the server."""
 
     who: str
-    at: str
+    at: Instant
 
 
 class SignedShown(TypedDict):

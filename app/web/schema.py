@@ -99,6 +99,24 @@ def leave_bodies_out(document: dict[str, Any]) -> None:
                         content["schema"] = schema
 
 
+SENT_AT_HEADER = {
+    "name": "Lineside-Sent-At",
+    "in": "header",
+    "required": False,
+    "schema": {"type": "string", "examples": ["2026-11-21T03:12:00.250Z"]},
+    "description": "When the write was made, ISO 8601 with zone; without it, when it arrived.",
+}
+"""Without ``format``: openapi-python-client generates no call with a ``date-time`` in a header."""
+
+
+def add_sent_at(document: dict[str, Any]) -> None:
+    """Every write may state when it was made: the server reads the header beside the routes."""
+    for path in document["paths"].values():
+        for method, operation in path.items():
+            if method not in ("get", "head"):
+                operation.setdefault("parameters", []).append(SENT_AT_HEADER)
+
+
 def openapi_document(app: Any) -> dict[str, Any]:
     """The document of an app. Raises ValueError where two schemas would have one name."""
     document = with_published_names(
@@ -106,8 +124,10 @@ def openapi_document(app: Any) -> dict[str, Any]:
     )
     describe_parameters(document)
     leave_bodies_out(document)
+    add_sent_at(document)
     components = document["components"]
     components["schemas"] |= problem_schemas(components["schemas"])
     components["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
     document["security"] = [{"token": []}]
+    document["servers"] = [{"url": "/", "description": "The server that this document comes from."}]
     return document

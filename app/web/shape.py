@@ -10,7 +10,7 @@ from io import StringIO
 from typing import Annotated, Any
 
 import msgspec
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
@@ -39,6 +39,13 @@ Numbers = Annotated[
     list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=40), AfterValidator(_each_once)
 ]
 """Of parameters."""
+
+
+DATE_TIME = {"type": "string", "format": "date-time"}
+"""The schema of an instant: RFC 3339, which ISO 8601 with a zone is."""
+Instant = Annotated[str, WithJsonSchema(DATE_TIME)]
+"""As :func:`iso` writes it."""
+MaybeInstant = Instant | None
 
 
 def iso(at: UnixTime) -> str:

@@ -85,6 +85,7 @@ async function draw(unit, { lines, labels }) {
     ["series", `${unit}/commanded`],
     ["from", new Date((to - SPAN_S) * 1000).toISOString()],
     ["to", new Date(to * 1000).toISOString()],
+    ["format", "epoch"],
   ]);
   const response = await fetch(`/api/v1/history/sparks?${query}`, { signal: AbortSignal.timeout(4000) });
   if (!response.ok) return;

@@ -87,6 +87,7 @@ async function refresh() {
   const query = new URLSearchParams({
     from: new Date(from * 1000).toISOString(),
     to: new Date(to * 1000).toISOString(),
+    format: "epoch",
   });
   for (const name of new Set([...visible].map((spark) => spark.series))) query.append("series", name);
   const found = await fetchSparks(query);

@@ -51,7 +51,9 @@ function takeFirst(names, [from, to]) {
 /** What happened over the span: `{marks: [{t, what, …}], more}`.
  * @param {string[]} names @param {Span} range @returns {Promise<{ marks: Mark[], more: boolean }>} */
 export function fetchMarks(names, range) {
-  return get("/marks", unitQuery(names, range));
+  const query = unitQuery(names, range);
+  query.append("format", "epoch");
+  return get("/marks", query);
 }
 
 /** The alarms that were active over the span: `{alarms: [{t, until, priority, name, place}], more}`, times in

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -85,8 +86,15 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since", "Alarm.came", "Alarm.cleared"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
+    "HistoryStatus.oldest_reading",
     *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
-    *("covered_from", "covered_to", "AlarmSimulation.first", "AlarmSimulation.last"),
+    *(
+        "HistoryStatus.oldest_reading",
+        "covered_from",
+        "covered_to",
+        "AlarmSimulation.first",
+        "AlarmSimulation.last",
+    ),
 }
 NUMBERS_AND_BYTES = {
     *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),
@@ -97,8 +105,12 @@ NO_TEXT = CODES | IN_THE_READERS_LANGUAGE | TYPED_BY_PEOPLE | TIMES | NUMBERS_AN
 
 
 @pytest.fixture(scope="module")
-def schemas(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    document = openapi_document(create_app(settings_in(tmp_path_factory.mktemp("texts"))))
+def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    return openapi_document(create_app(settings_in(tmp_path_factory.mktemp("texts"))))
+
+
+@pytest.fixture(scope="module")
+def schemas(document: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = document["components"]["schemas"]
     return found
 
@@ -146,3 +158,63 @@ def test_a_message_is_described_as_one(schemas: dict[str, Any]) -> None:
     }
     assert len(named) > 20
     assert [place for place, described in named.items() if "schemas/Message'" not in described] == []
+
+
+LOCAL_TIMES = {*(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")), "time_zone"}
+"""Times of the day and days of the site, which are no instants."""
+AN_INSTANT = {"type": "string", "format": "date-time"}
+NAMED_SO = re.compile(r"(^|_)(at|since|until|from|to|time|start|end|t)$")
+
+
+def is_instant(described: dict[str, Any]) -> bool:
+    """Whether all but null and, on request, numbers of it are instants."""
+    kinds = described.get("anyOf") or [described.get("items", described)]
+    inner = [kind for each in kinds for kind in each.get("anyOf", [each])]
+    return any({**kind, **AN_INSTANT} == kind for kind in inner)
+
+
+def test_every_time_is_an_instant_in_one_format(schemas: dict[str, Any]) -> None:
+    """Some were seconds since 1970, and none of the others had a format."""
+    times = {
+        f"{name}.{field}": described
+        for name, schema in schemas.items()
+        for field, described in schema.get("properties", {}).items()
+        if (NAMED_SO.search(field) or {field, f"{name}.{field}"} & TIMES)
+        and described.get("type") != "boolean"
+        and not {field, f"{name}.{field}"} & (LOCAL_TIMES | {"HandOverRequest.to"})
+    }
+    assert len(times) > 60
+    assert [place for place, described in times.items() if not is_instant(described)] == []
+
+
+def test_a_number_for_a_time_comes_on_request_alone(schemas: dict[str, Any]) -> None:
+    described = {
+        f"{name}.{field}": str(described)
+        for name, schema in schemas.items()
+        for field, described in schema.get("properties", {}).items()
+    }
+    with_numbers = {place for place, text in described.items() if "since 1970" in text}
+    assert with_numbers == {"HistorySeries.t", "HistoryMark.t", "Sparkline.t"}
+    assert all("format=epoch" in described[place] for place in with_numbers)
+
+
+def test_times_of_a_query_are_instants_and_every_write_may_state_its_own(document: dict[str, Any]) -> None:
+    operations = {
+        f"{method} {path}": {each["name"]: each for each in operation.get("parameters", ())}
+        for path, methods in document["paths"].items()
+        for method, operation in methods.items()
+    }
+    times = [
+        parameters[name]["schema"]
+        for parameters in operations.values()
+        for name in ("from", "to", "start")
+        if name in parameters
+    ]
+    assert len(times) > 20
+    assert all(is_instant(schema) for schema in times)
+    for operation, parameters in operations.items():
+        assert ("Lineside-Sent-At" in parameters) == (not operation.startswith("get "))
+
+
+def test_the_document_names_its_server(document: dict[str, Any]) -> None:
+    assert [server["url"] for server in document["servers"]] == ["/"]

@@ -32,6 +32,7 @@ from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir
 from app.web.problems import install
 from app.web.services import Registry
+from app.web.shape import iso
 from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.contract import UnitLink
@@ -197,16 +198,24 @@ async def test_small_pictures_of_many_units(client: httpx.AsyncClient, history: 
     fill(history)
     params = {"series": ["dry-end/1/actual"], "from": at(0), "to": at(20)}
     found = (await client.get("/history/sparks", params=params)).json()
-    assert len(found["dry-end/1/actual"]["t"]) <= 120
+    spark = found["dry-end/1/actual"]
+    assert len(spark["t"]) <= 120
+    params = {**params, "format": "epoch"}
+    epoch = (await client.get("/history/sparks", params=params)).json()["dry-end/1/actual"]
+    assert [iso(seconds) for seconds in epoch["t"]] == spark["t"]
     assert None in found["dry-end/1/actual"]["avg"]
 
 
 async def test_marks_are_what_happened_to_the_units_shown(client: httpx.AsyncClient) -> None:
     params = {"from": at(0), "to": at(20), "unit": ["dry-end/1"]}
     found = (await client.get("/history/marks", params=params)).json()
-    assert [(mark["kind"], mark["unit"], mark["t"]) for mark in found["marks"]] == [("mode", 1, NOON + 5)]
+    assert [(mark["kind"], mark["unit"], mark["t"]) for mark in found["marks"]] == [
+        ("mode", 1, iso(NOON + 5))
+    ]
     assert found["marks"][0]["shown"] == {"what": "mode", "old": "LOCAL", "new": "REMOTE"}
     assert found["more"] is False
+    epoch = (await client.get("/history/marks", params={**params, "format": "epoch"})).json()
+    assert [mark["t"] for mark in epoch["marks"]] == [NOON + 5]
     later = (await client.get("/history/marks", params={"from": at(10), "to": at(20)})).json()
     assert later["marks"] == []
 
@@ -324,6 +333,7 @@ async def test_a_failing_store_is_reported_and_the_rest_goes_on(tmp_path: Path) 
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url=base) as client:
         status = (await client.get("/history/status")).json()
         assert status["state"] == "failed"
+        assert datetime.fromisoformat(status["since"]).tzinfo is not None
         response = await client.get("/history", params=query())
         assert response.status_code == 503
         assert "no history is stored" in json.loads(response.content)["detail"]

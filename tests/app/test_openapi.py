@@ -80,6 +80,8 @@ def test_every_call(api: Api, api_schema: BaseSchema) -> None:
         )
         @given(case=operation.as_strategy())
         def check(case: Case) -> None:
+            # A made-up time is long ago, and the write rightly refused (503) before its body is read.
+            case.headers.pop("Lineside-Sent-At", None)
             response = case.call(base_url=api.url, headers=api.headers)
             assert response.status_code < 500 or response.status_code in (503, 504), response.text
             case.validate_response(response, excluded_checks=[positive_data_acceptance])

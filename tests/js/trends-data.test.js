@@ -115,7 +115,7 @@ test("a refusal is an error in the server's words, else its status", async () =>
 test("events are requested once for each unit", async () => {
   const requested = serve({ marks: [], more: false });
   await fetchMarks(["line/1/actual", "line/1/run", "wet/2/actual"], RANGE);
-  assert.deepEqual(requested, [`/api/v1/history/marks?from=${FROM}&to=${TO}&unit=line%2F1&unit=wet%2F2`]);
+  assert.deepEqual(requested, [`/api/v1/history/marks?from=${FROM}&to=${TO}&unit=line%2F1&unit=wet%2F2&format=epoch`]);
 });
 
 test("an export is of what is shown, and never of an empty span", () => {

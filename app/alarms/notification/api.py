@@ -20,7 +20,16 @@ from app.notify_settings import DAYS, DayOfWeek
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service, unknown_bus
-from app.web.shape import MaybeMessage, MessageShown, StrictBody, iso, maybe_shown, message_shown
+from app.web.shape import (
+    Instant,
+    MaybeInstant,
+    MaybeMessage,
+    MessageShown,
+    StrictBody,
+    iso,
+    maybe_shown,
+    message_shown,
+)
 from bus.instants import UnixTime
 from bus.messages import in_english
 from bus.text import OneLine
@@ -62,7 +71,7 @@ class NotificationEndpointShown(TypedDict):
     works: Annotated[
         bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
     ]
-    tried_at: Annotated[str | None, Field(description="The last attempt, ISO 8601; null: there was none.")]
+    tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
     result: Annotated[str, Field(description="Why the last attempt failed, English; empty: it did not.")]
     result_message: MaybeMessage
     waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
@@ -81,8 +90,8 @@ class MaintenanceShown(TypedDict):
 
     id: int
     bus: Annotated[str | None, Field(description="null: all buses and the server.")]
-    since: Annotated[str, Field(description="ISO 8601.")]
-    until: Annotated[str, Field(description="ISO 8601.")]
+    since: Annotated[Instant, Field(description="ISO 8601.")]
+    until: Annotated[Instant, Field(description="ISO 8601.")]
     who: str
     reason: str
 
@@ -97,8 +106,8 @@ class RecurringMaintenanceShown(TypedDict):
     buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
     reason: str
     present: Annotated[bool, Field(description="Whether it is under way.")]
-    since: Annotated[str | None, Field(description="Of the present or next one, ISO 8601; null: no more.")]
-    until: Annotated[str | None, Field(description="Its end, ISO 8601; null: no more.")]
+    since: Annotated[MaybeInstant, Field(description="Of the present or next one, ISO 8601; null: no more.")]
+    until: Annotated[MaybeInstant, Field(description="Its end, ISO 8601; null: no more.")]
 
 
 class NotificationShown(TypedDict):
@@ -118,8 +127,8 @@ class DeliveryShown(TypedDict):
     endpoint: Annotated[str, Field(description="The key of the address.")]
     state: DeliveryStateShown
     attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
-    created_at: Annotated[str, Field(description="ISO 8601.")]
-    tried_at: Annotated[str | None, Field(description="The last attempt, ISO 8601; null: there was none.")]
+    created_at: Annotated[Instant, Field(description="ISO 8601.")]
+    tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
     result: Annotated[str, Field(description="Why it was not delivered, English; empty: no reason.")]
     result_message: MaybeMessage
     kinds: Annotated[list[NoticeKindShown], Field(description="Of its notices; several are a digest.")]

@@ -20,7 +20,7 @@ from app.history.api.spans import HistoryOf
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import StrictBody, iso
+from app.web.shape import Instant, MaybeInstant, StrictBody, iso
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
@@ -29,7 +29,7 @@ router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRout
 SimulatorOf = Annotated[Simulator, service(Simulator)]
 WrittenLimit = Annotated[str | int | float, Field(description='As the unit displays it: "80.0" or 80.')]
 WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")]
-SimulatedTime = Annotated[str | None, Field(description="ISO 8601 in UTC; null: there is none.")]
+SimulatedTime = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
 class WrittenAlarmBody(StrictBody):
@@ -61,14 +61,14 @@ class AlarmSimulationBody(WrittenAlarmBody):
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
 
 
-SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": str, "to": str})
+SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": Instant, "to": Instant})
 
 
 class AlarmSimulationShown(SimulatedSpanShown):
     """What the alarm would have done. Durations in seconds."""
 
     covered_from: Annotated[
-        str | None, Field(description="From when on there is history; null: there is none of this time.")
+        MaybeInstant, Field(description="From when on there is history; null: there is none of this time.")
     ]
     covered_to: SimulatedTime
     annunciated: Annotated[int, Field(description="How often it would have come.")]

@@ -7,19 +7,19 @@ from typing import Annotated, NotRequired
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.web.shape import MessageShown, ReasonShown
+from app.web.shape import Instant, MaybeInstant, MessageShown, ReasonShown
 from bus.contract import Direction, Outcome
 
 OutcomeShown = TypeAliasType("OutcomeShown", Outcome)
 """Named, so that clients have one enumeration of it."""
-Moment = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: it did not happen.")]
+Moment = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it did not happen.")]
 Attempts = Annotated[int, Field(description="How often the request was sent.")]
 
 
 class FrameShown(TypedDict):
     """One frame as it passed the port."""
 
-    at: Annotated[str, Field(description="ISO 8601 in UTC, milliseconds.")]
+    at: Annotated[Instant, Field(description="ISO 8601 in UTC, milliseconds.")]
     direction: Annotated[Direction, Field(description="out: a request, in: a response.")]
     hex: Annotated[str, Field(description="The bytes on the wire, hexadecimal, separated by blanks.")]
     meaning: Annotated[str, Field(description="Its meaning, English.")]
@@ -54,7 +54,7 @@ class CommandResultShown(OutcomeMembers):
 
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
     id: Annotated[str, Field(description="Of the command: the Idempotency-Key where one was sent.")]
-    at: Annotated[str, Field(description="When the outcome was known, ISO 8601 in UTC, milliseconds.")]
+    at: Annotated[Instant, Field(description="When the outcome was known, ISO 8601 in UTC, milliseconds.")]
     bus: str
     unit: Annotated[int | None, Field(description="Address of the one unit it is about; null: several.")]
     skew_s: Annotated[

@@ -27,6 +27,7 @@ from app.web.api_route import ApiRoute
 from app.web.shape import iso, json_response, maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
+from bus.instants import UnixTime
 from bus.messages import Message, in_english
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
@@ -51,7 +52,7 @@ def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, A
         "to": iso(seconds(requested.end)),
         "resolution": found.resolution,
         "bucket_s": found.bucket / SECOND,
-        "t": list(at if times == "epoch" else map(iso, at)),
+        "t": [_time(each, times) for each in at],
         "min": found.series.least,
         "max": found.series.greatest,
         "avg": found.series.average,
@@ -98,19 +99,28 @@ async def get_series(
 
 @router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]), dependencies=[SEARCH])
 async def get_sparks(
-    _: Viewer, history: HistoryOf, span: SpanOf, series: Annotated[list[str], Query()]
+    _: Viewer,
+    history: HistoryOf,
+    span: SpanOf,
+    series: Annotated[list[str], Query()],
+    times: TimeFormat = "iso",
 ) -> Response:
-    """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` (seconds
-    since the epoch) and ``avg``, about 120 points."""
+    """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` and ``avg``, about
+    120 points."""
     if len(series) > MOST_SPARKS:
         raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
     requested = [spans.named_series_query(history, name, span, SPARK_POINTS) for name in series]
     found = await history.query(requested)
-    return await json_response(lambda: {name: _small(a) for name, a in zip(series, found, strict=True)})
+    sparks = zip(series, found, strict=True)
+    return await json_response(lambda: {name: _small(result, times) for name, result in sparks})
 
 
-def _small(found: QueryResult) -> dict[str, Any]:
-    return {"t": [seconds(t) for t in found.series.at], "avg": found.series.average}
+def _small(found: QueryResult, times: str) -> dict[str, Any]:
+    return {"t": [_time(seconds(at), times) for at in found.series.at], "avg": found.series.average}
+
+
+def _time(at: UnixTime, times: str) -> str | UnixTime:
+    return at if times == "epoch" else iso(at)
 
 
 @router.get("/marks", response_model=None, responses=json_of(MarksShown), dependencies=[SEARCH])
@@ -120,6 +130,7 @@ async def get_marks(
     events: Events,
     span: SpanOf,
     unit: Annotated[list[str] | None, Query()] = None,
+    times: TimeFormat = "iso",
 ) -> Response:
     """Events of a span, oldest first: events (setpoint changes too) of the site and of each
     ``bus/unit`` named. At most the newest 500; ``more``: there were more. ``shown``: ``what``,
@@ -127,6 +138,7 @@ async def get_marks(
     marks, more = await collect_marks(events, span, unit or [])
     language = templates_of(request).language_of(request)
     for mark in marks:
+        mark["t"] = _time(mark["t"], times)
         messages = mark["messages"]
         mark["shown"] = {
             name: language.t(messages[name]) if name in messages else mark[name]
@@ -148,7 +160,9 @@ async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
         "cause": in_english(status.cause),
         "cause_message": maybe_shown(status.cause),
     }
-    return cast(StatusShown, asdict(status) | texts)
+    oldest = None if status.oldest_reading is None else iso(status.oldest_reading)
+    times = {"since": iso(status.since), "oldest_reading": oldest}
+    return cast(StatusShown, asdict(status) | texts | times)
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])

@@ -10,12 +10,11 @@ from typing_extensions import TypedDict
 from app.history.query.query import Resolution
 from app.history.status import StoreState
 from app.web.schema_problem import problems
-from app.web.shape import MaybeMessage, MessageShown
-from bus.instants import UnixTime
+from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
 TimeList = Annotated[
-    list[str | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+    list[Instant | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
 ]
 
 SeriesShown = TypedDict(
@@ -26,8 +25,8 @@ SeriesShown = TypedDict(
         "value": Annotated[str, Field(description="Its name, such as actual or output.1.")],
         "measure": Annotated[str, Field(description="Unit of measurement; empty: none is configured.")],
         "decimals": Annotated[int | None, Field(description="Of the newest point; null: not known.")],
-        "from": Annotated[str, Field(description="Start of the span, ISO 8601 in UTC.")],
-        "to": Annotated[str, Field(description="End of the span, ISO 8601 in UTC.")],
+        "from": Annotated[Instant, Field(description="Start of the span, ISO 8601 in UTC.")],
+        "to": Annotated[Instant, Field(description="End of the span, ISO 8601 in UTC.")],
         "resolution": Resolution,
         "bucket_s": Annotated[float, Field(description="Seconds that a point stands for; 0: one reading.")],
         "t": TimeList,
@@ -41,7 +40,7 @@ SeriesShown = TypedDict(
 class SparkShown(TypedDict):
     """The columns of a sparkline."""
 
-    t: Annotated[list[float], Field(description="Seconds since 1970.")]
+    t: TimeList
     avg: Column
 
 
@@ -56,7 +55,9 @@ class MarkTextShown(TypedDict, total=False):
 class MarkShown(TypedDict):
     """One event to be drawn into a chart."""
 
-    t: Annotated[UnixTime, Field(description="Seconds since 1970.")]
+    t: Annotated[
+        Instant | float, Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
+    ]
     id: Annotated[int, Field(description="Number of the event.")]
     kind: str
     what: str
@@ -90,10 +91,10 @@ class StatusShown(TypedDict):
     reason: Annotated[MessageShown | None, Field(description="message as data; null: it is empty.")]
     cause: Annotated[str, Field(description="Why the store cannot be used; empty while it can.")]
     cause_message: MaybeMessage
-    since: Annotated[UnixTime, Field(description="Since when, seconds since 1970.")]
+    since: Annotated[Instant, Field(description="Since when.")]
     size_bytes: int
     free_bytes: Annotated[int, Field(description="Free space on the disk.")]
-    oldest_reading: Annotated[UnixTime | None, Field(description="Seconds since 1970; null: none is stored.")]
+    oldest_reading: Annotated[MaybeInstant, Field(description="null: none is stored.")]
     waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
     lost: Annotated[int, Field(description="Updates that could not be stored.")]
     damaged: Annotated[int, Field(description="Damages found in the last seven days.")]

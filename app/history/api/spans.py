@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
 from fastapi import Depends, Query
+from pydantic import Field, WithJsonSchema
 
 from app.errors import Problem
 from app.history.query.query import SeriesQuery
@@ -15,7 +16,7 @@ from app.history.series.runs import HOUR, micros
 from app.history.series.values import VALUES
 from app.history.service import History
 from app.web.services import service, unknown_bus, unknown_unit
-from app.web.shape import parse_integer
+from app.web.shape import DATE_TIME, parse_integer
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -26,6 +27,9 @@ FIRST_YEAR, LAST_YEAR = 1970, 9998
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
+
+
+MaybeMomentText = Annotated[str, Field(max_length=40), WithJsonSchema({**DATE_TIME, "maxLength": 40})] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +62,8 @@ def moment(text: str, name: str) -> int:
 
 
 async def wanted_span(
-    since: Annotated[str | None, Query(alias="from", max_length=40)] = None,
-    until: Annotated[str | None, Query(alias="to", max_length=40)] = None,
+    since: Annotated[MaybeMomentText, Query(alias="from")] = None,
+    until: Annotated[MaybeMomentText, Query(alias="to")] = None,
 ) -> Span:
     """The requested span; the last hour by default."""
     end = micros(unix_now()) if until is None else moment(until, "to")

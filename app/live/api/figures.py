@@ -9,10 +9,9 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.live.api.view import Json, wire_json
-from app.web.shape import MessageShown
+from app.web.shape import MaybeInstant, MessageShown, iso
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
-from bus.instants import UnixTime
 
 EventCount = Annotated[int, Field(description="Since the bus worker started.")]
 ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
@@ -53,7 +52,7 @@ class BusFiguresShown(TypedDict):
 
     bus: str
     measured: Annotated[bool, Field(description="Whether a worker measures; without one all else is null.")]
-    at: Annotated[UnixTime | None, Field(description="Seconds since 1970.")]
+    at: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds.")]
     scan_hz: Annotated[float | None, Field(description="Scans per second.")]
     scan_s: Annotated[
         float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
@@ -80,7 +79,7 @@ def figures_json(bus: str, figures: BusFigures | None) -> Json:
     return wire_json(figures) | {
         "bus": bus,
         "measured": figures is not None,
-        "at": figures.at if figures else None,
+        "at": iso(figures.at) if figures else None,
         "noise_bytes": figures.noise_bytes if figures else None,
         "echoes": figures.echoes if figures else None,
         "updates_lost": figures.updates_lost if figures else None,

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.web.shape import MaybeMessage, MessageShown
+from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown
 from bus.contract import BusLinkState, UnitLinkState
 
 Raw = Annotated[int | None, Field(description="Integer on the wire, 0 to 99999; null: not known.")]
@@ -15,9 +15,9 @@ DisplayedValue = Annotated[
     str | None, Field(description="Decimal text as the unit displays it; null: not known.")
 ]
 Time = Annotated[
-    str, Field(description="ISO 8601 in UTC, milliseconds.", examples=["2026-11-21T03:12:00.125+00:00"])
+    Instant, Field(description="ISO 8601 in UTC, milliseconds.", examples=["2026-11-21T03:12:00.125+00:00"])
 ]
-MaybeTime = Annotated[str | None, Field(description="ISO 8601 in UTC, milliseconds; null: never.")]
+MaybeTime = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: never.")]
 UnitAddress = Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
 MaybeBit = Annotated[bool | None, Field(description="null: not known.")]
 
@@ -77,7 +77,7 @@ class UnitShown(TypedDict):
         str | None, Field(description="Why another unit may respond in its name; null: no sign.")
     ]
     suspect_message: MaybeMessage
-    read_at: Annotated[str | None, Field(description="When the values below were read, ISO 8601 in UTC.")]
+    read_at: Annotated[MaybeInstant, Field(description="When the values below were read, ISO 8601 in UTC.")]
     age_ms: Annotated[int | None, Field(description="How old they are by the server's clock, milliseconds.")]
     commanded_raw: Raw
     actual_raw: Raw
