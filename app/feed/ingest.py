@@ -135,12 +135,15 @@ class Ingest:
         # Of a live batch what is late was held up on its way: the app stood still.
         until = now if batch.live else self._window.until
         late = self._within_quota(self._in_window(found.late, until, refused), refused)
-        live = self._within_quota(found.live, refused)
         if late:
             self._pipeline.batch(late, live=False)
-        if live:
-            self._pipeline.batch(live, live=True)
-        self._coverage.advance(batch, [*late, *live], now)
+        if found.live:
+            # What is now is shown, also where history has no room for it.
+            unknown = [update for update in found.live if not self._window.is_known(update)]
+            refused[KNOWN] += len(found.live) - len(unknown)
+            stored = self._within_quota(unknown, refused)
+            self._pipeline.batch(found.live, live=True, stored=stored)
+        self._coverage.advance(batch, [*late, *found.live], now)
         self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
