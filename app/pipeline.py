@@ -49,11 +49,13 @@ class Pipeline:
         updates = self._live.take_snapshot(snapshot)
         self._append([update for update in updates if not isinstance(update, Reading)])
 
-    def batch(self, updates: Sequence[Update], *, live: bool) -> None:
-        """Updates in order. Those kept while the app was away belong to history and events only."""
+    def batch(self, updates: Sequence[Update], *, live: bool, stored: Sequence[Update] | None = None) -> None:
+        """Updates in order. Those kept while the app was away belong to history and events only. ``stored``:
+        those that history takes, where that is not all."""
         if live:
             self._live.apply(updates)
-        if kept := [update for update in updates if isinstance(update, KEPT)]:
+        of_history = updates if stored is None else stored
+        if kept := [update for update in of_history if isinstance(update, KEPT)]:
             self._append(kept)
         for update in updates:
             for change in self._changes.see(update):

@@ -132,19 +132,22 @@ class Ingest:
         for update in (*found.late, *found.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
-        # Of a live batch what is late was held up on its way: the app stood still.
+        # Late updates of a live batch were held up on their way: the app stood still.
         until = now if batch.live else self._window.until
         late = self._within_quota(self._in_window(found.late, until, refused), refused)
-        live = self._within_quota(found.live, refused)
         if late:
             self._pipeline.batch(late, live=False)
-        if live:
-            self._pipeline.batch(live, live=True)
-        self._coverage.advance(batch, [*late, *live], now)
+        if found.live:
+            # The present is shown, also where history takes no more.
+            unknown = [update for update in found.live if not self._window.is_known(update)]
+            refused[KNOWN] += len(found.live) - len(unknown)
+            stored = self._within_quota(unknown, refused)
+            self._pipeline.batch(found.live, live=True, stored=stored)
+        self._coverage.advance(batch, [*late, *found.live], now)
         self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
-        """Those of the time that was not followed; what is sent again after a crash is left out."""
+        """Those of the time that was not followed; repetitions after a crash are left out."""
         fresh = [update for update in late if not self._window.is_repeated(update)]
         taken = [update for update in fresh if self._window.admits(update, self._clock.offset_s, until)]
         refused[KNOWN] += len(fresh) - len(taken)

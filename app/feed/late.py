@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf
 
+from app.feed.plausibility import LIVE_S
 from app.pipeline import KEPT
 from bus.contract import Batch, Reading, Update
 from bus.contract.bounds import MOST_UPDATES
@@ -43,6 +44,10 @@ class LateWindow:
     def is_repeated(self, update: Update) -> bool:
         """Whether it is sent again because the app ended before it was confirmed."""
         return isinstance(update, KEPT) and self.since - REPEATED_S < update.at <= self.since
+
+    def is_known(self, update: Update) -> bool:
+        """Whether a reading of a live batch is of the time before, though it is young enough to be live."""
+        return isinstance(update, Reading) and self.since - LIVE_S < update.at <= self.since
 
     def _is_next(self, reading: Reading, offset_s: float) -> bool:
         """Whether it follows the last one of its unit, by the worker's clock, whose offset may change."""

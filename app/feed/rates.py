@@ -1,7 +1,7 @@
 """How much a worker may send. Pure.
 
 Input over the rate is not read yet, and waits in the worker's own buffer. A worker that polls 255 units at
-9600 baud, and is followed, sends a tenth of this. Only values are refused, which no wire can have carried.
+9600 baud, and is followed, sends a tenth of this. What no wire can have carried is shown, and not stored.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ TEXT_COST = 40.0
 """Of a state, which history keeps and whose cause is translated for each language, or a diagnosis."""
 MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
 """Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
-MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 400.0, 40_000.0
-"""Readings and parameters: ten times what 9600 baud carries, as a worker polls no faster on a port that is
-faster than its baud rate; and all that a worker keeps."""
+MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
+"""Readings and parameters: twice as many as a worker polls at 9600 baud on a port that is faster than that, and
+all that a worker keeps."""
 HELLOS_PER_S, HELLOS_AT_ONCE = 0.5, 20.0
 
 

@@ -50,6 +50,15 @@ def test_what_was_not_confirmed_before_a_crash_is_sent_again(age_s: float, is_re
     assert not window().is_repeated(BusFigures(NOW - age_s, 1.0, 1.0, 1.0, 1.0))
 
 
+@pytest.mark.parametrize(
+    ("age_s", "is_known"), [(599.9, False), (600.0, True), (659.9, True), (660.0, False)]
+)
+def test_a_live_reading_of_the_time_before_the_connection(age_s: float, is_known: bool) -> None:
+    """One of much earlier is by a clock that was set back."""
+    assert window().is_known(replace(READING, at=NOW - age_s)) is is_known
+    assert not window().is_known(UnitLink(1, NOW - age_s, "offline"))
+
+
 def test_what_history_does_not_keep_is_not_judged() -> None:
     assert window().admits(BusFigures(0.0, 1.0, 1.0, 1.0, 1.0), 0.0, NOW)
 

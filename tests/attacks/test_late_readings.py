@@ -108,6 +108,14 @@ async def test_the_time_of_a_connection_is_not_delivered_later(tmp_path: Path) -
         assert await stored(house, begin - 3600, begin - 10) == []
 
 
+async def test_a_live_mark_does_not_put_a_reading_beside_another(tmp_path: Path) -> None:
+    begin = time.time() - 30
+    async with followed(tmp_path, begin) as house:
+        await connect(house, Batch(1, time.time(), of(begin + 0.5, 1, 8)), worker="forger")
+        assert await stored(house, begin - 1, begin + 9.5) == [5000] * 10
+        assert [event["new"] for event in await refusals(house)] == ["8"]
+
+
 async def test_a_first_worker_cannot_invent_a_week(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         now = time.time()
@@ -129,6 +137,20 @@ async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) 
             lambda store, _: store.execute("SELECT at FROM parameter WHERE raw = 4").fetchall()
         )
         assert all(at > micros(begin) for (at,) in steps)
+
+
+async def test_more_live_readings_than_a_wire_carries_are_shown_and_not_stored(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        now, feed = time.time(), house.services.buses[BUS].feed
+        feed._quota._values.capacity = 10
+        await connect(
+            house, Batch(1, now, [replace(reading(1, n), at=now - 0.3 + n / 100) for n in range(20)])
+        )
+        shown = house.services.live.buses[BUS].units[1].reading
+        assert shown is not None
+        assert shown.actual == 19
+        assert len(await stored(house, now - 1, now + 1)) in range(10, 15)
+        assert "wire can carry" in (await refusals(house))[0]["message"]
 
 
 async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path) -> None:
