@@ -203,7 +203,7 @@ class Settings(StrictModel):
     def anchor_file(self) -> Path:
         """Where the head of the audit log is noted: as configured, or beside the data folder."""
         data = self.server.data
-        return self.audit.anchor or data.with_name(f"{data.name}{ANCHOR_SUFFIX}")
+        return self.audit.anchor or data.parent / f"{data.name}{ANCHOR_SUFFIX}"
 
     @property
     def key_files(self) -> tuple[Path, ...]:

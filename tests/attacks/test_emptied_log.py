@@ -8,15 +8,20 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
+from app.alarms.definition import key_of
 from app.audit.anchoring import Anchoring, AnchorStatus
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import Filter, head_of
 from app.cli import cli
 from app.database import Database
+from app.main import create_app
 from app.settings import load
+from app.wiring import running
+from tests.app.complete_app import settings_in
 from tests.attacks.test_audit_log import ENTRIES, Plant
 
 
@@ -61,6 +66,11 @@ class QuietPlant(Plant):
             return [message for (message,) in rows]
 
 
+def remove_store(data: Path) -> None:
+    for path in data.glob("lineside.db*"):
+        path.unlink()
+
+
 @pytest.fixture
 def plant(tmp_path: Path) -> QuietPlant:
     made = QuietPlant(tmp_path)
@@ -77,8 +87,7 @@ def test_an_emptied_log_is_noticed_without_an_anchor(plant: QuietPlant) -> None:
 
 def test_the_start_reports_an_emptied_log(plant: QuietPlant) -> None:
     plant.remove_anchor()
-    for path in plant.store.parent.glob("lineside.db*"):
-        path.unlink()
+    remove_store(plant.store.parent)
     status = plant.serve(3)
     assert str(status.altered).startswith("the log was emptied or cut off: it has no entry 9, which ")
     [message] = plant.events("audit log altered")
@@ -86,6 +95,21 @@ def test_the_start_reports_an_emptied_log(plant: QuietPlant) -> None:
     assert "the anchor names entry 9" in plant.broken_at()
     plant.serve(20)
     assert "entry 9 is not the one that the anchor names" in plant.broken_at(), "it was not anchored again"
+
+
+async def test_a_server_over_an_emptied_log_raises_the_alarm(tmp_path: Path) -> None:
+    settings = settings_in(tmp_path)
+    async with running(create_app(settings).state.services):
+        pass
+    remove_store(tmp_path / "data")
+    services = create_app(settings).state.services
+    with capture_logs() as logs:
+        async with running(services):
+            await services.anchoring.export()
+            services.alarms.site.tick()
+            alarm = services.alarms.site.list.alarms[key_of(None, None, "audit_degraded")]
+            assert alarm.holds is True
+    assert [entry["event"] for entry in logs if entry["log_level"] == "error"] == ["audit log altered"]
 
 
 def test_an_earlier_copy_is_noticed_without_an_anchor(plant: QuietPlant, tmp_path: Path) -> None:
