@@ -99,6 +99,10 @@ class LineAlarms:
         for each in self._lists:
             yield from each.alarms.values()
 
+    def known(self, key: str) -> Alarm | None:
+        """The alarm of a key, also one whose definition has ended lately; None: there is none."""
+        return next((each.known[key] for each in self._lists if key in each.known), None)
+
     def observed(self) -> list[ObservedSpan]:
         """Since when each list is observed; the store has it a minute late."""
         return [each.observed for each in self._lists if each.observed is not None]
