@@ -15,10 +15,10 @@ from app.alarms.rules import changes
 from app.alarms.rules.changes import Act, Changed, NoTransitionError
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.priority import PRIORITIES
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore, JournalEntry, JournalWriting
 from app.audit.log import Also, EventLog
+from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
 from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
