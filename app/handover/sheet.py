@@ -119,10 +119,10 @@ class SignedShown(TypedDict):
 
 
 class MissingSignatureShown(SignatureShown):
-    """A signature that the audit log names. ``event``: its entry."""
+    """A signature that the audit log names."""
 
     part: SignedPart
-    event: int
+    event: Annotated[int, Field(description="The number of its entry.")]
 
 
 class SheetAndSignaturesShown(ShiftSheetShown):
