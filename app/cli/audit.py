@@ -80,6 +80,7 @@ async def _rotate(database: Database, settings: Settings) -> Path | None:
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
     """From the files as they are: nothing is brought up to date, nothing is written."""
+    check_store(settings)
     store = settings.server.store
     if not store.exists():
         raise StoreError(Message.of("store_missing", path=str(store)))

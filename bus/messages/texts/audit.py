@@ -81,6 +81,10 @@ TEXTS: dict[str, EnglishText] = {
         "the anchor {path} may name entries that came after the backup: keep it as evidence, and name "
         "another file as anchor in [audit]"
     ),
+    "anchor_of_former_site": (
+        "the anchor {path} is of the former site; nothing was begun. Keep it as evidence, and name another "
+        "file as anchor in [audit]"
+    ),
     "restored_over": "the audit log that was replaced ended at entry {entry}, {hash}",
     "audit_end_before_anchor": "the log ends at entry {entry}, but the anchor names entry {named}",
     "audit_end_not_sealed": "the log ends at entry {entry}, but what notes that end is not sealed",
