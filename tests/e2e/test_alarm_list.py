@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import OpensPages
-from tests.e2e.site import Site, eventually
+from tests.e2e.site import AT_REST, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
 PHONE = {"width": 360, "height": 740}
 BETWEEN_TAPS_MS = 350
 UNITS = (2, 3, 4)
+NO_TENSION_ALARM = """
+[[built_in_alarm]]
+code = "analog_out_of_limits"
+above_percent = 100
+below_percent = 0
+"""
+"""A section beside one that is stopped pulls the web taut, sooner or later."""
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Eight units whose only alarms are those of the test."""
+    return line_server(8, line_options=AT_REST, toml=NO_TENSION_ALARM)
 
 
 def alarms(site: Site) -> dict[int, dict[str, Any]]:
