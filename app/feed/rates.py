@@ -33,8 +33,8 @@ TEXT_COST = 40.0
 MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
 """Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
 MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
-"""Readings and parameters: twice as many as a worker polls at 9600 baud on a port that is faster than that, and
-all that a worker keeps."""
+"""Readings and parameters: twice as many as a worker polls at 9600 baud on a port that is faster than that,
+and all that a worker keeps."""
 HELLOS_PER_S, HELLOS_AT_ONCE = 0.5, 20.0
 
 
