@@ -22,7 +22,7 @@ from app.live.api.recent_events import PIECE_BYTES, RecentEvents
 from app.live.api.view import Json, bus_fields, line_json, unit_json
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
-from app.live.state.bus_live import LiveState, changed_by
+from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.shape import iso
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
@@ -69,7 +69,7 @@ class LineStream:
         self._has_more = asyncio.Event()
         self._is_ending = False
         for name, bus in buses.items():
-            bus.subscribe(partial(self._on_updates, name))
+            bus.subscribe(Audience.STREAM, partial(self._on_updates, name))
 
     # --- to the programs ------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from app.live.screen.fields import Translator, frame_fields, health_fields, unit
 from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Groups, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
-from app.live.state.bus_live import LiveState, changed_by
+from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
@@ -72,7 +72,7 @@ class Hub:
         self._minute = 0.0
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
-            bus.subscribe(partial(self._on_updates, name))
+            bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
             sources.guards[name].on_block(partial(self.refresh_unit, name))
             sources.drift[name].on_change(partial(self.refresh_unit, name))
         sources.alarms.on_change(self._on_alarm)
