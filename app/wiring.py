@@ -111,9 +111,9 @@ class Services:
         settings, database = self.settings, self.database
         keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
         self.events = events = EventLog(database, keys=keys)
-        self.anchoring = None if settings.audit.anchor is None else Anchoring(events, settings.audit.anchor)
-        if self.anchoring is not None:
-            self.lifespan.add("audit anchor", self.anchoring.follow, end=self.anchoring.end)
+        is_configured = settings.audit.anchor is not None
+        self.anchoring = Anchoring(events, settings.anchor_file, is_configured=is_configured)
+        self.lifespan.add("audit anchor", self.anchoring.follow, end=self.anchoring.end)
         self.lifespan.add("event log", start=self._record_start, once=events.index, end=self._record_end)
         record_all = partial(events.repeated.record_due, everything=True)
         self.lifespan.add("repeated events", events.repeated.follow, end=record_all)
@@ -275,7 +275,7 @@ class Services:
         await self.events.record(kind="server", what=Message("event_server_ended"))
 
     def _anchor_status(self) -> AnchorStatus:
-        return _status_of(self.anchoring)
+        return self.anchoring.status
 
     def _stream_alarm(self, alarm: Alarm) -> None:
         self.stream.add("alarm", alarm.definition.bus, partial(alarm_json, self.alarms, alarm))
@@ -286,17 +286,13 @@ def _held_control(bus: BusService) -> HeldControl | None:
     return None if holding is None else (holding.holder, holding.used_at)
 
 
-def _status_of(anchoring: Anchoring | None) -> AnchorStatus:
-    return AnchorStatus() if anchoring is None else anchoring.status
-
-
 def _notices(
-    history: History, anchoring: Anchoring | None, reserve: Reserve, translator: Translator, now: UnixTime
+    history: History, anchoring: Anchoring, reserve: Reserve, translator: Translator, now: UnixTime
 ) -> str:
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
-        anchor_notice(_status_of(anchoring), translator.formats, now),
+        anchor_notice(anchoring.status, translator.formats, now),
         reserve.notice,
     )
     return " ".join(translator.t(notice) for notice in found if notice is not None)
