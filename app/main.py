@@ -52,9 +52,8 @@ from app.web import pages as web_pages
 from app.web import problems, schema
 from app.web.anonymous import AnonymousInTurn
 from app.web.arrival import Begun
-from app.web.bounds import BoundedRequest
+from app.web.bounds import RequestRules
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
-from app.web.security import AllowedHosts, HeaderRules, OwnPagesOnly
 from app.web.services import Registry
 from app.wiring import Services, running
 
@@ -135,12 +134,9 @@ def create_app(
     app.add_middleware(HeadAsGet)
     app.add_middleware(AnonymousInTurn)
     app.add_middleware(Identify, identity=services.identity, rechecks=services.rechecks, demo=demo)
-    app.add_middleware(BoundedRequest)
-    app.add_middleware(OwnPagesOnly)
+    app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
     app.add_middleware(RecordRefusals, events=services.events)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
-    app.add_middleware(AllowedHosts, allowed=settings.server.allowed_hosts)
-    app.add_middleware(HeaderRules)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     app.add_middleware(StartInTurn)

@@ -1,6 +1,7 @@
-"""Where what the worker of a bus reports goes, in order: live state, history, events.
+"""Who learns of what the worker of a bus reports, in order: the live state, and with it browsers,
+``/stream``, drift and alarms (:class:`app.live.state.bus_live.Audience`); then history, then events.
 
-The live state comes first, and with it the browsers; history and events never hold it up.
+Each is called in the same turn of the event loop, and none holds up or stops the one before it.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import importlib
 import re
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -15,6 +16,7 @@ from types import FrameType
 from typing import Any, cast
 
 import pytest
+from fastapi.routing import APIRoute
 from websockets.asyncio.client import ClientConnection
 
 from app.feed.ingest import Ingest, IngestPosition
@@ -54,12 +56,12 @@ class Calls:
     """The functions of app and bus in the order in which each was first called."""
 
     def __init__(self) -> None:
-        self.names: dict[str, None] = {}
+        self.counts: Counter[str] = Counter()
 
     def note(self, frame: FrameType, event: str, _argument: Any) -> None:
         module = frame.f_globals.get("__name__", "")
         if event == "call" and module.partition(".")[0] in ("app", "bus"):
-            self.names.setdefault(f"{module}.{frame.f_code.co_qualname}")
+            self.counts[f"{module}.{frame.f_code.co_qualname}"] += 1
 
     @contextmanager
     def watched(self) -> Iterator[None]:
@@ -71,7 +73,7 @@ class Calls:
 
     def of(self, names: Sequence[str]) -> list[str]:
         """Those of ``names`` that were called, in the order of their calls."""
-        return [name for name in self.names if name in names]
+        return [name for name in self.counts if name in names]
 
 
 class PlayedConnection:
@@ -184,6 +186,17 @@ def test_what_the_walks_name_exists(name: str) -> None:
     assert callable(found)
 
 
+async def test_the_walk_of_a_click_names_the_middleware_it_passes(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        route = next(route for route in house.app.routes if getattr(route, "name", "") == "set_speed")
+        passed: list[Any] = [middleware.cls for middleware in house.app.user_middleware]
+        roles_first = cast(APIRoute, route).app
+        passed += [type(roles_first), type(vars(roles_first)["_app"])]
+    assert re.findall(
+        r"`([\w.]+)`", section(CLICK).partition("Every request passes")[2].partition("\n\n")[0]
+    ) == [f"{each.__module__}.{each.__qualname__}" for each in passed]
+
+
 @pytest.mark.parametrize("heading", [READING, CLICK])
 def test_a_walk_has_at_most_fifteen_stations(heading: str) -> None:
     walk = stations(heading)
@@ -198,6 +211,36 @@ async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:
         await app_calls_of_a_reading(house, await connected(house), calls)
     walk = [name for name in stations(READING) if not name.startswith("static/")]
     assert calls.of(walk) == walk
+
+
+async def test_browsers_learn_of_a_reading_before_what_judges_and_stores_it(tmp_path: Path) -> None:
+    """The order that `app.pipeline` states."""
+    calls = Calls()
+    async with complete_app(tmp_path) as house:
+        await app_calls_of_a_reading(house, await connected(house), calls)
+    learning = [
+        "app.live.browsers.hub.Hub._on_updates",
+        "app.live.browsers.browser.Browser.send_diff",
+        "app.live.api.line_stream.LineStream._on_updates",
+        "app.sets.drift.BusDrift._see",
+        "app.alarms.bus_alarms.BusAlarms._see",
+        "app.history.service.History.append",
+        "app.live.changes.Changes.see",
+    ]
+    assert calls.of(learning) == learning
+
+
+async def test_a_write_requires_its_role_and_its_turn_once(tmp_path: Path) -> None:
+    calls = Calls()
+    async with complete_app(tmp_path) as house:
+        await connected(house)
+        await app_calls_of_a_click(house, calls)
+    required_once = [
+        "app.commands.service.writer._Writes.resolve",
+        "app.commands.service.command_service.CommandService.reserve",
+        "app.commands.safeguards.control.Control.use",
+    ]
+    assert [calls.counts[name] for name in required_once] == [1, 1, 1]
 
 
 async def test_a_click_takes_the_walk(tmp_path: Path) -> None:

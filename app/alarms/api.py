@@ -12,9 +12,9 @@ from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
+    AlarmRationalization,
     AlarmShown,
-    AlarmTransitionShown,
-    RationalizationShown,
+    AlarmTransition,
     alarm_json,
     record_json,
     transition_json,
@@ -42,13 +42,13 @@ class ActBody(StrictBody):
     model_config = ConfigDict(str_strip_whitespace=True)
 
 
-class CommentBody(ActBody):
+class AlarmCommentRequest(ActBody):
     """A remark for the journal and the audit log."""
 
     comment: Comment = ""
 
 
-class ShelveBody(ActBody):
+class AlarmShelveRequest(ActBody):
     """Why, and for how long."""
 
     reason: ActReason
@@ -56,13 +56,13 @@ class ShelveBody(ActBody):
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
 
 
-class UnshelveBody(ActBody):
+class AlarmReturnRequest(ActBody):
     """Why, for the journal and the audit log."""
 
     reason: Comment = ""
 
 
-class OutOfServiceBody(ActBody):
+class AlarmOutOfServiceRequest(ActBody):
     """Why."""
 
     reason: ActReason
@@ -75,18 +75,18 @@ class AlarmsShown(TypedDict):
     alarms: list[AlarmShown]
 
 
-class AlarmDetailShown(TypedDict):
+class AlarmDetail(TypedDict):
     """One alarm, its record, and its newest transitions."""
 
     alarm: AlarmShown
-    record: RationalizationShown
-    transitions: list[AlarmTransitionShown]
+    record: AlarmRationalization
+    transitions: list[AlarmTransition]
 
 
-class AlarmJournalShown(TypedDict):
+class AlarmJournal(TypedDict):
     """Transitions, newest first. ``next`` is the ``before`` of the next page, null at the end."""
 
-    transitions: list[AlarmTransitionShown]
+    transitions: list[AlarmTransition]
     next: int | None
 
 
@@ -119,7 +119,7 @@ async def get_alarm_journal(
     alarms: Alarms,
     limit: Annotated[int, Query(ge=1, le=MOST_ENTRIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
-) -> AlarmJournalShown:
+) -> AlarmJournal:
     """Every transition, also of what was shelved, suppressed or out of service."""
     entries = await alarms.store.journal(limit + 1, before)
     following = entries[limit - 1].id if len(entries) > limit else None
@@ -127,7 +127,7 @@ async def get_alarm_journal(
 
 
 @router.get("/{alarm_id}")
-async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetailShown:
+async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
     """One alarm with the record of its rationalization and its last transitions."""
     alarm = alarms.find(alarm_id).alarm
     entries = await alarms.store.journal_of(alarm.definition.key, 100)
@@ -140,7 +140,7 @@ async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetailShow
 
 @router.post("/{alarm_id}/acknowledge")
 async def acknowledge_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: CommentBody | None = None
+    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
 ) -> AlarmShown:
     """Acknowledge the occurrence that the id names."""
     comment = "" if body is None else body.comment
@@ -149,7 +149,7 @@ async def acknowledge_alarm(
 
 @router.post("/{alarm_id}/silence")
 async def silence_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: CommentBody | None = None
+    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
 ) -> AlarmShown:
     """End the sound of the occurrence that the id names. It is still to be acknowledged."""
     comment = "" if body is None else body.comment
@@ -158,7 +158,7 @@ async def silence_alarm(
 
 @router.post("/{alarm_id}/reset")
 async def reset_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: CommentBody | None = None
+    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
 ) -> AlarmShown:
     """Reset an acknowledged alarm that is latched."""
     comment = "" if body is None else body.comment
@@ -166,7 +166,9 @@ async def reset_alarm(
 
 
 @router.post("/{alarm_id}/shelve")
-async def shelve_alarm(person: Operator, alarms: Alarms, alarm_id: str, body: ShelveBody) -> AlarmShown:
+async def shelve_alarm(
+    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmShelveRequest
+) -> AlarmShown:
     """Hide it until a time. It is still detected and recorded."""
     alarm = await alarms.shelve(person, alarm_id, body.reason, body.minutes, once=body.once)
     return alarm_json(alarms, alarm)
@@ -174,7 +176,7 @@ async def shelve_alarm(person: Operator, alarms: Alarms, alarm_id: str, body: Sh
 
 @router.post("/{alarm_id}/unshelve")
 async def unshelve_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: UnshelveBody | None = None
+    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmReturnRequest | None = None
 ) -> AlarmShown:
     """Annunciate it again before its time."""
     reason = "" if body is None else body.reason
@@ -183,7 +185,7 @@ async def unshelve_alarm(
 
 @router.post("/{alarm_id}/out-of-service")
 async def remove_alarm_from_service(
-    person: Engineer, alarms: Alarms, alarm_id: str, body: OutOfServiceBody
+    person: Engineer, alarms: Alarms, alarm_id: str, body: AlarmOutOfServiceRequest
 ) -> AlarmShown:
     """Hide it until it is returned to service. It is still detected and recorded."""
     return alarm_json(alarms, await alarms.remove(person, alarm_id, body.reason))
@@ -191,7 +193,7 @@ async def remove_alarm_from_service(
 
 @router.post("/{alarm_id}/in-service")
 async def return_alarm_to_service(
-    person: Engineer, alarms: Alarms, alarm_id: str, body: UnshelveBody | None = None
+    person: Engineer, alarms: Alarms, alarm_id: str, body: AlarmReturnRequest | None = None
 ) -> AlarmShown:
     """Annunciate it again."""
     reason = "" if body is None else body.reason

@@ -18,7 +18,7 @@ from app.alarms.unit_monitor import UnitMonitor
 from app.built_in_settings import BUS_ALARMS, UNIT_ALARMS, BuiltInAlarmSettings, tuning_of
 from app.history.intake.clock_watch import ClockWatch
 from app.live.state.age import offline_after_s, scan_s_of
-from app.live.state.bus_live import BusLive
+from app.live.state.bus_live import Audience, BusLive
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -69,7 +69,7 @@ class BusAlarms:
         """Before it, ages mean nothing: the clock was set."""
         self._control_holder: Message | None = None
         self.list.subscribe(self._on_alarm)
-        live.subscribe(self._see)
+        live.subscribe(Audience.ALARMS, self._see)
 
     def _definitions(self) -> Iterable[AlarmDefinition]:
         for bus_code in BUS_ALARMS:

@@ -26,15 +26,15 @@ router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRout
 MOST_UNITS = 255
 
 
-class OccurrenceTextShown(TypedDict):
+class AlarmOccurrenceText(TypedDict):
     """In the reader's language."""
 
     name: str
     place: str
 
 
-OccurrenceShown = TypedDict(
-    "OccurrenceShown",
+AlarmOccurrence = TypedDict(
+    "AlarmOccurrence",
     {
         "alarm": Annotated[str, Field(description="The id of the occurrence.")],
         "name": str,
@@ -44,15 +44,15 @@ OccurrenceShown = TypedDict(
         "priority": AlarmPriorityShown,
         "from": Annotated[Instant, Field(description="When it was annunciated, ISO 8601.")],
         "to": Annotated[MaybeInstant, Field(description="Until when it was active; null: it still is.")],
-        "shown": OccurrenceTextShown,
+        "shown": AlarmOccurrenceText,
     },
 )
 
 
-class OccurrencesShown(TypedDict):
+class AlarmOccurrences(TypedDict):
     """Occurrences of a span, oldest first."""
 
-    occurrences: list[OccurrenceShown]
+    occurrences: list[AlarmOccurrence]
     more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
 
 
@@ -63,14 +63,14 @@ async def get_alarm_occurrences(
     alarms: Alarms,
     span: SpanOf,
     unit: Annotated[list[str] | None, Query(max_length=MOST_UNITS)] = None,
-) -> OccurrencesShown:
+) -> AlarmOccurrences:
     """When alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its bus, or
     all. At most the newest 500. What was hidden all the time is in the journal alone."""
     keys = _keys(alarms, unit or [])
     found = await occurrences(alarms.store, keys, seconds(span.start), seconds(span.end))
     language = templates_of(request).language_of(request)
 
-    def shown(each: Occurrence) -> OccurrenceShown:
+    def shown(each: Occurrence) -> AlarmOccurrence:
         name = recorded_name(each.alarm, each.code, each.name)
         return {
             "alarm": f"{each.alarm}.{each.occurrence}",

@@ -28,7 +28,7 @@ LimitShown = Annotated[str | None, Field(description="As the unit displays it; n
 DelayShown = Annotated[float, Field(description="Seconds.")]
 
 
-class OwnAlarmBody(WrittenAlarmBody):
+class OwnAlarmRequest(WrittenAlarmBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it."""
 
     name: Annotated[str, Field(max_length=200)]
@@ -38,7 +38,7 @@ class OwnAlarmBody(WrittenAlarmBody):
     response: WrittenText = ""
 
 
-class OwnAlarmChangeBody(OwnAlarmBody):
+class OwnAlarmChangeRequest(OwnAlarmRequest):
     """The new definition; name, bus and unit stay."""
 
     version: Version
@@ -74,7 +74,7 @@ class OwnAlarmShown(TypedDict):
     response: str
 
 
-class LeftAsideShown(TypedDict):
+class OwnAlarmLeftAside(TypedDict):
     """One that does not fit the configuration; it is not observed."""
 
     id: str
@@ -88,7 +88,7 @@ class OwnAlarmsShown(TypedDict):
     """Those of the configuration, those that were added, and those that do not fit."""
 
     alarms: list[OwnAlarmShown]
-    left_aside: list[LeftAsideShown]
+    left_aside: list[OwnAlarmLeftAside]
 
 
 @router.get("")
@@ -112,7 +112,7 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
 
 @router.post("", status_code=201)
 async def add_own_alarm(
-    person: Engineer, own: OwnBook, body: OwnAlarmBody, key: RequestKey = None
+    person: Engineer, own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
     return own_alarm_json(await own.add(person, _written(body), key))
@@ -120,7 +120,7 @@ async def add_own_alarm(
 
 @router.put("/{own_id}")
 async def change_own_alarm(
-    person: Engineer, own: OwnBook, own_id: OwnAlarmKey, body: OwnAlarmChangeBody
+    person: Engineer, own: OwnBook, own_id: OwnAlarmKey, body: OwnAlarmChangeRequest
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
     return own_alarm_json(await own.change(person, own_id, body.version, _written(body), body.reason))
@@ -138,7 +138,7 @@ async def remove_own_alarm(
     await own.remove(person, own_id, version, reason)
 
 
-def _written(body: OwnAlarmBody) -> dict[str, Any]:
+def _written(body: OwnAlarmRequest) -> dict[str, Any]:
     fields = body.model_dump(exclude_unset=True, exclude={"version", "reason"})
     return {key: value for key, value in fields.items() if value is not None}
 

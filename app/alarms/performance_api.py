@@ -28,14 +28,14 @@ router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRout
 MOST_DAYS = 31
 USUAL_DAYS = 7
 COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observed_s")
-FigureCodeShown = TypeAliasType("FigureCodeShown", FigureCode)
+AlarmFigureCode = TypeAliasType("AlarmFigureCode", FigureCode)
 FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
 
 
-class FigureShown(TypedDict):
+class AlarmFigure(TypedDict):
     """One figure and its target."""
 
-    code: FigureCodeShown
+    code: AlarmFigureCode
     value: Annotated[
         float | None,
         Field(description="Shares 0 to 1; null: nothing to measure, or under 10 minutes were observed."),
@@ -66,10 +66,10 @@ ObservedShown = TypedDict(
 )
 
 
-class AlarmPerformanceShown(ObservedShown):
+class AlarmPerformance(ObservedShown):
     """The figures of a time, and in how much of it alarms were observed."""
 
-    figures: list[FigureShown]
+    figures: list[AlarmFigure]
     most_frequent: list[FrequentAlarmShown]
 
 
@@ -92,7 +92,7 @@ WantedPerformance = Annotated[Performance, Depends(wanted_performance)]
 
 
 @router.get("/performance")
-async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformanceShown:
+async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> AlarmPerformance:
     """The figures of ISA-18.2, clause 16, each against its target."""
     return {
         **_observed(performance),
@@ -121,7 +121,7 @@ def _observed(performance: Performance) -> ObservedShown:
     }
 
 
-def _figure(figure: Figure) -> FigureShown:
+def _figure(figure: Figure) -> AlarmFigure:
     return {
         "code": figure.code,
         "value": figure.value,

@@ -22,8 +22,8 @@ AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
-ConsequenceShown = TypeAliasType("ConsequenceShown", Consequence)
-TimeToRespondShown = TypeAliasType("TimeToRespondShown", TimeToRespond)
+AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
+AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
 """Named, so that clients have one enumeration of each."""
 WhenOrNull = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
 CameAt = Annotated[MaybeInstant, Field(description="When its occurrence began; null: it never came.")]
@@ -64,7 +64,7 @@ class AlarmShown(TypedDict):
     reason: Annotated[str | None, Field(description="Why.")]
 
 
-class RationalizationShown(TypedDict):
+class AlarmRationalization(TypedDict):
     """Why there is this alarm (ISA-18.2, clause 9). English."""
 
     cause: str
@@ -73,11 +73,11 @@ class RationalizationShown(TypedDict):
     consequence_message: MessageShown
     response: str
     response_message: MessageShown
-    severity: ConsequenceShown
-    time_to_respond: TimeToRespondShown
+    severity: AlarmConsequence
+    time_to_respond: AlarmTimeToRespond
 
 
-class AlarmTransitionShown(TypedDict):
+class AlarmTransition(TypedDict):
     """One change of an alarm."""
 
     id: int
@@ -151,7 +151,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
     }
 
 
-def record_json(record: Rationalization) -> RationalizationShown:
+def record_json(record: Rationalization) -> AlarmRationalization:
     """The record of an alarm."""
     return {
         "cause": str(record.cause),
@@ -165,7 +165,7 @@ def record_json(record: Rationalization) -> RationalizationShown:
     }
 
 
-def transition_json(entry: JournalEntry) -> AlarmTransitionShown:
+def transition_json(entry: JournalEntry) -> AlarmTransition:
     """An entry of the journal."""
     return {
         "id": entry.id,

@@ -43,7 +43,7 @@ class EventMessage(BaseModel):
     params: dict[str, Any]
 
 
-class EventFrameShown(BaseModel):
+class EventFrame(BaseModel):
     """One frame that carried a command."""
 
     at: Annotated[Instant, Field(description="ISO 8601 in UTC, milliseconds.")]
@@ -71,7 +71,7 @@ class EventShown(BaseModel):
     new_raw: Annotated[int | None, Field(description="Value after, integer on the wire.")]
     outcome: str | None
     message: str
-    frames: list[EventFrameShown]
+    frames: list[EventFrame]
     count: Annotated[int, Field(description="How often it happened.")]
     unreadable: Annotated[
         bool, Field(description="Its time, frames or messages are not what the server wrote.")
@@ -143,7 +143,7 @@ class AuditVerification(BaseModel):
 
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
-async def prove_events(_: Admin, events: Events) -> AuditVerification:
+async def verify_audit_log(_: Admin, events: Events) -> AuditVerification:
     """Verify the complete log like ``lineside audit verify``, with the anchor beside the key alone."""
     verdict = await events.proof.verify()
     fault = {"fault": in_english(verdict.fault), "fault_message": maybe_shown(verdict.fault)}
@@ -151,7 +151,7 @@ async def prove_events(_: Admin, events: Events) -> AuditVerification:
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
-async def events_as_csv(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
+async def export_events(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
     """The same filter, every event, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
     return StreamingResponse(_csv(events, wanted), headers=headers, media_type="text/csv; charset=utf-8")

@@ -11,7 +11,7 @@ from app.web.api_route import ApiRoute
 router = APIRouter(prefix="/api/v1", tags=["who"], route_class=ApiRoute)
 
 
-class MeShown(TypedDict):
+class CurrentUser(TypedDict):
     """The current user."""
 
     name: str
@@ -20,6 +20,6 @@ class MeShown(TypedDict):
 
 
 @router.get("/me")
-async def get_current_user(person: Viewer) -> MeShown:
+async def get_current_user(person: Viewer) -> CurrentUser:
     """The current user: name and role."""
     return {"name": person.name, "role": person.role, "via": person.via}

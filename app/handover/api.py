@@ -19,11 +19,11 @@ from app.handover.pictures import MOST_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
-    SheetAndSignaturesShown,
-    ShiftNoteShown,
-    ShiftSheetShown,
-    SignatureShown,
-    SignedShown,
+    ShiftNote,
+    ShiftSheet,
+    ShiftSignature,
+    ShiftSignatures,
+    SignedShiftSheet,
     missing_json,
     notes_json,
     signature_json,
@@ -50,7 +50,7 @@ Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
 Documents = Annotated[SheetDocuments, service(SheetDocuments)]
 SIGNED_JSON: dict[int | str, dict[str, Any]] = {
-    200: {"model": ShiftSheetShown},
+    200: {"model": SignedShiftSheet},
     **problems(409),
 }
 HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
@@ -67,7 +67,7 @@ async def _shift_of(
 ShiftOfPath = Annotated[Shift, Depends(_shift_of)]
 
 
-class ShiftNoteBody(StrictBody):
+class ShiftNoteRequest(StrictBody):
     """A note. Without ``time`` it is about now."""
 
     text: NoteText
@@ -86,7 +86,7 @@ class ShiftNoteBody(StrictBody):
     ] = ()
 
 
-class ShiftSignBody(StrictBody):
+class ShiftSignRequest(StrictBody):
     """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
 
     part: Annotated[
@@ -105,8 +105,8 @@ class ShiftSummaryShown(TypedDict):
     start: Instant
     end: Instant
     notes: Annotated[int, Field(description="How many it has.")]
-    leaving: SignatureShown | None
-    coming: SignatureShown | None
+    leaving: ShiftSignature | None
+    coming: ShiftSignature | None
 
 
 class ShiftsShown(TypedDict):
@@ -128,7 +128,7 @@ async def get_shifts(
     return {"shifts": [_summary(each) for each in found], "next": iso(found[-1].shift.start)}
 
 
-@router.get("/{start}", response_model=SheetAndSignaturesShown, dependencies=[SEARCH])
+@router.get("/{start}", response_model=ShiftSheet, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
     """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
     found = await shifts.sheet(shift)
@@ -166,10 +166,10 @@ async def sign_shift_sheet(
     shifts: Shifts,
     signing: Sign,
     shift: ShiftOfPath,
-    body: ShiftSignBody | None = None,
-) -> SignedShown:
+    body: ShiftSignRequest | None = None,
+) -> ShiftSignatures:
     """Sign the sheet: first the leaving person, which freezes it, then the coming one, another user."""
-    given = body or ShiftSignBody()
+    given = body or ShiftSignRequest()
     wanted = SignRequest(given.part, given.digest, given.name, given.password)
     await signing.sign(person, address_of(request), shift, wanted)
     signed = signed_json((await shifts.sheet(shift)).signed)
@@ -179,8 +179,8 @@ async def sign_shift_sheet(
 
 @router.post("/{start}/notes", status_code=201, max_body_size=MOST_BODY_BYTES)
 async def write_shift_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteBody, key: RequestKey = None
-) -> ShiftNoteShown:
+    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteRequest, key: RequestKey = None
+) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(
         text=body.text,

@@ -11,7 +11,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarms.rules.states import AlarmState
-from app.alarms.shown import AlarmTransitionShown, transition_json
+from app.alarms.shown import AlarmTransition, transition_json
 from app.alarms.store import JournalEntry
 from app.audit.api import EventShown, shown
 from app.handover.notes import Note, notes_of
@@ -42,7 +42,7 @@ HIDDEN: tuple[AlarmState, ...] = ("shelved", "suppressed", "out_of_service")
 DRIFT = "parameter_drift"
 
 
-class ShiftNoteShown(TypedDict):
+class ShiftNote(TypedDict):
     """One note. It is never changed."""
 
     id: int
@@ -66,7 +66,7 @@ class ShiftEventsShown(TypedDict):
     events: list[EventShown]
 
 
-class ShiftSheetShown(TypedDict):
+class SignedShiftSheet(TypedDict):
     """What the next shift has to know, up to ``until``."""
 
     start: Instant
@@ -76,18 +76,18 @@ class ShiftSheetShown(TypedDict):
     site: str
     time_zone: Annotated[str, Field(description="IANA name.")]
     standing: Annotated[
-        list[AlarmTransitionShown],
+        list[AlarmTransition],
         Field(description="Alarms that were not normal, each with its last transition; nothing hides them."),
     ]
-    shelved: list[AlarmTransitionShown]
+    shelved: list[AlarmTransition]
     suppressed: NotRequired[
         Annotated[
-            list[AlarmTransitionShown],
+            list[AlarmTransition],
             Field(description="Suppressed by design; absent from sheets that an earlier version signed."),
         ]
     ]
-    out_of_service: list[AlarmTransitionShown]
-    drift: Annotated[list[AlarmTransitionShown], Field(description="Differences from the golden sets.")]
+    out_of_service: list[AlarmTransition]
+    drift: Annotated[list[AlarmTransition], Field(description="Differences from the golden sets.")]
     blocked: Annotated[list[EventShown], Field(description="Units closed to commands, as they were blocked.")]
     limits: ShiftEventsShown
     recipes: ShiftEventsShown
@@ -97,44 +97,44 @@ class ShiftSheetShown(TypedDict):
     ]
     done: Annotated[ShiftEventsShown, Field(description="Commands, restores, sets, blocks, acts on alarms.")]
     server: Annotated[ShiftEventsShown, Field(description="Server, configuration, clocks and bus workers.")]
-    notes: list[ShiftNoteShown]
+    notes: list[ShiftNote]
     omissions: Annotated[list[MessageShown], Field(description="What the store does not hold of the shift.")]
 
 
-class SignatureShown(TypedDict):
+class ShiftSignature(TypedDict):
     """Who signed, and when by the clock of the server."""
 
     who: str
     at: Instant
 
 
-class SignedShown(TypedDict):
+class ShiftSignatures(TypedDict):
     """What was signed."""
 
     digest: Annotated[str, Field(description="SHA-256 of the sheet as JSON, hexadecimal.")]
     page_digest: Annotated[str, Field(description="SHA-256 of its page, hexadecimal.")]
     altered: Annotated[bool, Field(description="The stored sheet is not the one that the audit log names.")]
-    leaving: SignatureShown | None
-    coming: SignatureShown | None
+    leaving: ShiftSignature | None
+    coming: ShiftSignature | None
 
 
-class MissingSignatureShown(SignatureShown):
+class MissingSignature(ShiftSignature):
     """A signature that the audit log names."""
 
     part: SignedPart
     event: Annotated[int, Field(description="The number of its entry.")]
 
 
-class SheetAndSignaturesShown(ShiftSheetShown):
+class ShiftSheet(SignedShiftSheet):
     """The sheet, as it was signed where it is."""
 
-    signed: SignedShown | None
+    signed: ShiftSignatures | None
     missing_signatures: Annotated[
-        list[MissingSignatureShown],
+        list[MissingSignature],
         Field(description="Those that the audit log names and the store has lost; mostly none."),
     ]
     later_notes: Annotated[
-        list[ShiftNoteShown], Field(description="Those written since it was signed; not part of it.")
+        list[ShiftNote], Field(description="Those written since it was signed; not part of it.")
     ]
 
 
@@ -194,7 +194,7 @@ class SheetWriter:
         yield Message("shift_omits_lapse" if self._site.control else "shift_omits_control")
 
 
-def signed_json(signed: SignedSheet | None) -> SignedShown | None:
+def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
     """The signatures as the API has them."""
     if signed is None:
         return None
@@ -207,16 +207,16 @@ def signed_json(signed: SignedSheet | None) -> SignedShown | None:
     }
 
 
-def missing_json(missing: Sequence[LoggedSignature]) -> list[MissingSignatureShown]:
+def missing_json(missing: Sequence[LoggedSignature]) -> list[MissingSignature]:
     """Lost signatures as the API has them."""
     return [{"part": each.part, "who": each.who, "at": iso(each.at), "event": each.event} for each in missing]
 
 
-def signature_json(signature: Signature | None) -> SignatureShown | None:
+def signature_json(signature: Signature | None) -> ShiftSignature | None:
     return None if signature is None else {"who": signature.who, "at": iso(signature.at)}
 
 
-def notes_json(notes: Sequence[Note]) -> list[ShiftNoteShown]:
+def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
     """Notes as the API has them."""
     corrected_by = {note.corrects: note.id for note in notes}
     return [
@@ -237,7 +237,7 @@ def notes_json(notes: Sequence[Note]) -> list[ShiftNoteShown]:
     ]
 
 
-def _transitions(entries: Iterator[JournalEntry]) -> list[AlarmTransitionShown]:
+def _transitions(entries: Iterator[JournalEntry]) -> list[AlarmTransition]:
     return [transition_json(entry) for entry in entries]
 
 

@@ -16,7 +16,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
-from app.recipes.view import DryRunShown, LoadedShown, RecipeShown, dry_run_json, loaded_json, recipe_json
+from app.recipes.view import LoadedRecipe, RecipeDryRun, RecipeShown, dry_run_json, loaded_json, recipe_json
 from app.web.access import Engineer, Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
@@ -30,7 +30,7 @@ router = APIRouter(prefix="/api/v1", tags=["recipes"], route_class=ApiRoute)
 RecipeRaw = Annotated[int, Field(ge=0, le=99999)]
 
 
-class SaveRecipe(StrictBody):
+class SaveRecipeRequest(StrictBody):
     """``setpoints``: unit → raw; without any, the setpoints that the line has now."""
 
     name: Annotated[OneLine, Field(min_length=1, max_length=80)]
@@ -38,7 +38,7 @@ class SaveRecipe(StrictBody):
     setpoints: Annotated[dict[str, RecipeRaw], Field(max_length=255, default_factory=dict)]
 
 
-class LoadRecipe(StrictBody):
+class LoadRecipeRequest(StrictBody):
     """``confirm``: steps that an engineer wants reviewed have been reviewed."""
 
     confirm: bool = False
@@ -54,7 +54,9 @@ async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None
 
 
 @router.post("/buses/{bus}/recipes", status_code=201)
-async def save_recipe(person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipe) -> RecipeShown:
+async def save_recipe(
+    person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipeRequest
+) -> RecipeShown:
     """Save a new version; older ones stay."""
     known = bus_or_404(live, bus)
     setpoints = unit_setpoints(wanted.setpoints)
@@ -66,14 +68,14 @@ async def save_recipe(person: Engineer, book: Book, live: Live, bus: str, wanted
 
 
 @router.get("/recipes/{recipe_id}")
-async def one_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> RecipeShown:
+async def get_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> RecipeShown:
     """One version."""
     recipe = await recipe_or_404(book, recipe_id)
     return recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
-async def try_recipe(person: Viewer, book: Book, recipe_id: int) -> DryRunShown:
+async def dry_run_recipe(person: Viewer, book: Book, recipe_id: int) -> RecipeDryRun:
     """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
     return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
 
@@ -85,7 +87,7 @@ async def load_recipe(
     book: Book,
     live: Live,
     recipe_id: int,
-    wanted: LoadRecipe,
+    wanted: LoadRecipeRequest,
     idempotency_key: Annotated[str | None, Header()] = None,
     frames: FramesWanted = False,
 ) -> Response:
@@ -97,7 +99,7 @@ async def load_recipe(
 
 
 @router.get("/buses/{bus}/recipe")
-async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedShown | None:
+async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedRecipe | None:
     """The last loaded recipe of the bus, and the units that drifted from it since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)
@@ -105,7 +107,7 @@ async def loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> LoadedSh
 
 
 @router.delete("/buses/{bus}/recipes/{name}", status_code=204)
-async def retire_recipe(person: Engineer, book: Book, bus: str, name: str) -> None:
+async def delete_recipe(person: Engineer, book: Book, bus: str, name: str) -> None:
     """Take a recipe out of the list; its versions stay on record."""
     await book.retire(person, bus, name)
 

@@ -40,7 +40,7 @@ class RecipeShown(TypedDict):
     setpoints: Annotated[dict[str, RecipeSetpointShown], Field(description="By address of the unit.")]
 
 
-class DryRunStepShown(TypedDict):
+class RecipeDryRunStep(TypedDict):
     """What loading a recipe does to one unit."""
 
     id: UnitAddress
@@ -56,16 +56,16 @@ class DryRunStepShown(TypedDict):
     words_message: Annotated[MessageShown | None, Field(description="words as data.")]
 
 
-class DryRunShown(TypedDict):
+class RecipeDryRun(TypedDict):
     """What loading a recipe now would do."""
 
     loadable: bool
     wire_s: Annotated[float, Field(description="Duration on the wire, seconds.")]
     ramp_s: RampS
-    units: list[DryRunStepShown]
+    units: list[RecipeDryRunStep]
 
 
-class DepartedShown(TypedDict):
+class RecipeDepartureShown(TypedDict):
     """A unit whose setpoint is no longer that of the recipe."""
 
     id: UnitAddress
@@ -75,7 +75,7 @@ class DepartedShown(TypedDict):
     now_message: MessageShown
 
 
-class LoadedShown(TypedDict):
+class LoadedRecipe(TypedDict):
     """The recipe that a bus was loaded with last."""
 
     id: int
@@ -83,7 +83,7 @@ class LoadedShown(TypedDict):
     version: int
     who: str
     loaded_at: Time
-    departed: list[DepartedShown]
+    departed: list[RecipeDepartureShown]
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
@@ -109,7 +109,7 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
     }
 
 
-def dry_run_json(run: DryRun) -> DryRunShown:
+def dry_run_json(run: DryRun) -> RecipeDryRun:
     """What loading would do. Times in seconds."""
     return {
         "loadable": run.loadable,
@@ -134,7 +134,7 @@ def dry_run_json(run: DryRun) -> DryRunShown:
     }
 
 
-def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedShown:
+def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedRecipe:
     """Which recipe a bus was loaded with, and which units no longer command it."""
     return {
         "id": loaded.recipe.id,

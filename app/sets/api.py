@@ -35,7 +35,7 @@ DOCUMENT: dict[int | str, dict[str, Any]] = {
 }
 
 
-class TakeSet(StrictBody):
+class SaveSetRequest(StrictBody):
     """Which units to read now (all of the bus when empty)."""
 
     units: Annotated[UnitAddresses, Field(default_factory=list)]
@@ -43,7 +43,7 @@ class TakeSet(StrictBody):
     comment: Annotated[Lines, Field(max_length=1000)] = ""
 
 
-class GoldenMark(StrictBody):
+class GoldenSetRequest(StrictBody):
     """The unit whose golden set this becomes."""
 
     unit: int
@@ -62,23 +62,23 @@ ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
 
 
 @router.get("/sets")
-async def list_sets(
+async def list_parameter_sets(
     _: Viewer,
     sets: Sets,
     bus: str | None = None,
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[view.SummaryShown]:
+) -> list[view.ParameterSetSummary]:
     """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
     found = await sets.summaries(bus, unit, before=before, most=limit)
     return [view.summary_json(summary) for summary in found]
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
-async def take_set(
-    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: TakeSet
-) -> view.SetShown:
+async def save_parameter_set(
+    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: SaveSetRequest
+) -> view.ParameterSetShown:
     """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
@@ -88,13 +88,13 @@ async def take_set(
 
 
 @router.get("/sets/{set_id}")
-async def one_set(_: Viewer, sets: Sets, set_id: int) -> view.SetShown:
+async def get_parameter_set(_: Viewer, sets: Sets, set_id: int) -> view.ParameterSetShown:
     """A set with the evidence of each value; #21 is masked."""
     return view.set_json(await set_or_404(sets, set_id))
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
-async def set_document(
+async def export_parameter_set(
     person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
 ) -> Response:
     """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
@@ -111,9 +111,9 @@ async def set_document(
 
 
 @router.post("/sets/{set_id}/golden")
-async def mark_golden(
-    request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenMark
-) -> view.GoldenShown:
+async def mark_golden_set(
+    request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenSetRequest
+) -> view.GoldenSet:
     """Make this set the golden set of the unit."""
     stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
@@ -121,7 +121,7 @@ async def mark_golden(
 
 
 @router.get("/sets/{set_id}/compare/{other_id}")
-async def compare_sets(
+async def compare_parameter_sets(
     _: Viewer,
     sets: Sets,
     set_id: int,
@@ -129,7 +129,7 @@ async def compare_sets(
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[view.ComparedShown]:
+) -> list[view.ParameterDifference]:
     """Set with set, row by row."""
     left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
@@ -137,7 +137,7 @@ async def compare_sets(
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> view.DriftShown:
+async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> view.DriftShown:
     """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
     change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
@@ -149,9 +149,9 @@ async def unit_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -
 
 
 @router.get("/buses/{bus}/set-schedule")
-async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.ScheduleShown:
+async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.SaveSchedule:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
-    overdue: list[view.OverdueShown] = [
+    overdue: list[view.OverdueSave] = [
         {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
         for unit, each in schedule.overdue().items()
     ]
@@ -159,9 +159,9 @@ async def read_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str
 
 
 @router.put("/buses/{bus}/set-schedule")
-async def write_schedule(
+async def set_save_schedule(
     person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
-) -> view.ScheduleShown:
+) -> view.SaveSchedule:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "overdue": []}

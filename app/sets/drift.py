@@ -9,7 +9,7 @@ from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
-from app.live.state.bus_live import BusLive
+from app.live.state.bus_live import Audience, BusLive
 from app.sets.background import Background
 from app.sets.compare import Compared, drift
 from app.sets.model import UnitRows
@@ -54,7 +54,7 @@ class BusDrift:
         self._found: dict[int, dict[int, DriftedParameter]] = {}
         self.background = Background()
         self._subscribers: list[UnitSubscriber] = []
-        live.subscribe(self._see)
+        live.subscribe(Audience.DRIFT, self._see)
 
     def on_change(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when the departures of a unit have changed."""

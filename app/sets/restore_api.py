@@ -31,7 +31,7 @@ Included = Annotated[
 Excluded = Annotated[Numbers, Field(description="rows not to write")]
 
 
-class PlanRestore(StrictBody):
+class RestoreRequest(StrictBody):
     """The source of a restore: a stored set, or a TOML document with one unit (or with this one).
     ``ticked``: dangerous rows (#18, #19, #27) to write, each confirmed by its number."""
 
@@ -43,7 +43,7 @@ class PlanRestore(StrictBody):
     ticked: Annotated[Numbers, Field(default_factory=list)]
 
 
-class StartRestore(StrictBody):
+class StartRestoreRequest(StrictBody):
     """Another choice of rows than the plan was made with; a member left out or null stays as planned."""
 
     include: Included | None = None
@@ -56,14 +56,14 @@ class StartRestore(StrictBody):
     responses=problems(504),
     max_body_size=MOST_BODY_BYTES,
 )
-async def plan_unit_restore(
+async def plan_restore(
     person: ParameterWriter,
     sets: Sets,
     restores: Restores,
     live: Live,
     bus: str,
     unit: int,
-    wanted: PlanRestore,
+    wanted: RestoreRequest,
 ) -> RestoreShown:
     """Read the unit and list the rows that a restore would write. Nothing is written."""
     unit_or_404(live, bus, unit)
@@ -74,7 +74,7 @@ async def plan_unit_restore(
 
 @router.post("/restores/{restore_id}/start", status_code=202)
 async def start_restore(
-    person: ParameterWriter, restores: Restores, restore_id: str, chosen: StartRestore | None = None
+    person: ParameterWriter, restores: Restores, restore_id: str, chosen: StartRestoreRequest | None = None
 ) -> RestoreShown:
     """Write the selected rows, unless the unit has changed since the plan."""
     restore = await restore_or_404(restores, restore_id)
@@ -96,6 +96,6 @@ async def cancel_restore(person: ParameterWriter, restores: Restores, restore_id
 
 
 @router.get("/restores/{restore_id}")
-async def one_restore(_: Viewer, restores: Restores, restore_id: str) -> RestoreShown:
+async def get_restore(_: Viewer, restores: Restores, restore_id: str) -> RestoreShown:
     """Progress of the restore, row by row."""
     return restore_json(await restore_or_404(restores, restore_id))

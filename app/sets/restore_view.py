@@ -14,7 +14,7 @@ from app.sets.effects import EFFECTS, Effect, warning_of
 from app.sets.model import UnitRows
 from app.sets.plan import LeftOut, Reason
 from app.sets.restore_record import Restore, RestoreState, RowResult
-from app.sets.view import ComparedShown, Number, StoredRaw, compared_json
+from app.sets.view import Number, ParameterDifference, StoredRaw, compared_json
 from app.web.shape import MaybeMessage, MessageShown, maybe_shown, message_shown
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Outcome
@@ -59,7 +59,7 @@ class RestoreRowShown(RestoreValues):
     read_back: StoredRaw
 
 
-class LeftOutShown(RestoreValues):
+class RestoreOmission(RestoreValues):
     """A row that a restore does not write."""
 
     reason: Annotated[str, Field(description="Why it is not written.")]
@@ -91,9 +91,10 @@ class RestoreShown(TypedDict):
     remarks: list[str]
     remark_messages: Annotated[list[MessageShown], Field(description="Each of the remarks as data.")]
     rows: list[RestoreRowShown]
-    left_out: list[LeftOutShown]
+    left_out: list[RestoreOmission]
     remaining: Annotated[
-        list[ComparedShown] | None, Field(description="Rows that still differ; null: not read back yet.")
+        list[ParameterDifference] | None,
+        Field(description="Rows that still differ; null: not read back yet."),
     ]
 
 
@@ -193,7 +194,7 @@ def _row_json(row: RestoreRow, result: RowResult) -> RestoreRowShown:
     }
 
 
-def _left_out_json(row: RestoreRow, left: LeftOut) -> LeftOutShown:
+def _left_out_json(row: RestoreRow, left: LeftOut) -> RestoreOmission:
     unknown = row.present_raw is None or row.wanted_raw is None
     return {
         **_values_json(row),

@@ -35,13 +35,13 @@ class SetHead(TypedDict):
     golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
 
 
-class SummaryShown(SetHead):
+class ParameterSetSummary(SetHead):
     """A stored parameter set without its values."""
 
     units: Annotated[list[int], Field(description="Addresses of its units.")]
 
 
-class SetParameterShown(TypedDict):
+class ParameterSetParameter(TypedDict):
     """One parameter in a set."""
 
     number: Number
@@ -55,21 +55,21 @@ class SetParameterShown(TypedDict):
     ]
 
 
-class SetUnitShown(TypedDict):
+class ParameterSetUnit(TypedDict):
     """One unit in a set."""
 
     id: UnitAddress
     name: str
-    parameters: list[SetParameterShown]
+    parameters: list[ParameterSetParameter]
 
 
-class SetShown(SetHead):
+class ParameterSetShown(SetHead):
     """A stored parameter set with its values."""
 
-    units: list[SetUnitShown]
+    units: list[ParameterSetUnit]
 
 
-class GoldenShown(TypedDict):
+class GoldenSet(TypedDict):
     """The golden set of a unit."""
 
     set: int
@@ -77,7 +77,7 @@ class GoldenShown(TypedDict):
     golden: bool
 
 
-class ComparedShown(TypedDict):
+class ParameterDifference(TypedDict):
     """One row of a comparison."""
 
     number: Number
@@ -93,7 +93,7 @@ class ComparedShown(TypedDict):
     meaning_message: MaybeMessage
 
 
-class DepartureShown(ComparedShown):
+class DriftRow(ParameterDifference):
     """A row in which a unit differs from its golden set, and whose change it is."""
 
     changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
@@ -107,10 +107,10 @@ class DriftShown(TypedDict):
 
     golden: Annotated[bool, Field(description="Whether it has a golden set.")]
     unread: Annotated[int, Field(description="How many parameters could not be compared yet, 0 to 40.")]
-    rows: list[DepartureShown]
+    rows: list[DriftRow]
 
 
-class OverdueShown(TypedDict):
+class OverdueSave(TypedDict):
     """A unit whose set of the day could not be saved yet."""
 
     unit: UnitAddress
@@ -118,21 +118,21 @@ class OverdueShown(TypedDict):
     why_message: MaybeMessage
 
 
-class ScheduleShown(TypedDict):
+class SaveSchedule(TypedDict):
     """When the sets of a bus are saved."""
 
     minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
-    overdue: list[OverdueShown]
+    overdue: list[OverdueSave]
 
 
-def summary_json(summary: SetSummary) -> SummaryShown:
+def summary_json(summary: SetSummary) -> ParameterSetSummary:
     return {
         **_head(summary),
         "units": list(summary.units),
     }
 
 
-def set_json(stored: ParameterSet) -> SetShown:
+def set_json(stored: ParameterSet) -> ParameterSetShown:
     """A complete set; secrets masked."""
     return {
         **_head(stored),
@@ -153,8 +153,8 @@ def _head(of: SetSummary | ParameterSet) -> SetHead:
     }
 
 
-def _unit_json(rows: UnitRows) -> SetUnitShown:
-    parameters: list[SetParameterShown] = []
+def _unit_json(rows: UnitRows) -> ParameterSetUnit:
+    parameters: list[ParameterSetParameter] = []
     for number, row in sorted(rows.rows.items()):
         parameter = PARAMETERS[number]
         raw = None if parameter.secret else row.raw
@@ -172,7 +172,7 @@ def _unit_json(rows: UnitRows) -> SetUnitShown:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def compared_json(row: Compared) -> ComparedShown:
+def compared_json(row: Compared) -> ParameterDifference:
     """One row of a comparison, as shown to people and raw."""
     secret = PARAMETERS[row.number].secret
     return {
@@ -190,7 +190,7 @@ def compared_json(row: Compared) -> ComparedShown:
     }
 
 
-def departure_json(departure: DriftedParameter) -> DepartureShown:
+def departure_json(departure: DriftedParameter) -> DriftRow:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
     changed = Message("changed_at_panel") if change is None else Message.of("changed_by", who=change["who"])

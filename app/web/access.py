@@ -126,11 +126,21 @@ def person_of(connection: HTTPConnection) -> Person | None:
 
 @dataclass(frozen=True)
 class Requires:
-    """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user."""
+    """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user.
+
+    It is resolved once in a request: before the body is read (`app.web.routes`), and the route gets that.
+    """
 
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Person:
+        """Raises what :meth:`resolve` raises."""
+        resolved: dict[Requires, Person] = connection.scope.setdefault("requirements", {})
+        if self not in resolved:
+            resolved[self] = await self.resolve(connection)
+        return resolved[self]
+
+    async def resolve(self, connection: HTTPConnection) -> Person:
         """Raises Problem 401, 403 or, for a write that was held up on its way, 503 ``not_sent``."""
         person = self.permitted(connection)
         refuse_late(connection)

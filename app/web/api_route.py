@@ -15,7 +15,6 @@ from starlette.responses import Response
 
 from app.errors import Problem
 from app.web.bounds import MOST_PLAIN_BODY_BYTES, parse_apart
-from app.web.schema_names import operation_name
 from app.web.schema_problem import usual_problems
 from bus.messages import Message
 
@@ -41,7 +40,7 @@ class ApiRoute(APIRoute):
     """
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
-        name = operation_name(endpoint.__name__)
+        name = endpoint.__name__
         options["operation_id"] = options.get("operation_id") or name
         options["summary"] = options.get("summary") or name.replace("_", " ").capitalize()
         usual = usual_problems(path, options.get("methods") or ["GET"])

@@ -1,4 +1,4 @@
-"""Bounds of a request, checked before anything reads it; large input is parsed beside the event loop.
+"""Rules of a request, checked before anything reads it; large input is parsed beside the event loop.
 
 The bounds also keep out what the libraries below handle in more than linear time.
 """
@@ -6,7 +6,7 @@ The bounds also keep out what the libraries below handle in more than linear tim
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
@@ -16,8 +16,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
+from app.server.addresses import canonical
 from app.web.problems import respond
-from app.web.security import refuse
+from app.web.security import foreign_problem, header_problem, host_problem, refuse
 from app.web.shape import parse_integer
 from bus.messages import Message
 
@@ -33,22 +34,29 @@ LONGEST_CONTENT_TYPE = 200
 """A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
 
 
-class BoundedRequest:
-    """Refuses an address, a header or a body larger than anything that the app needs."""
+class RequestRules:
+    """Refuses a request with ambiguous headers, under another host name, of a foreign page, or with an
+    address, a header or a body larger than anything that the app needs."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, allowed_hosts: Collection[str]) -> None:
+        self._app = BoundedBody(app, MOST_BODY_BYTES)
+        self._allowed_hosts = frozenset(canonical(name) for name in allowed_hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        problem = _out_of_bounds(scope)
+        problem = (
+            header_problem(scope)
+            or host_problem(scope, self._allowed_hosts)
+            or foreign_problem(scope)
+            or _out_of_bounds(scope)
+        )
         if problem is not None:
             await refuse(scope, receive, send, problem)
             return
         scope["headers"] = list(_readable(scope["headers"]))
-        await BoundedBody(self._app, MOST_BODY_BYTES)(scope, receive, send)
+        await self._app(scope, receive, send)
 
 
 class BoundedBody:

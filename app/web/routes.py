@@ -85,10 +85,10 @@ def guard(app: FastAPI, turns: Turns) -> None:
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)
             if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
                 guarded = ReadInTurn(guarded, turns.reads)
-            route.app = _RolesFirst(guarded, list(_requirements(route.dependant)))
+            route.app = RolesFirst(guarded, list(_requirements(route.dependant)))
 
 
-class _RolesFirst:
+class RolesFirst:
     """Raises Problem 401 or 403 before ``app`` is called."""
 
     def __init__(self, app: ASGIApp, requirements: list[Requires]) -> None:

@@ -15,8 +15,7 @@ from collections.abc import Collection
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
-from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
@@ -43,7 +42,15 @@ def same_origin(origin: str, host: str) -> bool:
         return False
 
 
-def is_foreign(scope: Scope) -> bool:
+def foreign_problem(scope: Scope) -> Problem | None:
+    """The refusal of what a foreign page makes a browser send."""
+    if not _is_foreign(scope):
+        return None
+    origin = Headers(scope=scope).get("origin", "another site")
+    return Problem(403, "foreign_origin", Message.of("foreign_origin", origin=origin))
+
+
+def _is_foreign(scope: Scope) -> bool:
     """Whether a foreign page makes a browser send this to change something or to listen."""
     if scope["type"] == "http" and scope["method"] in SAFE_METHODS:
         return False
@@ -62,40 +69,12 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
         await problem_json(problem)(scope, receive, send)
 
 
-class OwnPagesOnly:
-    """Refuses what a foreign page makes a browser send."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] in ("http", "websocket") and is_foreign(scope):
-            origin = HTTPConnection(scope).headers.get("origin", "another site")
-            problem = Problem(403, "foreign_origin", Message.of("foreign_origin", origin=origin))
-            await refuse(scope, receive, send, problem)
-            return
-        await self._app(scope, receive, send)
-
-
 ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
 """Of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
 
 
-class HeaderRules:
-    """Refuses a header given twice, a missing Host, and codings of the body that are not decoded here."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        problem = _problem(scope) if scope["type"] in ("http", "websocket") else None
-        if problem is not None:
-            await refuse(scope, receive, send, problem)
-        else:
-            await self._app(scope, receive, send)
-
-
-def _problem(scope: Scope) -> Problem | None:
+def header_problem(scope: Scope) -> Problem | None:
+    """The refusal of a header given twice, a missing Host, or a coding of the body that is not decoded."""
     headers = Headers(scope=scope)
     for name in ONCE:
         if len(headers.getlist(name)) > 1:
@@ -119,28 +98,14 @@ OPEN_PATH = "/healthz"
 """Probes request by address, and learn only that the server is up."""
 
 
-class AllowedHosts:
-    """Responds 421 under any name but these; an empty list allows all."""
-
-    def __init__(self, app: ASGIApp, allowed: Collection[str]) -> None:
-        self._app = app
-        self._allowed = frozenset(canonical(name) for name in allowed)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] in ("http", "websocket"):
-            problem = self._problem(scope)
-            if problem is not None:
-                await refuse(scope, receive, send, problem)
-                return
-        await self._app(scope, receive, send)
-
-    def _problem(self, scope: Scope) -> Problem | None:
-        if not self._allowed or scope["path"] == OPEN_PATH:
-            return None
-        host = host_name(Headers(scope=scope).get("host", ""))
-        if host in self._allowed or _is_local(scope, host):
-            return None
-        return Problem(421, "wrong_host", Message.of("host_not_served", host=host))
+def host_problem(scope: Scope, allowed: Collection[str]) -> Problem | None:
+    """The refusal, 421, under any name but these; an empty list allows all."""
+    if not allowed or scope["path"] == OPEN_PATH:
+        return None
+    host = host_name(Headers(scope=scope).get("host", ""))
+    if host in allowed or _is_local(scope, host):
+        return None
+    return Problem(421, "wrong_host", Message.of("host_not_served", host=host))
 
 
 def host_name(text: str) -> str:

@@ -265,8 +265,8 @@ def test_a_unit_that_was_never_read_is_not_taken_for_running() -> None:
 def moves() -> Moves:
     """Unit 1 was moved by 30 at second 100, and by 12 at second 130."""
     noted = Moves()
-    noted.note(1, 30, Monotonic(100.0))
-    noted.note(1, 12, Monotonic(130.0))
+    noted.note({1: 30}, Monotonic(100.0))
+    noted.note({1: 12}, Monotonic(130.0))
     return noted
 
 
@@ -283,11 +283,11 @@ def test_each_unit_has_its_own(moves: Moves) -> None:
 
 
 def test_a_step_that_did_not_happen_counts_no_more(moves: Moves) -> None:
-    moves.take_back(1, 30, Monotonic(100.0))
+    moves.take_back({1: 30}, Monotonic(100.0))
     assert moves.within_a_minute(1, Monotonic(130.0)) == 12
 
 
 def test_only_the_step_that_was_noted_is_taken_back(moves: Moves) -> None:
-    moves.take_back(1, 30, Monotonic(130.0))
-    moves.take_back(2, 30, Monotonic(100.0))
+    moves.take_back({1: 30}, Monotonic(130.0))
+    moves.take_back({2: 30}, Monotonic(100.0))
     assert moves.within_a_minute(1, Monotonic(130.0)) == 42

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from app.live.state.bus_live import NO_WORKER, LiveState, updates_of
+from app.live.state.bus_live import NO_WORKER, Audience, LiveState, updates_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink, Update
 from tests.app.stage import bus_settings, reading, snapshot
 
@@ -76,7 +76,7 @@ def test_a_lost_worker_leaves_the_readings_and_takes_the_trust(live: LiveState) 
 
 def test_subscribers_get_every_change_until_they_leave(live: LiveState) -> None:
     received: list[Sequence[Update]] = []
-    leave = live.buses["dry-end"].subscribe(received.append)
+    leave = live.buses["dry-end"].subscribe(Audience.STREAM, received.append)
     update = [reading(1)]
     live.buses["dry-end"].apply(update)
     leave()
@@ -84,13 +84,21 @@ def test_subscribers_get_every_change_until_they_leave(live: LiveState) -> None:
     assert received == [update]
 
 
+def test_subscribers_learn_of_a_report_in_the_order_of_their_audiences(live: LiveState) -> None:
+    learned: list[Audience] = []
+    for audience in reversed(Audience):
+        live.buses["dry-end"].subscribe(audience, lambda _, audience=audience: learned.append(audience))
+    live.buses["dry-end"].apply([reading(1)])
+    assert learned == list(Audience)
+
+
 def test_a_subscriber_that_fails_stops_no_other(live: LiveState) -> None:
     def fail(updates: Sequence[Update]) -> None:
         raise RuntimeError(updates)
 
     received: list[Sequence[Update]] = []
-    live.buses["dry-end"].subscribe(fail)
-    live.buses["dry-end"].subscribe(received.append)
+    live.buses["dry-end"].subscribe(Audience.BROWSERS, fail)
+    live.buses["dry-end"].subscribe(Audience.STREAM, received.append)
     update = [reading(1, 5)]
     live.buses["dry-end"].apply(update)
     assert received == [update]

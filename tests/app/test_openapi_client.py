@@ -271,6 +271,6 @@ def test_numbers_in_responses_have_their_unit_or_range(document: dict[str, Any])
 def test_two_schemas_of_one_name_are_refused() -> None:
     from app.web.schema_names import with_published_names
 
-    schemas: dict[str, Any] = {"SpeedBody": {}, "SpeedRequest": {}}
+    schemas: dict[str, Any] = {"SpeedShown": {}, "Speed": {}}
     with pytest.raises(ValueError, match="one published name"):
         with_published_names({"components": {"schemas": schemas}})

@@ -7,7 +7,7 @@ import time
 from pydantic import ConfigDict, TypeAdapter, with_config
 
 from app.commands.api.responses import result_json
-from app.commands.api.schemas import CommandResultShown
+from app.commands.api.schemas import CommandResult
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
 from app.live.state.bus_live import LiveState
@@ -43,7 +43,7 @@ def test_outcomes() -> None:
     result = Result(id="a", at=1.0, outcome="verified", units=parts, frames=[frame])
     for unit in (None, 1):
         result_of = result_json(live.buses["dry-end"], result, unit)
-        TypeAdapter(EXACT(CommandResultShown)).validate_python(result_of)
+        TypeAdapter(EXACT(CommandResult)).validate_python(result_of)
 
 
 async def test_the_api_gives_them(stage: Stage) -> None:

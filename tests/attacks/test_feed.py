@@ -26,6 +26,7 @@ from app.feed.ingest import Ingest
 from app.feed.rates import HELLOS_AT_ONCE, FeedQuota
 from app.feed.workers import TOO_OFTEN
 from app.live.browsers.browser import Browser
+from app.live.state.bus_live import Audience
 from app.web.access import Role
 from bus.contract import (
     MOST_UPDATES,
@@ -212,7 +213,7 @@ def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, sc
     async def attack() -> None:
         closed = BusLink(at=time.time() + 1e9, link="closed", cause=term("cut"))
         live, seen = scene.house.services.buses[BUS].live, []
-        end = live.subscribe(seen.extend)
+        end = live.subscribe(Audience.BROWSERS, seen.extend)
         await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
         end()
         (taken,) = [update for update in seen if isinstance(update, BusLink) and update.cause == term("cut")]

@@ -40,19 +40,19 @@ MOST_DELIVERIES = 200
 Notifying = Annotated[Notification, service(Notification)]
 MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 MaintenanceMinutes = Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a day, 1440.")]
-EndpointKindShown = TypeAliasType("EndpointKindShown", EndpointKind)
+NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
 DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
-DeliveryStateShown = TypeAliasType("DeliveryStateShown", DeliveryState)
-NoticeKindShown = TypeAliasType("NoticeKindShown", NoticeKind)
+NotificationDeliveryState = TypeAliasType("NotificationDeliveryState", DeliveryState)
+NotificationKind = TypeAliasType("NotificationKind", NoticeKind)
 
 
-class EndpointBody(StrictBody):
+class NotificationTestRequest(StrictBody):
     """Which address."""
 
     endpoint: Annotated[str, Field(max_length=400, description="The key of an address.")]
 
 
-class MaintenanceBody(StrictBody):
+class MaintenanceRequest(StrictBody):
     """Of a bus or, without one, of everything."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
@@ -66,7 +66,7 @@ class NotificationEndpointShown(TypedDict):
     """An address that is notified."""
 
     key: Annotated[str, Field(description="Identifies it.")]
-    kind: EndpointKindShown
+    kind: NotificationEndpointKind
     address: Annotated[str, Field(description="As people may see it; a URL is not shown.")]
     works: Annotated[
         bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
@@ -77,7 +77,7 @@ class NotificationEndpointShown(TypedDict):
     waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
 
 
-class NotificationGroupShown(TypedDict):
+class NotificationGroup(TypedDict):
     """A group, and who of it is on duty now."""
 
     name: str
@@ -114,38 +114,38 @@ class NotificationShown(TypedDict):
     """The path of notification, current."""
 
     endpoints: list[NotificationEndpointShown]
-    groups: list[NotificationGroupShown]
+    groups: list[NotificationGroup]
     maintenance: list[MaintenanceShown]
     recurring: list[RecurringMaintenanceShown]
 
 
-class DeliveryShown(TypedDict):
+class NotificationDeliveryShown(TypedDict):
     """One message to one address."""
 
     id: int
     message_id: Annotated[str, Field(description="The same with every attempt.")]
     endpoint: Annotated[str, Field(description="The key of the address.")]
-    state: DeliveryStateShown
+    state: NotificationDeliveryState
     attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
     created_at: Annotated[Instant, Field(description="ISO 8601.")]
     tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
     result: Annotated[str, Field(description="Why it was not delivered, English; empty: no reason.")]
     result_message: MaybeMessage
-    kinds: Annotated[list[NoticeKindShown], Field(description="Of its notices; several are a digest.")]
+    kinds: Annotated[list[NotificationKind], Field(description="Of its notices; several are a digest.")]
     alarms: Annotated[list[str], Field(description="Ids of the occurrences that it is about.")]
 
 
-class DeliveriesShown(TypedDict):
+class NotificationDeliveries(TypedDict):
     """Newest first. ``next`` is the ``before`` of the next page, null at the end."""
 
-    deliveries: list[DeliveryShown]
+    deliveries: list[NotificationDeliveryShown]
     next: int | None
 
 
-class TestedShown(TypedDict):
+class NotificationTest(TypedDict):
     """``delivery`` is null where the first attempt takes longer than 12 s; it goes on."""
 
-    delivery: DeliveryShown | None
+    delivery: NotificationDeliveryShown | None
 
 
 @router.get("")
@@ -172,7 +172,7 @@ async def get_notification_deliveries(
     notification: Notifying,
     limit: Annotated[int, Query(ge=1, le=MOST_DELIVERIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
-) -> DeliveriesShown:
+) -> NotificationDeliveries:
     """What was sent, or is to be."""
     found = await notification.outbox.deliveries(limit + 1, before)
     following = found[limit - 1].id if len(found) > limit else None
@@ -180,7 +180,9 @@ async def get_notification_deliveries(
 
 
 @router.post("/test")
-async def send_test_notification(_: Engineer, notification: Notifying, body: EndpointBody) -> TestedShown:
+async def send_test_notification(
+    _: Engineer, notification: Notifying, body: NotificationTestRequest
+) -> NotificationTest:
     """Send a test message on the way of all others, and wait for its first attempt."""
     delivery = await notification.dispatcher.test(notification.endpoint(body.endpoint))
     return {"delivery": None if delivery is None else _delivery(delivery)}
@@ -188,7 +190,7 @@ async def send_test_notification(_: Engineer, notification: Notifying, body: End
 
 @router.post("/maintenance")
 async def begin_maintenance(
-    person: Engineer, notification: Notifying, body: MaintenanceBody
+    person: Engineer, notification: Notifying, body: MaintenanceRequest
 ) -> list[MaintenanceShown]:
     """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
     await begin(notification, person, body.bus, body.minutes, body.reason)
@@ -253,7 +255,7 @@ def _recurring(window: MaintenanceWindow) -> RecurringMaintenanceShown:
     }
 
 
-def _delivery(delivery: NotificationDelivery) -> DeliveryShown:
+def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:
     return {
         "id": delivery.id,
         "message_id": delivery.message_id,

@@ -51,7 +51,7 @@ class WrittenAlarmBody(StrictBody):
     latch: bool = False
 
 
-class AlarmSimulationBody(WrittenAlarmBody):
+class AlarmSimulationRequest(WrittenAlarmBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
 
     model_config = ConfigDict(populate_by_name=True)
@@ -64,7 +64,7 @@ class AlarmSimulationBody(WrittenAlarmBody):
 SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": Instant, "to": Instant})
 
 
-class AlarmSimulationShown(SimulatedSpanShown):
+class AlarmSimulation(SimulatedSpanShown):
     """What the alarm would have done. Durations in seconds."""
 
     covered_from: Annotated[
@@ -88,8 +88,8 @@ class AlarmSimulationShown(SimulatedSpanShown):
 
 @router.post("/simulate")
 async def simulate_alarm(
-    person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationBody
-) -> AlarmSimulationShown:
+    person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationRequest
+) -> AlarmSimulation:
     """What an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
     settings = proposed(_written(body), buses)
@@ -108,7 +108,7 @@ def check_span(start: UnixTime, end: UnixTime) -> None:
         raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
 
 
-def _written(body: AlarmSimulationBody) -> dict[str, Any]:
+def _written(body: AlarmSimulationRequest) -> dict[str, Any]:
     fields = body.model_dump(exclude_unset=True, exclude={"since", "until"})
     return {"name": body.name, **{key: value for key, value in fields.items() if value is not None}}
 

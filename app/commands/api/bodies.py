@@ -16,7 +16,7 @@ UnitKey = Annotated[str, StringConstraints(pattern=r"^[1-9][0-9]{0,2}$")]
 TypedValue = str | int | float
 
 
-class Body(StrictBody):
+class CommandRequestBody(StrictBody):
     """Of any command."""
 
     timeout_s: Annotated[
@@ -47,35 +47,35 @@ class Quantity(StrictBody):
         return "" if self.value is None else str(self.value)
 
 
-class SpeedBody(Body, Quantity):
+class SpeedRequest(CommandRequestBody, Quantity):
     """``execute`` true: 84h, immediately; false: 82h, staged until executed."""
 
     execute: bool = True
 
 
-class ParameterBody(Body, Quantity):
+class ParameterRequest(CommandRequestBody, Quantity):
     """The new value of a parameter."""
 
 
-class OutputBody(Body):
+class OutputRequest(CommandRequestBody):
     """Requested state of an auxiliary output."""
 
     on: bool
 
 
-class BaudBody(Body):
+class BaudRequest(CommandRequestBody):
     """The baud rate that every unit of a bus shall have (#18)."""
 
     baud: Annotated[int, Field(description="300, 600, 1200, 2400, 4800 or 9600 bit/s.")]
 
 
-class AnalogOutputBody(Body):
+class AnalogOutputRequest(CommandRequestBody):
     """The value of 88h, #29 to #30."""
 
     raw: Annotated[int, Field(description="Integer on the wire, #29 (0 V) to #30 (10 V).")]
 
 
-class SetpointsBody(Body):
+class SpeedsRequest(CommandRequestBody):
     """The setpoints of one change, by unit."""
 
     setpoints: Annotated[dict[UnitKey, Quantity], Field(min_length=1)]

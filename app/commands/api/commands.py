@@ -12,17 +12,17 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.api.bodies import (
-    AnalogOutputBody,
-    BaudBody,
-    Body,
-    OutputBody,
-    ParameterBody,
-    SetpointsBody,
-    SpeedBody,
+    AnalogOutputRequest,
+    BaudRequest,
+    CommandRequestBody,
+    OutputRequest,
+    ParameterRequest,
+    SpeedRequest,
+    SpeedsRequest,
 )
 from app.commands.api.quantity import QuantityConverter
 from app.commands.api.responses import FramesWanted, command_response
-from app.commands.api.schemas import CommandResultShown
+from app.commands.api.schemas import CommandResult
 from app.commands.catalogue import (
     CHANGE_BAUD,
     EXECUTE_ALL,
@@ -70,7 +70,7 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["commands"], route_class=
 FIRST_READ_WITHIN_S = 5.0
 """What a plain look at the parameters waits for those that were never read; the reading itself goes on."""
 RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
-    200: {"model": CommandResultShown, "description": "verified or acknowledged"},
+    200: {"model": CommandResult, "description": "verified or acknowledged"},
     **problems(404, 409, 423, 504),
 }
 
@@ -89,7 +89,7 @@ class CommandCall:
     query_timeout_s: float | None
     frames: bool
 
-    def deadline(self, body: Body, staged_units: int = 0) -> Deadline:
+    def deadline(self, body: CommandRequestBody, staged_units: int = 0) -> Deadline:
         """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
         bus = bus_or_404(self.live, self.bus)
@@ -100,7 +100,11 @@ class CommandCall:
         return QuantityConverter(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
 
     async def send(
-        self, action: Action, body: Body, unit: int | None = None, deadline: Deadline | None = None
+        self,
+        action: Action,
+        body: CommandRequestBody,
+        unit: int | None = None,
+        deadline: Deadline | None = None,
     ) -> Response:
         """Send ``action`` and return its result as a response."""
         deadline = deadline or self.deadline(body)
@@ -141,7 +145,9 @@ async def _no_frames() -> bool:
 
 
 @router.post("/units/{unit:int}/speed", responses=RESULT_RESPONSES)
-async def set_speed(call: Annotated[CommandCall, calling(SET_SPEED)], unit: int, body: SpeedBody) -> Response:
+async def set_speed(
+    call: Annotated[CommandCall, calling(SET_SPEED)], unit: int, body: SpeedRequest
+) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
     raw = await call.typed(unit, deadline).setpoint(body)
@@ -150,22 +156,22 @@ async def set_speed(call: Annotated[CommandCall, calling(SET_SPEED)], unit: int,
 
 @router.post("/units/{unit:int}/execute", responses=RESULT_RESPONSES)
 async def execute_speed(
-    call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: Body | None = None
+    call: Annotated[CommandCall, calling(EXECUTE_SPEED)], unit: int, body: CommandRequestBody | None = None
 ) -> Response:
     """83h to one unit: its staged speed becomes its commanded speed."""
-    return await call.send(ExecuteSpeed(unit=unit), body or Body(), unit)
+    return await call.send(ExecuteSpeed(unit=unit), body or CommandRequestBody(), unit)
 
 
 @router.post("/execute", responses=RESULT_RESPONSES)
 async def execute_all_speeds(
-    call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: Body | None = None
+    call: Annotated[CommandCall, calling(EXECUTE_ALL)], body: CommandRequestBody | None = None
 ) -> Response:
     """83h to all; each unit is read back."""
-    return await call.send(ExecuteAll(), body or Body())
+    return await call.send(ExecuteAll(), body or CommandRequestBody())
 
 
 @router.post("/speeds", responses=RESULT_RESPONSES)
-async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: SetpointsBody) -> Response:
+async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: SpeedsRequest) -> Response:
     """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
     deadline = call.deadline(body, len(body.setpoints))
     setpoints = {
@@ -177,7 +183,7 @@ async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: Setp
 
 @router.put("/units/{unit:int}/outputs/{number:int}", responses=RESULT_RESPONSES)
 async def write_output(
-    call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputBody
+    call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputRequest
 ) -> Response:
     """87h, verified by the bit in ST2."""
     unit_or_404(call.live, call.bus, unit)
@@ -188,14 +194,14 @@ async def write_output(
 
 @router.put("/units/{unit:int}/analog-output", responses=RESULT_RESPONSES)
 async def write_analog_output(
-    call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputBody
+    call: Annotated[CommandCall, calling(WRITE_ANALOG_OUTPUT)], unit: int, body: AnalogOutputRequest
 ) -> Response:
     """88h. The best outcome is acknowledged: there is nothing to read back."""
     return await call.send(WriteAnalogOutput(unit=unit, raw=body.raw), body, unit)
 
 
 @router.post("/baud", responses=RESULT_RESPONSES)
-async def change_baud(call: Annotated[CommandCall, calling(CHANGE_BAUD)], body: BaudBody) -> Response:
+async def change_baud(call: Annotated[CommandCall, calling(CHANGE_BAUD)], body: BaudRequest) -> Response:
     """Change #18 of every unit, then of the host; each unit is read back. All are set back if one is lost."""
     return await call.send(ChangeBaud(baud=body.baud), body)
 
@@ -236,7 +242,7 @@ async def _read(call: CommandCall, unit: int, numbers: list[int], *, gaps: bool)
 
 @router.put("/units/{unit:int}/parameters/{number:int}", responses=RESULT_RESPONSES)
 async def write_parameter(
-    call: Annotated[CommandCall, calling(WRITE_PARAMETER)], unit: int, number: int, body: ParameterBody
+    call: Annotated[CommandCall, calling(WRITE_PARAMETER)], unit: int, number: int, body: ParameterRequest
 ) -> Response:
     """86h, read back with 85h. A parameter that can interrupt the link needs ``confirm``."""
     deadline = call.deadline(body)

@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
-from app.commands.api.schemas import BlockShown, ControlShown
+from app.commands.api.schemas import CommandBlockShown, ControlShown
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
@@ -30,7 +30,7 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["limits, blocks, control"
 LimitSetpoint = Annotated[int, Field(ge=0, le=HIGHEST_SETPOINT)]
 
 
-class LimitsBody(StrictBody):
+class SpeedLimits(StrictBody):
     """All four in raw setpoint units; null or left out: no limit."""
 
     lowest: Annotated[LimitSetpoint | None, Field(description="Lowest setpoint, raw.")] = None
@@ -43,13 +43,13 @@ class LimitsBody(StrictBody):
     )
 
     @model_validator(mode="after")
-    def _leave_something(self) -> LimitsBody:
+    def _leave_something(self) -> SpeedLimits:
         if self.lowest is not None and self.highest is not None and self.lowest > self.highest:
             raise ValueError(Message("no_setpoint_left"))
         return self
 
 
-class BlockBody(StrictBody):
+class CommandBlockRequest(StrictBody):
     """Why the unit must not be commanded."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
@@ -57,7 +57,7 @@ class BlockBody(StrictBody):
     reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
 
 
-class HandOverBody(StrictBody):
+class HandOverRequest(StrictBody):
     """Who shall hold control."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
@@ -70,16 +70,16 @@ BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 
 @router.get("/units/{unit:int}/limits")
-async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> LimitsBody:
+async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SpeedLimits:
     """Limits of the setpoint of this unit, set by an engineer."""
     unit_of_bus_or_404(bus, unit)
-    return LimitsBody(**asdict(guards.limits.of(unit)))
+    return SpeedLimits(**asdict(guards.limits.of(unit)))
 
 
 @router.put("/units/{unit:int}/limits")
 async def set_speed_limits(
-    person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: LimitsBody
-) -> LimitsBody:
+    person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: SpeedLimits
+) -> SpeedLimits:
     """Replace the limits of this unit. They apply immediately on every interface."""
     unit_of_bus_or_404(bus, unit)
     await guards.set_limits(person, unit, Limits(**body.model_dump()))
@@ -87,7 +87,7 @@ async def set_speed_limits(
 
 
 @router.get("/units/{unit:int}/block")
-async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
+async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
     """Whether commands to this unit are blocked, the reason and the user."""
     unit_of_bus_or_404(bus, unit)
     return _block_json(guards, unit)
@@ -95,8 +95,8 @@ async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int
 
 @router.post("/units/{unit:int}/block")
 async def block_commands(
-    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: BlockBody
-) -> BlockShown:
+    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: CommandBlockRequest
+) -> CommandBlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
     unit_of_bus_or_404(bus, unit)
     await guards.block(person, unit, body.reason)
@@ -104,7 +104,7 @@ async def block_commands(
 
 
 @router.delete("/units/{unit:int}/block")
-async def unblock_commands(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> BlockShown:
+async def unblock_commands(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
     """Lift the block of commands; the event records the user."""
     unit_of_bus_or_404(bus, unit)
     await guards.lift(person, unit)
@@ -124,7 +124,7 @@ async def take_control(person: Operator, guards: Guards) -> ControlShown:
 
 
 @router.post("/control/hand-over")
-async def hand_over_control(person: Operator, guards: Guards, body: HandOverBody) -> ControlShown:
+async def hand_over_control(person: Operator, guards: Guards, body: HandOverRequest) -> ControlShown:
     """Hand control over to another user who may command the line. An admin may do so without control."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 
@@ -136,7 +136,7 @@ async def release_control(person: Operator, guards: Guards) -> ControlShown:
     return _control_json(guards, None)
 
 
-def _block_json(guards: Safeguards, unit: int) -> BlockShown:
+def _block_json(guards: Safeguards, unit: int) -> CommandBlockShown:
     block = guards.blocks.of(unit)
     if block is None:
         return {"blocked": False, "reason": None, "by": None, "since": None}

@@ -39,7 +39,7 @@ class OutcomeMembers(ReasonShown):
     unit_error_name: str | None
 
 
-class UnitResultShown(OutcomeMembers):
+class UnitResult(OutcomeMembers):
     """The outcome at one unit, with the times of its frames."""
 
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
@@ -49,7 +49,7 @@ class UnitResultShown(OutcomeMembers):
     attempts: Attempts
 
 
-class CommandResultShown(OutcomeMembers):
+class CommandResult(OutcomeMembers):
     """The one outcome of a command; where it is about one unit, also that unit's times."""
 
     code: Annotated[OutcomeShown, Field(description="As outcome; problems have it too.")]
@@ -64,7 +64,7 @@ class CommandResultShown(OutcomeMembers):
         ),
     ]
     units: Annotated[
-        dict[str, UnitResultShown],
+        dict[str, UnitResult],
         Field(description="The outcome at each unit of a command to several, by its address."),
     ]
     frames: NotRequired[
@@ -86,7 +86,7 @@ class TraceShown(TypedDict):
     frames: list[FrameShown]
 
 
-class BlockShown(TypedDict):
+class CommandBlockShown(TypedDict):
     """Whether commands to a unit are blocked."""
 
     blocked: bool

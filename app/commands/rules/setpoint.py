@@ -8,6 +8,7 @@ speed 0 is always allowed: no limit here may keep a line from being set to zero.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -137,14 +138,16 @@ class Moves:
     def __init__(self) -> None:
         self._steps: dict[int, deque[tuple[Monotonic, int]]] = {}
 
-    def note(self, unit: int, step: int, at: Monotonic) -> None:
-        """A setpoint was moved by ``step``."""
-        self._steps.setdefault(unit, deque()).append((at, step))
+    def note(self, steps: Mapping[int, int], at: Monotonic) -> None:
+        """The setpoint of each unit was moved by its step."""
+        for unit, step in steps.items():
+            self._steps.setdefault(unit, deque()).append((at, step))
 
-    def take_back(self, unit: int, step: int, at: Monotonic) -> None:
-        """The step noted for ``at`` did not happen."""
-        with suppress(ValueError):
-            self._steps.get(unit, deque()).remove((at, step))
+    def take_back(self, steps: Mapping[int, int], at: Monotonic) -> None:
+        """The steps noted for ``at`` did not happen."""
+        for unit, step in steps.items():
+            with suppress(ValueError):
+                self._steps.get(unit, deque()).remove((at, step))
 
     def within_a_minute(self, unit: int, now: Monotonic) -> int:
         """The sum of all steps of the last minute."""

@@ -135,7 +135,8 @@ class CommandService:
         """The checks of :meth:`send` alone, for a review. Raises the same Problems."""
         for unit in action.units:
             unit_of_bus_or_404(self._live, unit)
-        self._object(person, action, confirm)
+        self._require_right(person, action)
+        self._apply_rules(action, confirm)
 
     async def _check(self, request: CommandRequest, confirm: bool) -> None:
         async with self._rejection_recorded(request):
@@ -144,7 +145,7 @@ class CommandService:
             # Before anything is read for it: a user without the right learns that, not the unit's values.
             self._require_right(request.person, request.action)
             await self.read_ranges(request.person, request.action, request.deadline)
-            self._object(request.person, request.action, confirm)
+            self._apply_rules(request.action, confirm)
 
     @asynccontextmanager
     async def _rejection_recorded(self, request: CommandRequest) -> AsyncIterator[None]:
@@ -155,13 +156,6 @@ class CommandService:
             if request.action.writes:
                 await self._record.reject(request, self._live, problem)
             raise
-
-    def _object(self, person: Person, action: Action, confirm: bool) -> None:
-        self._require_right(person, action)
-        try:
-            check(action, self._circumstances(confirm))
-        except ObjectionError as error:
-            raise problem_of(error) from error
 
     def _require_right(self, person: Person, action: Action) -> None:
         """The role of the kind, whichever way the command came, then control of the bus."""
@@ -174,14 +168,18 @@ class CommandService:
                 409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
             ) from error
 
-    def _circumstances(self, confirm: bool) -> RuleContext:
-        return RuleContext(
+    def _apply_rules(self, action: Action, confirm: bool) -> None:
+        context = RuleContext(
             bus=self._live,
             limits=self._guards.limits.of,
             block=self._guards.blocks.of,
             moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
+        try:
+            check(action, context)
+        except ObjectionError as error:
+            raise problem_of(error) from error
 
     def _start(self, request: CommandRequest) -> KeptCommand:
         already = self._cache.find(request.person, request.key)
@@ -189,9 +187,8 @@ class CommandService:
             return already
         # Noted before another command can be checked: two at once must not both pass the limit of a minute.
         steps, at = _steps(request.action, self._live), self._monotonic()
-        for unit, step in steps.items():
-            self._moves.note(unit, step, at)
-        task = asyncio.create_task(self._follow(request, steps, at), name=f"command {request.id}")
+        self._moves.note(steps, at)
+        task = asyncio.create_task(self._carry_out(request, steps, at), name=f"command {request.id}")
         self._under_way.add(task)
         task.add_done_callback(self._under_way.discard)
         kept = KeptCommand(self._bus, request.action, task)
@@ -199,30 +196,26 @@ class CommandService:
             self._cache.keep(request.person, request.key, kept)
         return kept
 
-    async def _follow(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
-        """Carry it out; its steps, which were noted for ``at``, count no more when no unit acted."""
-        acted = False
+    async def _carry_out(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
+        """Its steps, which were noted for ``at``, count no more when no unit acted."""
+        kind = kind_of_command(request.action)
+        result: Result | None = None
         try:
-            result = await self._carry_out(request)
-            acted = result.outcome in ACTED
+            if not kind.is_event(request.action):
+                result = await self._transmit(request)
+                return result
+            if request.action.writes:
+                units, parameters = kind.units_written(request.action, self._live), kind.writes_parameters
+                async with self._rejection_recorded(request):
+                    for subscriber in self._write_subscribers:
+                        await subscriber(request.person, units, parameters=parameters)
+            intent = await self._record.intend(request, self._live)
+            result = without_secret(request.action, await self._transmit(request))
+            await self._record.conclude(intent, request, result)
             return result
         finally:
-            for unit, step in () if acted else steps.items():
-                self._moves.take_back(unit, step, at)
-
-    async def _carry_out(self, request: CommandRequest) -> Result:
-        kind = kind_of_command(request.action)
-        if not kind.is_event(request.action):
-            return await self._transmit(request)
-        if request.action.writes:
-            units, parameters = kind.units_written(request.action, self._live), kind.writes_parameters
-            async with self._rejection_recorded(request):
-                for subscriber in self._write_subscribers:
-                    await subscriber(request.person, units, parameters=parameters)
-        intent = await self._record.intend(request, self._live)
-        result = without_secret(request.action, await self._transmit(request))
-        await self._record.conclude(intent, request, result)
-        return result
+            if result is None or result.outcome not in ACTED:
+                self._moves.take_back(steps, at)
 
     async def _transmit(self, request: CommandRequest) -> Result:
         link = self._live.link

@@ -14,7 +14,7 @@ from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.errors import Problem
 from app.history.api import spans
-from app.history.api.schemas import EXPORT, MarksShown, SeriesShown, SparkShown, StatusShown, json_of
+from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, HistoryStatus, Sparkline, json_of
 from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
@@ -59,7 +59,7 @@ def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, A
     }
 
 
-@router.get("", response_model=None, responses=json_of(SeriesShown), dependencies=[SEARCH])
+@router.get("", response_model=None, responses=json_of(HistorySeries), dependencies=[SEARCH])
 async def get_history(
     _: Viewer,
     history: HistoryOf,
@@ -82,8 +82,8 @@ async def get_history(
     return await json_response(lambda: shown(requested, found, times))
 
 
-@router.get("/series", response_model=None, responses=json_of(list[SeriesShown]), dependencies=[SEARCH])
-async def get_series(
+@router.get("/series", response_model=None, responses=json_of(list[HistorySeries]), dependencies=[SEARCH])
+async def get_history_series(
     _: Viewer,
     history: HistoryOf,
     span: SpanOf,
@@ -97,8 +97,8 @@ async def get_series(
     return await json_response(lambda: [shown(q, a, times) for q, a in zip(requested, found, strict=True)])
 
 
-@router.get("/sparks", response_model=None, responses=json_of(dict[str, SparkShown]), dependencies=[SEARCH])
-async def get_sparks(
+@router.get("/sparks", response_model=None, responses=json_of(dict[str, Sparkline]), dependencies=[SEARCH])
+async def get_sparklines(
     _: Viewer,
     history: HistoryOf,
     span: SpanOf,
@@ -123,8 +123,8 @@ def _time(at: UnixTime, times: str) -> str | UnixTime:
     return at if times == "epoch" else iso(at)
 
 
-@router.get("/marks", response_model=None, responses=json_of(MarksShown), dependencies=[SEARCH])
-async def get_marks(
+@router.get("/marks", response_model=None, responses=json_of(HistoryMarks), dependencies=[SEARCH])
+async def get_history_marks(
     request: Request,
     _: Viewer,
     events: Events,
@@ -150,7 +150,7 @@ async def get_marks(
 
 
 @router.get("/status")
-async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
+async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
     """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
     what to do. The rest of Lineside works in every state."""
     status = history.status
@@ -162,11 +162,11 @@ async def get_status(_: Viewer, history: HistoryOf) -> StatusShown:
     }
     oldest = None if status.oldest_reading is None else iso(status.oldest_reading)
     times = {"since": iso(status.since), "oldest_reading": oldest}
-    return cast(StatusShown, asdict(status) | texts | times)
+    return cast(HistoryStatus, asdict(status) | texts | times)
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
-async def get_export(
+async def export_history(
     _: Viewer,
     history: HistoryOf,
     span: SpanOf,

@@ -17,8 +17,8 @@ TimeList = Annotated[
     list[Instant | float], Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
 ]
 
-SeriesShown = TypedDict(
-    "SeriesShown",
+HistorySeries = TypedDict(
+    "HistorySeries",
     {
         "bus": str,
         "unit": Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")],
@@ -37,14 +37,14 @@ SeriesShown = TypedDict(
 )
 
 
-class SparkShown(TypedDict):
+class Sparkline(TypedDict):
     """The columns of a sparkline."""
 
     t: TimeList
     avg: Column
 
 
-class MarkTextShown(TypedDict, total=False):
+class HistoryMarkText(TypedDict, total=False):
     """The texts of a mark in the reader's language."""
 
     what: str
@@ -52,7 +52,7 @@ class MarkTextShown(TypedDict, total=False):
     new: str
 
 
-class MarkShown(TypedDict):
+class HistoryMark(TypedDict):
     """One event to be drawn into a chart."""
 
     t: Annotated[
@@ -71,17 +71,17 @@ class MarkShown(TypedDict):
         dict[str, MessageShown],
         Field(description="what, old and new as data, by field; empty: older."),
     ]
-    shown: MarkTextShown
+    shown: HistoryMarkText
 
 
-class MarksShown(TypedDict):
+class HistoryMarks(TypedDict):
     """Events of a span, oldest first."""
 
-    marks: list[MarkShown]
+    marks: list[HistoryMark]
     more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
 
 
-class StatusShown(TypedDict):
+class HistoryStatus(TypedDict):
     """State of the history."""
 
     state: Annotated[

@@ -17,7 +17,7 @@ EventCount = Annotated[int, Field(description="Since the bus worker started.")]
 ResponseSeconds = Annotated[float | None, Field(description="Seconds; null: no response yet.")]
 
 
-class NakShown(TypedDict):
+class NakCount(TypedDict):
     """How often a unit refused with one error."""
 
     unit_error: Annotated[int, Field(description="Error code of the NAK, 128 to 137.")]
@@ -25,7 +25,7 @@ class NakShown(TypedDict):
     count: EventCount
 
 
-class UnitFiguresShown(TypedDict):
+class UnitStatisticsShown(TypedDict):
     """The counters and response times of one unit."""
 
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
@@ -40,14 +40,14 @@ class UnitFiguresShown(TypedDict):
     late: Annotated[
         int, Field(description="Responses after their window, or twice, since the worker started.")
     ]
-    naks: list[NakShown]
+    naks: list[NakCount]
     response_s_min: ResponseSeconds
     response_s_median: ResponseSeconds
     response_s_p99: ResponseSeconds
     response_s_max: ResponseSeconds
 
 
-class BusFiguresShown(TypedDict):
+class BusStatistics(TypedDict):
     """The figures of a bus, measured about once a second; null while no worker measures."""
 
     bus: str
@@ -71,7 +71,7 @@ class BusFiguresShown(TypedDict):
     ]
     diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
     diagnosis_messages: Annotated[list[MessageShown], Field(description="diagnosis as data.")]
-    units: list[UnitFiguresShown]
+    units: list[UnitStatisticsShown]
 
 
 def figures_json(bus: str, figures: BusFigures | None) -> Json:

@@ -20,9 +20,10 @@ from typing import Any
 from app.live.admission import Admission
 from app.live.api.recent_events import PIECE_BYTES, RecentEvents
 from app.live.api.view import Json, bus_fields, line_json, unit_json
+from app.live.screen.diff import put_fields
 from app.live.screen.fields import Translator
 from app.live.screen.sources import Sources
-from app.live.state.bus_live import LiveState, changed_by
+from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.shape import iso
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
@@ -69,7 +70,7 @@ class LineStream:
         self._has_more = asyncio.Event()
         self._is_ending = False
         for name, bus in buses.items():
-            bus.subscribe(partial(self._on_updates, name))
+            bus.subscribe(Audience.STREAM, partial(self._on_updates, name))
 
     # --- to the programs ------------------------------------------------------------------------------
 
@@ -159,11 +160,8 @@ class LineStream:
 
     def _compare(self, bus_name: str, unit: int | None) -> None:
         key = bus_name, unit
-        before, after = self._shown[key], self._fields(*key)
-        changed = {name: value for name, value in after.items() if before[name] != value}
-        if changed:
-            self._shown[key] = after
-            self.add("change", bus_name, lambda: {"bus": bus_name, "unit": unit} | changed)
+        if changed := put_fields(self._shown, key, self._fields(*key)):
+            self.add("change", bus_name, lambda: {"bus": bus_name, "unit": unit} | changed[key])
 
     def _fields(self, bus_name: str, unit: int | None) -> Json:
         bus = self._live.buses[bus_name]

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter
 from starlette.requests import HTTPConnection
 
-from app.live.api.figures import BusFiguresShown, figures_json
-from app.live.api.schemas import BusShown, LineShown, UnitShown
+from app.live.api.figures import BusStatistics, figures_json
+from app.live.api.schemas import BusShown, Line, UnitShown
 from app.live.api.view import bus_json, line_json, unit_json
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.screen.fields import Translator
@@ -37,7 +37,7 @@ LineSources = Annotated[Sources, service(Sources)]
 Configured = Annotated[Settings, service(Settings)]
 
 
-@router.get("/line", response_model=LineShown)
+@router.get("/line", response_model=Line)
 async def get_line(
     _: Viewer, live: Live, settings: Configured, sources: LineSources, english: English
 ) -> dict[str, Any]:
@@ -62,7 +62,7 @@ async def get_unit(
     return unit_json(live.buses[bus], found, unix_now(), sources.guards[bus].block_reason, english)
 
 
-@router.get("/buses/{bus}/figures", response_model=BusFiguresShown)
+@router.get("/buses/{bus}/figures", response_model=BusStatistics)
 async def get_bus_statistics(_: Viewer, live: Live, bus: str) -> dict[str, Any]:
     """Wire load of a bus, and the counters of each unit since its worker started."""
     return figures_json(bus, bus_or_404(live, bus).figures)

@@ -34,7 +34,7 @@ class InputsShown(TypedDict):
     slave: Annotated[bool, Field(description="Whether the unit follows a master.")]
 
 
-class LabelsShown(TypedDict):
+class Labels(TypedDict):
     """Names of the wiring of a unit, from lineside.toml; empty or left out where none is given."""
 
     output: Annotated[dict[int, str], Field(description="By number of the auxiliary output, 1 to 6.")]
@@ -61,7 +61,7 @@ class UnitShown(TypedDict):
     id: UnitAddress
     name: str
     group: str
-    labels: LabelsShown
+    labels: Labels
     link: Annotated[
         UnitLinkState,
         Field(description="stale: a response is overdue; offline: several missed; unknown: never seen."),
@@ -131,7 +131,7 @@ class BusShown(TypedDict):
     units: Annotated[list[UnitShown], Field(description="In floor order.")]
 
 
-class LineShown(TypedDict):
+class Line(TypedDict):
     """Every bus with its units in floor order."""
 
     site: str

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from app.live.screen.screen import Groups
+from app.live.screen.diff import Groups, merge_groups
 from app.server.frames import NoOutlet, Outlet, text_frame
 from bus.instants import UnixTime
 
@@ -75,7 +75,8 @@ class Diff:
             return self
         before = earlier[0].before
         if before not in self._since:
-            self._since[before] = Diff(before, self.after, self.at, _merged([*earlier, self]))
+            groups = merge_groups({}, *(diff.groups for diff in (*earlier, self)))
+            self._since[before] = Diff(before, self.after, self.at, groups)
         return self._since[before]
 
 
@@ -138,11 +139,3 @@ class Browser:
     def _has_something(self) -> None:
         self._idle = False
         self._wake.set()
-
-
-def _merged(diffs: Sequence[Diff]) -> Groups:
-    groups: Groups = {}
-    for diff in diffs:
-        for group, fields in diff.groups.items():
-            groups.setdefault(group, {}).update(fields)
-    return groups

@@ -16,11 +16,12 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
+from app.live.screen.diff import Groups, merge_groups
 from app.live.screen.fields import Translator, frame_fields, health_fields, unit_key
-from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Groups, Screen
+from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
-from app.live.state.bus_live import LiveState, changed_by
+from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
@@ -72,7 +73,7 @@ class Hub:
         self._minute = 0.0
         self._alarmed_units: set[tuple[str, int]] = set()
         for name, bus in live.buses.items():
-            bus.subscribe(partial(self._on_updates, name))
+            bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
             sources.guards[name].on_block(partial(self.refresh_unit, name))
             sources.drift[name].on_change(partial(self.refresh_unit, name))
         sources.alarms.on_change(self._on_alarm)
@@ -176,14 +177,11 @@ class Hub:
             self._show_alarms()
         for readers in self._read():
             screen = readers.screen
-            groups = screen.settle(now)
             held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
             notices = self._sources.notices(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
-            for held in (screen.put(LINE_GROUP, totals), *held_fields):
-                for group, fields in held.items():
-                    groups.setdefault(group, {}).update(fields)
+            groups = merge_groups(screen.settle(now), screen.put(LINE_GROUP, totals), *held_fields)
             readers.publish(groups, always=True)
 
     # --- what the workers report -------------------------------------------------------------------

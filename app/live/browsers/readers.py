@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.flow import Flow
-from app.live.screen.screen import Groups, Screen
+from app.live.screen.diff import Groups, merge_groups
+from app.live.screen.screen import Screen
 from bus.instants import Clock
 
 
@@ -56,16 +57,12 @@ class Readers:
             return
         self.flow.came(len(groups) or 1)
         if self._due is not None:
-            self._hold(groups)
+            merge_groups(self._held, groups)
         elif pause_s := self.flow.pause_s():
-            self._hold(groups)
+            merge_groups(self._held, groups)
             self._due = asyncio.get_running_loop().call_later(pause_s, self._release)
         else:
             self._publish(groups)
-
-    def _hold(self, groups: Groups) -> None:
-        for group, fields in groups.items():
-            self._held.setdefault(group, {}).update(fields)
 
     def _release(self) -> None:
         groups, self._held, self._due = self._held, {}, None

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.screen.cause_text import cause_line, check_text, joined
+from app.live.screen.diff import Groups, merge_groups, put_fields
 from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
@@ -20,7 +21,6 @@ from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from bus.instants import UnixTime
 from bus.messages import listed
 
-Groups = dict[str, Fields]
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
 ALARM_GROUP = "alarms_present"
@@ -46,12 +46,12 @@ class Screen:
         bus = self.live.buses[bus_name]
         changed: Groups = {}
         for number in units:
-            self._put(changed, unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
+            changed |= self.put(unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if include_bus:
             fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
-            self._put(changed, bus_name, fields)
+            changed |= self.put(bus_name, fields)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
-            self._put(changed, LINE_GROUP, self._line(now))
+            changed |= self.put(LINE_GROUP, self._line(now))
         return changed
 
     def settle(self, now: UnixTime) -> Groups:
@@ -64,35 +64,22 @@ class Screen:
                 if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
                 or unit_link_now(bus, unit, now) == "stale"
             ]
-            for group, fields in self.see(name, aged, now, include_bus=True).items():
-                changed.setdefault(group, {}).update(fields)
+            merge_groups(changed, self.see(name, aged, now, include_bus=True))
         return changed
 
     def refresh(self, now: UnixTime) -> Groups:
-        changed: Groups = {}
-        for name, bus in self.live.buses.items():
-            for group, fields in self.see(name, bus.units, now, include_bus=True).items():
-                changed.setdefault(group, {}).update(fields)
-        return changed
+        buses = self.live.buses.items()
+        return merge_groups({}, *(self.see(name, bus.units, now, include_bus=True) for name, bus in buses))
 
     def put(self, group: str, fields: Fields) -> Groups:
         """Set fields that belong to no unit and no bus; return those that changed."""
-        changed: Groups = {}
-        self._put(changed, group, fields)
-        return changed
+        return put_fields(self.shown, group, fields)
 
     def flat(self) -> Fields:
         """Everything shown, by ``group.field``, for the first paint of a page."""
         return {
             f"{group}.{name}": text for group, fields in self.shown.items() for name, text in fields.items()
         }
-
-    def _put(self, changed: Groups, group: str, fields: Fields) -> None:
-        shown = self.shown.setdefault(group, {})
-        different = {name: text for name, text in fields.items() if shown.get(name) != text}
-        if different:
-            shown.update(different)
-            changed.setdefault(group, {}).update(different)
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
+from operator import itemgetter
 
 import structlog
 
@@ -38,6 +40,15 @@ log = structlog.get_logger()
 NO_WORKER = Message("worker_not_connected")
 BusSubscriber = Callable[[Sequence[Update]], None]
 """Called with the updates of a bus after they were applied."""
+
+
+class Audience(IntEnum):
+    """Who learns of a report, in this order: people who look come before what compares and judges."""
+
+    BROWSERS = 0
+    STREAM = 1
+    DRIFT = 2
+    ALARMS = 3
 
 
 @dataclass(slots=True)
@@ -75,7 +86,7 @@ class BusLive:
     """Since when no worker is connected; None while one is."""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
-    _subscribers: list[BusSubscriber] = field(default_factory=list, compare=False)
+    _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
 
     @property
     def worker_connected(self) -> bool:
@@ -87,17 +98,22 @@ class BusLive:
         """The present rate as the worker reports it, as #18 may have changed it; else as configured."""
         return self.link.baud or self.settings.baud
 
-    def subscribe(self, subscriber: BusSubscriber) -> Callable[[], None]:
-        """Call ``subscriber`` with the updates after each change; the result ends it."""
-        self._subscribers.append(subscriber)
-        return lambda: self._subscribers.remove(subscriber)
+    def subscribe(self, audience: Audience, subscriber: BusSubscriber) -> Callable[[], None]:
+        """Call ``subscriber`` with the updates after each change, in the turn of its audience.
+
+        The result ends it.
+        """
+        entry = (audience, subscriber)
+        self._subscribers.append(entry)
+        self._subscribers.sort(key=itemgetter(0))
+        return lambda: self._subscribers.remove(entry)
 
     def apply(self, updates: Sequence[Update]) -> None:
         """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
         unit that is not configured is passed over."""
         for update in updates:
             self._apply_one(update)
-        for subscriber in tuple(self._subscribers):
+        for _, subscriber in tuple(self._subscribers):
             try:
                 subscriber(updates)
             except Exception:
