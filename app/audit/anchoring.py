@@ -161,6 +161,11 @@ class Detached:
         return future
 
 
+def status_of(anchoring: Anchoring | None) -> AnchorStatus:
+    """How well the log is anchored; without an anchor, there is no fault."""
+    return AnchorStatus() if anchoring is None else anchoring.status
+
+
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
     """None while the log is anchored and intact. ``now``: Unix time in seconds."""
     if status.altered is not None:
