@@ -41,6 +41,10 @@ KEY_SUFFIX = ".audit.key"
 """``lineside.toml`` has its key in ``lineside.audit.key``."""
 
 
+ANCHOR_SUFFIX = ".anchor"
+"""The data folder ``data`` has its anchor in ``data.anchor``."""
+
+
 class Site(StrictModel):
     """The plant as people call it."""
 
@@ -178,7 +182,8 @@ class Audit(StrictModel):
     key_file: Path | None = None
     """The keys that seal the log, made at the first start; when absent, see `Settings.key_files`."""
     anchor: Path | None = None
-    """Where the head of the log is noted every minute and at every stop; when absent, nowhere."""
+    """Where the head of the log is noted every minute and at every stop; when absent, see
+    `Settings.anchor_file`."""
 
 
 class Settings(StrictModel):
@@ -195,6 +200,12 @@ class Settings(StrictModel):
     shift: ShiftSettings = ShiftSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
+
+    @property
+    def anchor_file(self) -> Path:
+        """Where the head of the audit log is noted: as configured, or beside the data folder."""
+        data = self.server.data
+        return self.audit.anchor or data.parent / f"{data.name}{ANCHOR_SUFFIX}"
 
     @property
     def key_files(self) -> tuple[Path, ...]:

@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PURE = (
     *("bus/wire/*.py", "bus/catalogue/*.py"),
-    *("app/*/rules.py", "app/**/rules/*.py", "app/commands/check.py"),
+    *("app/*/rules.py", "app/**/rules/*.py", "app/commands/check.py", "app/conditions/*.py"),
 )
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
@@ -36,7 +36,8 @@ TESTS = {
     "app/alarms/rules/limits.py": "tests/app/test_alarm_rules.py",
     "app/alarms/rules/observed.py": "tests/app/test_alarm_performance.py",
     "app/alarms/rules/performance.py": "tests/app/test_alarm_performance.py",
-    "app/alarms/rules/priority.py": "tests/app/test_alarm_rules.py",
+    "app/conditions/catalogue.py": "tests/app/test_one_priority.py",
+    "app/conditions/priority.py": "tests/app/test_alarm_rules.py",
     "app/alarms/rules/states.py": "tests/app/test_alarm_changes.py",
     "app/alarms/rules/suppression.py": "tests/app/test_alarm_rules.py",
     "app/handover/rules/orientation.py": "tests/app/test_shift_pictures.py",

@@ -189,7 +189,7 @@ def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None
         assert f"serving at http://127.0.0.1:{port}\n" in typed(root, "status")
     assert (root / "var/lib/lineside/lineside.db").is_file()
     made = {path.name for path in (root / "etc").rglob("*") if path.is_file()}
-    assert made <= {"lineside.toml", "lineside.audit.key"}
+    assert made <= {"lineside.toml", "lineside.audit.key", "lineside.audit.key.anchor"}
     readable = [path for path in (root / "var").rglob("*") if path.is_file() and path.stat().st_mode & 0o077]
     assert readable == []
 

@@ -17,8 +17,8 @@ from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts, due_at, shifted
 from app.alarms.rules.first_out import FirstOut
 from app.alarms.rules.observed import ObservedSpan, observed_until
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.store import AlarmStore, JournalEntry, StoredAlarm, entry_of
+from app.conditions.priority import AlarmPriority
 from app.errors import StoreError
 from bus.instants import Clock, UnixTime
 

@@ -10,7 +10,6 @@ from typing_extensions import TypedDict
 
 from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
     AlarmShown,
@@ -20,6 +19,7 @@ from app.alarms.shown import (
     record_json,
     transition_json,
 )
+from app.conditions.priority import AlarmPriority
 from app.web.access import Engineer, Operator, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service

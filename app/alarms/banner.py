@@ -35,7 +35,7 @@ class AlarmBanner:
             "mark": first.mark if first else "",
             "text": self._place_and_name(first, translator) if first else "",
             "state": _state(first, translator, now) if first else "",
-            "more": translator.t("{n} more", n=len(found) - 1) if len(found) > 1 else "",
+            "more": f" · {translator.t('{n} more', n=len(found) - 1)}" if len(found) > 1 else "",
             "changed": str(self._changed),
             **self._sound(),
         }

@@ -1,4 +1,4 @@
-"""The built-in alarms as data: attributes and the record of their rationalization."""
+"""The built-in alarms as data: the attributes of each; its priority is that of its condition."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 from app.alarms.definition import AlarmDefinition, Rationalization, key_of
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
-from app.alarms.rules.priority import Consequence, TimeToRespond
 from app.alarms.rules.suppression import SuppressionGroup
 from app.built_in_settings import BuiltIn, BuiltInTuning
+from app.conditions.catalogue import CONDITIONS
 from bus.messages import Message
 
 NOT_TUNED = BuiltInTuning()
@@ -16,50 +16,38 @@ NOT_TUNED = BuiltInTuning()
 
 @dataclass(frozen=True, slots=True)
 class BuiltInAlarm:
-    """One row: how severe, how soon, and how it behaves. Its texts are messages named after its code."""
+    """One row: how the alarm of a condition behaves. Its texts are messages named after its code."""
 
-    severity: Consequence
-    time_to_respond: TimeToRespond
     attributes: AlarmAttributes = PLAIN
     group: SuppressionGroup | None = None
 
 
 BUILT_IN: dict[BuiltIn, BuiltInAlarm] = {
-    "unit_offline": BuiltInAlarm("major", "minutes", group="unit"),
-    "link_degraded": BuiltInAlarm("minor", "shift", AlarmAttributes(off_delay_s=60), group="unit"),
-    "estop_active": BuiltInAlarm("severe", "minutes", group="unit"),
-    "not_at_speed": BuiltInAlarm(
-        "major", "minutes", AlarmAttributes(on_delay_s=10, off_delay_s=2), group="speed"
-    ),
-    "running_without_run": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2), group="unit"),
-    "ratio_out_of_limits": BuiltInAlarm("major", "half_hour", group="unit"),
-    "not_in_remote": BuiltInAlarm("minor", "half_hour", AlarmAttributes(on_delay_s=5), group="unit"),
-    "parameter_drift": BuiltInAlarm("major", "shift"),
-    "duplicate_address": BuiltInAlarm("severe", "half_hour", AlarmAttributes(latching=True)),
-    "staged_left": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=60), group="unit"),
-    "deviation": BuiltInAlarm(
-        "major", "minutes", AlarmAttributes(on_delay_s=5, off_delay_s=2), group="speed"
-    ),
-    "analog_out_of_limits": BuiltInAlarm(
-        "major", "half_hour", AlarmAttributes(on_delay_s=5, off_delay_s=5), group="speed"
-    ),
-    "port_lost": BuiltInAlarm("severe", "minutes", group="bus"),
-    "no_unit_responds": BuiltInAlarm(
-        "severe", "minutes", AlarmAttributes(on_delay_s=3, off_delay_s=5), group="cable"
-    ),
-    "worker_lost": BuiltInAlarm("severe", "minutes", AlarmAttributes(on_delay_s=2)),
-    "second_master": BuiltInAlarm("severe", "half_hour", AlarmAttributes(off_delay_s=60), group="bus"),
-    "wire_overloaded": BuiltInAlarm(
-        "minor", "shift", AlarmAttributes(on_delay_s=60, off_delay_s=60), group="unit"
-    ),
-    "control_left": BuiltInAlarm("minor", "half_hour", AlarmAttributes(off_delay_s=5)),
-    "history_degraded": BuiltInAlarm("major", "half_hour", AlarmAttributes(on_delay_s=5)),
-    "audit_degraded": BuiltInAlarm("major", "shift"),
-    "disk_low": BuiltInAlarm("major", "shift", AlarmAttributes(on_delay_s=5)),
-    "notification_failed": BuiltInAlarm("severe", "half_hour"),
-    "clock_stepped": BuiltInAlarm("major", "shift", AlarmAttributes(off_delay_s=60)),
-    "certificate_expiring": BuiltInAlarm("major", "shift"),
-    "token_expiring": BuiltInAlarm("major", "shift"),
+    "unit_offline": BuiltInAlarm(group="unit"),
+    "link_degraded": BuiltInAlarm(AlarmAttributes(off_delay_s=60), group="unit"),
+    "estop_active": BuiltInAlarm(group="unit"),
+    "not_at_speed": BuiltInAlarm(AlarmAttributes(on_delay_s=10, off_delay_s=2), group="speed"),
+    "running_without_run": BuiltInAlarm(AlarmAttributes(on_delay_s=2), group="unit"),
+    "ratio_out_of_limits": BuiltInAlarm(group="unit"),
+    "not_in_remote": BuiltInAlarm(AlarmAttributes(on_delay_s=5), group="unit"),
+    "parameter_drift": BuiltInAlarm(),
+    "duplicate_address": BuiltInAlarm(AlarmAttributes(latching=True)),
+    "staged_left": BuiltInAlarm(AlarmAttributes(on_delay_s=60), group="unit"),
+    "deviation": BuiltInAlarm(AlarmAttributes(on_delay_s=5, off_delay_s=2), group="speed"),
+    "analog_out_of_limits": BuiltInAlarm(AlarmAttributes(on_delay_s=5, off_delay_s=5), group="speed"),
+    "port_lost": BuiltInAlarm(group="bus"),
+    "no_unit_responds": BuiltInAlarm(AlarmAttributes(on_delay_s=3, off_delay_s=5), group="cable"),
+    "worker_lost": BuiltInAlarm(AlarmAttributes(on_delay_s=2)),
+    "second_master": BuiltInAlarm(AlarmAttributes(off_delay_s=60), group="bus"),
+    "wire_overloaded": BuiltInAlarm(AlarmAttributes(on_delay_s=60, off_delay_s=60), group="unit"),
+    "control_left": BuiltInAlarm(AlarmAttributes(off_delay_s=5)),
+    "history_degraded": BuiltInAlarm(AlarmAttributes(on_delay_s=5)),
+    "audit_degraded": BuiltInAlarm(),
+    "disk_low": BuiltInAlarm(AlarmAttributes(on_delay_s=5)),
+    "notification_failed": BuiltInAlarm(),
+    "clock_stepped": BuiltInAlarm(AlarmAttributes(off_delay_s=60)),
+    "certificate_expiring": BuiltInAlarm(),
+    "token_expiring": BuiltInAlarm(),
 }
 
 
@@ -67,13 +55,13 @@ def built_in(
     code: BuiltIn, bus: str | None, unit: int | None = None, tuning: BuiltInTuning = NOT_TUNED
 ) -> AlarmDefinition:
     """The definition of a built-in alarm at its place."""
-    row = BUILT_IN[code]
+    row, condition = BUILT_IN[code], CONDITIONS[code]
     record = Rationalization(
         Message(f"alarm_{code}_cause"),
         Message(f"alarm_{code}_consequence"),
         Message(f"alarm_{code}_response"),
-        row.severity,
-        row.time_to_respond,
+        condition.severity,
+        condition.time_to_respond,
     )
     return AlarmDefinition(
         key=key_of(bus, unit, code),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from hashlib import blake2b
 
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
-from app.alarms.rules.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.suppression import SuppressionGroup
+from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 
 SITE = "_"

@@ -15,7 +15,7 @@ from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarmStore
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
-from app.audit.anchoring import Anchoring, status_of
+from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.commands.safeguards.service import Safeguards
@@ -60,12 +60,12 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
 
 
 def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
-    settings, history = services.settings, services[History]
+    settings, history, anchoring = services.settings, services[History], services[Anchoring]
     expiry = ExpiryWatch(services[Accounts].tokens, certificates_of(settings.notify))
     services.lifespan.add("expiry", expiry.follow)
     conditions = site_conditions(
         lambda: history.status,
-        partial(status_of, services.find(Anchoring)),
+        lambda: anchoring.status,
         lambda: services[Notification].dispatcher.is_failing(),
         expiry,
     )

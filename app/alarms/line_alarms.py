@@ -15,10 +15,10 @@ from app.alarms.rules import changes
 from app.alarms.rules.changes import Act, Changed, NoTransitionError
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.priority import PRIORITIES
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore, JournalEntry, JournalWriting
 from app.audit.log import Also, EventLog
+from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
 from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
@@ -98,6 +98,10 @@ class LineAlarms:
         """All of them."""
         for each in self._lists:
             yield from each.alarms.values()
+
+    def known(self, key: str) -> Alarm | None:
+        """The alarm of a key, also one whose definition has ended lately; None: there is none."""
+        return next((each.known[key] for each in self._lists if key in each.known), None)
 
     def observed(self) -> list[ObservedSpan]:
         """Since when each list is observed; the store has it a minute late."""

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
+from pydantic import StringConstraints
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.alarm import Alarm
 from app.alarms.api import MOST_MINUTES, Alarms
-from app.alarms.group import GROUPS, group_of
+from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, Figure
 from app.alarms.rules.states import PRESENT_STATES
-from app.alarms.shown import present_value, recorded_name
+from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
+from app.alarms.summary import MOST_ROWS, listed, places_of, query_of, row_of, state_text
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
@@ -33,12 +34,11 @@ from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
 
-MOST_ROWS = 100
-"""In the summary: as many as are acknowledged together at most."""
 ON_A_PAGE = 100
 SEE_OTHER = 303
 TypedReason = Annotated[OneLine, Form(max_length=200)]
 AlarmFilter = Annotated[str, Query(max_length=80)]
+ShownKeys = Sequence[Annotated[str, StringConstraints(max_length=200)]]
 
 
 async def chosen_filters(
@@ -49,30 +49,6 @@ async def chosen_filters(
 
 
 ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmRow:
-    """One alarm as a page shows it."""
-
-    id: str
-    name: str | Message
-    bus: str | None
-    unit: int | None
-    place: str
-    priority: str
-    code_of_state: str
-    state: Message
-    waiting: bool
-    sounds: bool
-    silenced: bool
-    since: UnixTime | None
-    unknown_since: UnixTime | None
-    shelved_until: UnixTime | None
-    value: Message | None
-    first_out: bool
-    hidden_by: str
-    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +97,10 @@ async def alarms_page(
     return render(
         request,
         "alarms/page.html",
-        **_listed(alarms, chosen),
+        **listed(alarms, chosen),
         chosen=chosen,
-        query=urlencode(chosen),
-        states=[(each, _state(each)) for each in PRESENT_STATES],
-        places=_places(alarms),
+        states=[(each, state_text(each)) for each in PRESENT_STATES],
+        places=places_of(alarms),
         groups=GROUPS,
         changed=screen.shown[ALARM_GROUP]["changed"],
         left_out=left_out,
@@ -133,9 +108,21 @@ async def alarms_page(
 
 
 @router.get("/alarms/list")
-async def alarms_list(request: Request, _: Viewer, alarms: Alarms, chosen: ChosenFilters) -> Response:
-    """The rows alone."""
-    return render(request, "alarms/_list.html", **_listed(alarms, chosen))
+async def alarms_list(
+    request: Request,
+    _: Viewer,
+    alarms: Alarms,
+    chosen: ChosenFilters,
+    shown: Annotated[ShownKeys, Query(max_length=MOST_ROWS)] = (),
+) -> Response:
+    """The rows alone; those that are shown stay in their places."""
+    return _list(request, alarms, chosen, shown)
+
+
+def _list(
+    request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
+) -> Response:
+    return render(request, "alarms/_list.html", **listed(alarms, chosen, shown), left_out=left_out)
 
 
 @router.get("/alarms/journal")
@@ -193,7 +180,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
     return render(
         request,
         "alarms/one.html",
-        row=_row(alarms, alarm),
+        row=row_of(alarms, alarm),
         record=alarm.definition.record,
         transitions=[_transition(alarms, entry) for entry in entries],
     )
@@ -201,19 +188,26 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
 
 @router.post("/alarms/acknowledge")
 async def acknowledge_shown(
+    request: Request,
     person: Operator,
     alarms: Alarms,
+    chosen: ChosenFilters,
     id: Annotated[list[str], Form(max_length=MOST_ROWS)],
-    back: Annotated[str, Form(max_length=300)] = "",
+    shown: Annotated[ShownKeys, Form(max_length=MOST_ROWS)] = (),
 ) -> Response:
-    """Those that the person saw. One that has changed since is left as it is, and the page reports it."""
+    """Those that the person saw. One that has changed since is left as it is, and the page reports it. The
+    list that they are acknowledged in keeps the places of its rows."""
     left_out = 0
     for alarm_id in id:
         try:
             await alarms.acknowledge(person, alarm_id)
         except Problem:
             left_out += 1
-    query = f"{back}&left_out={left_out}" if left_out else back
+    if shown:
+        response = _list(request, alarms, chosen, shown, left_out)
+        response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
+        return response
+    query = query_of(chosen | ({"left_out": str(left_out)} if left_out else {}))
     return RedirectResponse(f"/alarms?{query}", SEE_OTHER)
 
 
@@ -285,73 +279,14 @@ def _to(alarm_id: str) -> Response:
     return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
 
 
-def _listed(alarms: LineAlarms, chosen: dict[str, str]) -> dict[str, Any]:
-    found = [alarm for alarm in alarms.present() if _matches(alarm, chosen)]
-    rows = [_row(alarms, alarm) for alarm in found[:MOST_ROWS]]
-    return {
-        "rows": rows,
-        "waiting": [row.id for row in rows if row.waiting],
-        "more": max(0, len(found) - MOST_ROWS),
-        "back": urlencode(chosen),
-        "is_filtered": any(chosen.values()),
-    }
-
-
-def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
-    definition = alarm.definition
-    bus, _, unit = chosen["place"].partition("/")
-    filters: tuple[tuple[str, Callable[[], object]], ...] = (
-        (chosen["state"], lambda: alarm.facts.state),
-        (chosen["priority"], lambda: definition.priority),
-        (chosen["group"], lambda: group_of(definition)),
-        (bus, lambda: definition.bus),
-        (unit, lambda: str(definition.unit)),
-    )
-    return all(not wanted or wanted == value() for wanted, value in filters)
-
-
-def _places(alarms: LineAlarms) -> list[tuple[str, str]]:
-    """Each bus and each of its units."""
-    places: list[tuple[str, str]] = []
-    for name, bus in alarms.buses.items():
-        places.append((name, name))
-        places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
-    return places
-
-
-def _row(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
-    definition, facts = alarm.definition, alarm.facts
-    by_person = facts.state in ("shelved", "out_of_service")
-    return AlarmRow(
-        id=alarm.id,
-        name=definition.name,
-        bus=definition.bus,
-        unit=definition.unit,
-        place=alarms.place(definition.bus, definition.unit),
-        priority=definition.priority,
-        code_of_state=facts.state,
-        state=_state(facts.state),
-        waiting=alarm.is_unacknowledged,
-        sounds=facts.sounds,
-        silenced=facts.silenced,
-        since=facts.since,
-        unknown_since=facts.unknown_since,
-        shelved_until=facts.shelved_until,
-        value=present_value(alarms, alarm),
-        first_out=alarm.first_out,
-        hidden_by=alarm.hidden_by if by_person else "",
-        reason=alarm.reason if by_person else "",
-    )
-
-
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
     return TransitionRow(
         at=entry.at,
         name=recorded_name(entry.alarm, entry.code, entry.name),
         place=alarms.place(entry.bus, entry.unit),
         priority=entry.priority,
-        before=_state(entry.before),
-        after=Message("alarm_silenced") if entry.trigger == "silence" else _state(entry.after),
+        before=state_text(entry.before),
+        after=Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after),
         who=entry.who,
         reason=entry.reason,
     )
@@ -374,7 +309,3 @@ def _figure(figure: Figure, formats: Formats) -> FigureRow:
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
     return FigureRow(name, shown(figure.value), target, figure.is_met)
-
-
-def _state(state: str) -> Message:
-    return Message(f"alarm_state_{state}")

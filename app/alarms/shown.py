@@ -11,9 +11,9 @@ from app.alarms.alarm import Alarm
 from app.alarms.definition import Rationalization
 from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.rules.priority import AlarmPriority, Consequence, TimeToRespond
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry
+from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message, in_english

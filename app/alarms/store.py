@@ -12,8 +12,8 @@ from app.alarms.alarm import Alarm
 from app.alarms.definition import AlarmDefinition
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.conditions.priority import AlarmPriority
 from app.database import Database
 from bus.instants import UnixTime
 

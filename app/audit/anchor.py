@@ -1,6 +1,7 @@
 """The anchor: heads of the audit log in a file that cannot be changed with access to the store alone.
 
-One line of JSON for each head, only ever appended: the file may be append-only or on write-once media.
+One line of JSON for each head, only ever appended: the file may be append-only or on write-once media. The
+anchor beside the key has the newest line alone: that a log began, and how far it came.
 
 ``{"id":812,"hash":"3fa9…","time":"2026-11-21T02:01:33Z","key":"91c2…","seal":"77ab…"}``
 """
@@ -9,7 +10,9 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import stat
+import time
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,7 +23,7 @@ import msgspec
 
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
-from app.database.private import restrict
+from app.database.private import restrict, sync_folder
 from app.errors import StoreError, system_error
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -84,6 +87,33 @@ def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
     return Anchors(heads, newest, unreadable=unreadable)
 
 
+def key_anchor_of(key_file: Path) -> Path:
+    """The anchor beside a key file."""
+    return key_file.with_name(f"{key_file.name}.anchor")
+
+
+def read_key_anchor(key_file: Path | None, ring: KeyRing) -> Anchors:
+    """The content of the anchor beside a key file; none where there is no file yet. Raises AnchorError, and
+    StoreError for a line that was not written with the key."""
+    path = None if key_file is None else key_anchor_of(key_file)
+    if path is None or not path.exists():
+        return Anchors()
+    return refuse_forged(path, read_anchor_file(path, ring))
+
+
+def refuse_forged(path: Path, anchors: Anchors) -> Anchors:
+    """The same anchors. Raises StoreError for a line that was not written with the key."""
+    if anchors.forged is not None:
+        raise StoreError(Message.of("anchor_line_forged", line=anchors.forged, path=str(path)))
+    return anchors
+
+
+def joined_heads(first: Anchors, second: Anchors) -> dict[int, str]:
+    """The hashes of two files by entry. Where they contradict each other no hash will do."""
+    both = {number: "" for number, head in first.heads.items() if second.heads.get(number, head) != head}
+    return first.heads | second.heads | both
+
+
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
     """The same of a file. Raises AnchorError."""
     try:
@@ -98,15 +128,56 @@ def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
     readable by its user alone. Raises AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
+    anchors = read_anchors(_newest_lines(path), ring)
+    return Head(anchors.newest, anchors.heads[anchors.newest]) if anchors.newest else None
+
+
+def is_of_lost_key(path: Path, ring: KeyRing) -> bool:
+    """Whether the newest line of a file names a key that is not in the ring: it cannot be checked any more.
+    Raises AnchorError."""
+    for text in reversed(_newest_lines(path)):
+        with suppress(msgspec.MsgspecError, UnicodeError):
+            return ring.rank(msgspec.json.decode(text, type=_AnchorLine).key) is None
+    return False
+
+
+def put_aside(path: Path) -> Path | None:
+    """Rename a file of anchors, which stays as evidence; return its new name, None where there is no file.
+    Raises AnchorError."""
+    aside = path.with_name(f"{path.name}.until-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
     try:
-        with path.open("rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
-            anchors = read_anchors(file.read().splitlines()[-_TAIL_LINES:], ring)
+        path.rename(aside)
     except FileNotFoundError:
         return None
     except OSError as error:
         raise AnchorError(path, error) from error
-    return Head(anchors.newest, anchors.heads[anchors.newest]) if anchors.newest else None
+    return aside
+
+
+def _newest_lines(path: Path) -> list[bytes]:
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
+            return file.read().splitlines()[-_TAIL_LINES:]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise AnchorError(path, error) from error
+
+
+def replace_line(path: Path, line: bytes) -> None:
+    """Make ``line`` the only one of the file, all of it or nothing; on disk when this returns. Raises
+    AnchorError."""
+    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        try:
+            append_line(fresh, line)
+            fresh.replace(path)
+        finally:
+            fresh.unlink(missing_ok=True)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise AnchorError(path, error) from error
 
 
 def append_line(path: Path, line: bytes) -> None:

@@ -13,14 +13,24 @@ from typing import Any, TypeVar
 
 import structlog
 
-from app.audit.anchor import AnchorError, anchor_line, append_line, newest_anchor
+from app.audit.anchor import (
+    AnchorError,
+    anchor_line,
+    append_line,
+    is_of_lost_key,
+    key_anchor_of,
+    newest_anchor,
+    put_aside,
+    replace_line,
+)
 from app.audit.chain import Head
+from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
-from app.audit.walk import not_anchored
+from app.audit.walk import cut_off, not_anchored
 from app.errors import StoreError
 from app.web.formats import Formats
 from bus.instants import Clock, UnixTime, unix_now
-from bus.messages import Message
+from bus.messages import Message, joined
 
 EVERY_S = 60.0
 WITHIN_S = 10.0
@@ -41,17 +51,49 @@ class AnchorStatus:
     since: UnixTime = UnixTime(0.0)
 
 
-class Anchoring:
-    """Exports the head of ``events`` to a file. Never raises for what the medium does."""
+class _AnchorPlace:
+    """A file of anchors, and the head that it has; ``is_single``: its newest line alone. One that is not
+    configured is not missed: that it cannot be written is an event, and no more."""
 
-    def __init__(self, events: EventLog, path: Path, clock: Clock = unix_now) -> None:
+    def __init__(self, path: Path, *, is_configured: bool = False, is_single: bool = False) -> None:
+        self.path = path
+        self.is_configured = is_configured
+        self.is_single = is_single
+        self.exported: Head | None = None
+        self.is_failing = False
+        self._thread = Detached("audit-anchor")
+
+    def write(self, line: bytes) -> None:
+        """Add a line, on disk when this returns. Raises AnchorError."""
+        if self.is_single:
+            replace_line(self.path, line)
+        else:
+            append_line(self.path, line)
+
+    async def in_thread(self, work: Callable[[], T], within_s: float) -> T:
+        try:
+            return await self._thread.run(work, within_s)
+        except TimeoutError as error:
+            raise AnchorError(self.path, Message("anchor_no_response")) from error
+
+
+class Anchoring:
+    """Exports the head of ``events`` to the file ``path`` and to the anchor beside the key, after it is in
+    the store: the log may be ahead of an anchor, never behind. Never raises for what the media do.
+
+    ``is_configured`` False: the file is in its default place.
+    """
+
+    def __init__(
+        self, events: EventLog, path: Path, clock: Clock = unix_now, *, is_configured: bool = True
+    ) -> None:
         self.status = AnchorStatus()
         self._events = events
-        self._path = path
         self._clock = clock
-        self._exported: Head | None = None
+        self._places = [_AnchorPlace(path, is_configured=is_configured)]
+        if events.keys.path is not None:
+            self._places.append(_AnchorPlace(key_anchor_of(events.keys.path), is_single=True))
         self._one_at_a_time = asyncio.Lock()
-        self._thread = Detached("audit-anchor")
 
     async def follow(self) -> None:
         """Export every minute, without end."""
@@ -68,63 +110,77 @@ class Anchoring:
     async def export(self, within_s: float = WITHIN_S) -> None:
         """Write the head where it has changed. A failure is an event and :attr:`status`, and is retried."""
         async with self._one_at_a_time:
-            try:
-                await self._export(within_s)
-            except AnchorError as error:
-                await self._failed(error.reason)
-            except StoreError as error:
-                log.error("audit log not anchored", why=str(error))
+            await asyncio.gather(*(self._export_to(place, within_s) for place in self._places))
 
-    async def _export(self, within_s: float) -> None:
-        if self._exported is None:
-            self._exported = await self._begin(within_s)
+    async def _export_to(self, place: _AnchorPlace, within_s: float) -> None:
+        try:
+            await self._export(place, within_s)
+        except AnchorError as error:
+            await self._failed(place, error.reason)
+        except StoreError as error:
+            log.error("audit log not anchored", why=str(error))
+
+    async def _export(self, place: _AnchorPlace, within_s: float) -> None:
+        if place.exported is None:
+            place.exported = await self._begin(place, within_s)
         head, _ = await self._events.proof.extent()
-        if self.status.altered or (head.id, head.hash) == (self._exported.id, self._exported.hash):
+        if self.status.altered or (head.id, head.hash) == (place.exported.id, place.exported.hash):
             return
-        verdict = await self._events.proof.since(self._exported)
+        verdict = await self._events.proof.since(place.exported)
         if verdict.fault is not None:
             await self._found_altered(verdict.fault)
             return
         line = anchor_line(head, self._clock(), self._events.keys.ring)
-        await self._in_thread(lambda: append_line(self._path, line), within_s)
-        self._exported = head
-        if self.status.unwritten:
-            self.status = AnchorStatus(self.status.altered)
+        await place.in_thread(lambda: place.write(line), within_s)
+        place.exported = head
+        if place.is_failing:
+            place.is_failing = False
+            if place.is_configured:
+                self.status = AnchorStatus(self.status.altered)
             await self._record(Message("event_anchor_written"))
 
-    async def _begin(self, within_s: float) -> Head:
+    async def _begin(self, place: _AnchorPlace, within_s: float) -> Head:
         """The head that the anchor names last, as the log has it; a difference is reported."""
         ring = self._events.keys.ring
-        anchored = await self._in_thread(lambda: newest_anchor(self._path, ring), within_s)
+        anchored = await place.in_thread(lambda: _present_anchor(place, ring), within_s)
         if anchored is None:
             return Head()
         there = await self._events.proof.link(anchored.id)
-        if there is None or there.hash != anchored.hash:
+        if there is None:
+            await self._found_altered(cut_off(anchored.id, str(place.path)))
+            return anchored
+        if there.hash != anchored.hash:
             await self._found_altered(not_anchored(anchored.id))
             return anchored
         return there
 
     async def _found_altered(self, fault: Message) -> None:
+        if self.status.altered:
+            return
         self.status = AnchorStatus(fault, self.status.unwritten, self.status.since)
         log.error("audit log altered", why=str(fault))
-        await self._record(Message("event_audit_altered"), Message("audit_verify_names_entry"))
+        verify = Message("audit_verify_names_entry")
+        await self._record(Message("event_audit_altered"), joined([fault, verify]) or verify)
 
-    async def _failed(self, reason: Message) -> None:
-        if self.status.unwritten:
+    async def _failed(self, place: _AnchorPlace, reason: Message) -> None:
+        if place.is_failing:
             return
-        self.status = AnchorStatus(self.status.altered, reason, self._clock())
-        log.error("audit anchor not written", path=str(self._path), why=str(reason))
+        place.is_failing = True
+        if place.is_configured:
+            self.status = AnchorStatus(self.status.altered, reason, self._clock())
+        log.error("audit anchor not written", path=str(place.path), why=str(reason))
         await self._record(Message("event_anchor_not_written"), reason)
 
     async def _record(self, what: Message, message: Message | str = "") -> None:
         with suppress(StoreError):
             await self._events.record(kind="audit", what=what, message=message)
 
-    async def _in_thread(self, work: Callable[[], T], within_s: float) -> T:
-        try:
-            return await self._thread.run(work, within_s)
-        except TimeoutError as error:
-            raise AnchorError(self._path, Message("anchor_no_response")) from error
+
+def _present_anchor(place: _AnchorPlace, ring: KeyRing) -> Head | None:
+    """The head that a file names last. One in its default place begins again with a new key."""
+    if not place.is_configured and is_of_lost_key(place.path, ring):
+        put_aside(place.path)
+    return newest_anchor(place.path, ring)
 
 
 class Detached:
@@ -159,11 +215,6 @@ class Detached:
 
         threading.Thread(target=run, name=self._name, daemon=True).start()
         return future
-
-
-def status_of(anchoring: Anchoring | None) -> AnchorStatus:
-    """How well the log is anchored; without an anchor, there is no fault."""
-    return AnchorStatus() if anchoring is None else anchoring.status
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:

@@ -144,7 +144,7 @@ class AuditVerification(BaseModel):
 
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def prove_events(_: Admin, events: Events) -> AuditVerification:
-    """Verify the complete log like ``lineside audit verify``, without the anchor."""
+    """Verify the complete log like ``lineside audit verify``, with the anchor beside the key alone."""
     verdict = await events.proof.verify()
     fault = {"fault": in_english(verdict.fault), "fault_message": maybe_shown(verdict.fault)}
     return AuditVerification.model_validate(vars(verdict) | fault)

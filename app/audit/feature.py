@@ -23,9 +23,9 @@ def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
     keys = open_keys(settings.key_files, database.path, database.read_now(head_of))
     events = services.add(EventLog(database, keys=keys))
-    if settings.audit.anchor is not None:
-        anchoring = services.add(Anchoring(events, settings.audit.anchor))
-        lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
+    is_configured = settings.audit.anchor is not None
+    anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
+    lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
     begin = partial(_record_start, settings, database, events)
     lifespan.add("event log", start=begin, once=events.index, end=partial(_record_end, events))
     record_all = partial(events.repeated.record_due, everything=True)

@@ -18,6 +18,7 @@ import msgspec
 
 from app.audit.chain import Head
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
+from app.database.private import sync_folder
 from app.errors import StoreError, system_error
 from bus.messages import Message
 
@@ -131,7 +132,7 @@ def make_key_file(path: Path, origin: KeyOrigin) -> None:
             path.hardlink_to(fresh)
         finally:
             fresh.unlink()
-        _sync_folder(path)
+        sync_folder(path.parent)
     except FileExistsError:
         return
     except OSError as error:
@@ -147,7 +148,7 @@ def replace_key_file(path: Path, ring: KeyRing) -> None:
         if (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
             os.chown(fresh, owner.st_uid, owner.st_gid)
         fresh.replace(path)
-        _sync_folder(path)
+        sync_folder(path.parent)
     except OSError as error:
         failed = Message.of("audit_key_not_replaced", path=str(path), error=system_error(error))
         raise KeyFileError(failed) from error
@@ -168,15 +169,6 @@ def _written(path: Path, ring: KeyRing) -> Path:
             fresh.unlink()
         raise
     return fresh
-
-
-def _sync_folder(path: Path) -> None:
-    """Sync the folder, so that a power failure cannot remove the name of the new key."""
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _check_access(path: Path, found: os.stat_result, owners: frozenset[int]) -> None:

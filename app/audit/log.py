@@ -10,6 +10,7 @@ from typing import Any, Required, TypedDict, Unpack
 import structlog
 
 from app.audit import search, store
+from app.audit.anchor import read_key_anchor
 from app.audit.chain import Head
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, messages_of, new_entry
@@ -198,8 +199,13 @@ class LogProof:
         self._one_at_a_time = asyncio.Lock()
 
     async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
-        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry."""
+        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry; where None, those
+        of the anchor beside the key."""
         async with self._one_at_a_time:
+            if anchors is None:
+                # Before the extent: the log may be ahead of its anchor, never behind.
+                beside_key = await asyncio.to_thread(read_key_anchor, self._keys.path, self._keys.ring)
+                anchors = beside_key.heads
             head, last = await self.extent()
             walk = Walk(self._keys.knowing(head.key), anchors)
             await self._follow(walk, store.LOWEST_ID, last)

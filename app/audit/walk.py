@@ -108,6 +108,11 @@ class Walk:
         self.broken = Verdict(self.last.id, number, fault)
 
 
+def cut_off(number: int, path: str) -> Message:
+    """The fault of a log that has no entry of a number that the file ``path`` names."""
+    return Message.of("audit_log_cut_off", entry=number, path=path)
+
+
 def not_anchored(number: int) -> Message:
     """The fault of an entry that has another hash than the anchor names."""
     return Message.of("audit_entry_not_anchored", entry=number)

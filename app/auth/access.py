@@ -126,7 +126,10 @@ def to_login(connection: HTTPConnection) -> Response:
 def _page_of(connection: HTTPConnection) -> str:
     """Our own page that htmx or a form requests from; foreign ones were refused before."""
     page = connection.headers.get("hx-current-url") or connection.headers.get("referer", "/")
-    parts = urlsplit(page)
+    try:
+        parts = urlsplit(page)
+    except ValueError:
+        return "/"
     return parts.path + (f"?{parts.query}" if parts.query else "")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from app.audit.anchor import Anchors, read_anchor_file
+from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
 from app.audit.chain import Head
 from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, open_keys, owners_of, read_key_file
@@ -26,6 +27,7 @@ from app.database.connection import open_for_reading
 from app.database.private import make_private
 from app.database.words import in_words
 from app.errors import StoreError
+from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
 from bus.messages import Message, in_english
 
@@ -37,11 +39,11 @@ AnchorFile = Annotated[
 
 @audit.command()
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
-    """Verify chain, seals and anchors of the log. Exit 0 when it is intact, 1 with the first altered entry.
-    Without an anchor, the replacement of the store by an earlier copy cannot be detected."""
+    """Verify chain, seals and anchors of the log, and that the store has the signatures of shifts that the
+    log names. Exit 0 when all is intact, 1 with the first altered entry."""
     with ending():
         settings = load(config)
-        verdict, anchors = _verdict(settings, anchor or settings.audit.anchor)
+        verdict, anchors = _verdict(settings, anchor)
         if verdict.broken is not None:
             fault = in_english(verdict.fault)
             raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
@@ -78,15 +80,33 @@ async def _rotate(database: Database, settings: Settings) -> Path | None:
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
     """From the files as they are: nothing is brought up to date, nothing is written."""
+    check_store(settings)
     store = settings.server.store
     if not store.exists():
         raise StoreError(Message.of("store_missing", path=str(store)))
     with in_words(store), closing(open_for_reading(store)) as connection:
         ring = _ring(settings.key_files, store, head_of(connection))
-        anchors = read_anchor_file(anchor, ring) if anchor else Anchors()
-        if anchors.forged is not None:
-            raise StoreError(Message.of("anchor_line_forged", line=anchors.forged, path=str(anchor)))
-        return prove(connection, ring, anchors.heads), anchors
+        anchors = _anchors(settings, anchor, ring)
+        beside_key = read_key_anchor(find_key_file(settings.key_files), ring)
+        verdict = prove(connection, ring, joined_heads(anchors, beside_key))
+        if verdict.broken is None:
+            _check_signatures(connection)
+        return verdict, anchors
+
+
+def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
+    """Those of the file that was named or configured; of its default place, where there is one."""
+    path = named or settings.anchor_file
+    if path not in (named, settings.audit.anchor) and not path.exists():
+        return Anchors()
+    return refuse_forged(path, read_anchor_file(path, ring))
+
+
+def _check_signatures(connection: sqlite3.Connection) -> None:
+    for each in missing_signatures(connection):
+        raise StoreError(
+            Message.of("audit_signature_missing", entry=each.event, who=each.who, start=each.start)
+        )
 
 
 def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:

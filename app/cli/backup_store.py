@@ -13,12 +13,15 @@ import tarfile
 import tempfile
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from app.audit.anchor import key_anchor_of, put_aside
+from app.audit.keys import find_key_file
 from app.auth.withheld import Withheld
 from app.cli.backup_archive import MANIFEST, STORES, BackupArchive, open_archive
 from app.cli.ending import ending, report
@@ -61,10 +64,16 @@ def restore_store(
             typer.confirm(
                 str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True
             )
-        names, withheld = read_backup(file, server.data, settings.key_files)
-    report(Message.of("stores_restored", folder=str(server.data), names=[*names], suffix=ASIDE))
-    for consequence in consequences(withheld) if withheld is not None else ():
-        report(consequence)
+        anchor = settings.audit.anchor
+        done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
+    report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
+    for aside in done.anchors:
+        report(Message.of("anchor_put_aside", path=str(aside)))
+    if done.withheld is not None:
+        if anchor is not None:
+            report(Message.of("anchor_outlives_restore", path=str(anchor)))
+        for consequence in consequences(done.withheld):
+            report(consequence)
 
 
 def write_backup(data: Path, file: Path) -> list[str]:
@@ -121,9 +130,20 @@ def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
     archive.addfile(entry, io.BytesIO(data))
 
 
-def read_backup(file: Path, data: Path, key_files: Sequence[Path]) -> tuple[list[str], Withheld | None]:
-    """Put the stores of a backup into a data folder; return their names, and what was withheld from the main
-    one where the backup contains it, whose log continues under the key in the first of ``key_files``.
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
+    ``anchors`` of the log that it replaced, under their new names."""
+
+    names: list[str]
+    withheld: Withheld | None = None
+    anchors: tuple[Path, ...] = ()
+
+
+def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path | None = None) -> Restored:
+    """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
+    first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
+    the backup.
 
     Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
     main one prepared, before the first is put in its place.
@@ -136,12 +156,20 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path]) -> tuple[list
                 _prove(fresh, file)
             for store in (data / name for name in STORES):
                 _refuse_while_open(store)
-            withheld = None
+            done = Restored([fresh.name for fresh in proved])
             if (fresh := Path(folder) / STORE_FILE) in proved:
                 withheld = _ready(fresh, data / STORE_FILE, archive, key_files)
+                # Before the stores: a log without an anchor is not taken for one that was cut off.
+                done = replace(done, withheld=withheld, anchors=_anchors_put_aside(key_files, anchor))
             for fresh in proved:
                 _put(fresh, data / fresh.name)
-    return [fresh.name for fresh in proved], withheld
+    return done
+
+
+def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
+    key_file = find_key_file(key_files)
+    anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
+    return tuple(aside for path in anchors if path is not None and (aside := put_aside(path)) is not None)
 
 
 def _prove(store: Path, file: Path) -> None:

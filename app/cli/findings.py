@@ -173,8 +173,7 @@ def _url_fault(bus: BusSettings) -> Message | None:
 def audit_findings(settings: Settings) -> Iterator[Finding]:
     """Where its key and its anchor are or will be."""
     yield _key(settings.key_files, settings.server.store)
-    if settings.audit.anchor is not None:
-        yield _anchor(settings.audit.anchor)
+    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
 
 
 def _key(paths: Sequence[Path], store: Path) -> Finding:
@@ -198,10 +197,12 @@ def _new_key(paths: Sequence[Path]) -> Finding:
     return Finding(Message.of("check_key_new_beside_data" if others else "check_key_new", file=str(last)))
 
 
-def _anchor(path: Path) -> Finding:
+def _anchor(path: Path, *, is_configured: bool) -> Finding:
+    """That of the default place is not missed where it cannot be written: the start reports it."""
     exists = is_visible(path)
-    if path.is_symlink() or (exists and not path.is_file()):
+    # Path.is_symlink raises for a name that is too long.
+    if os.path.islink(path) or (exists and not path.is_file()):  # noqa: PTH114
         return fault("check_anchor_no_file", file=str(path))
     if not (os.access(path, os.W_OK) if exists else may_make_files_in(path.parent)):
-        return fault("check_anchor_not_writable", user=user(), file=str(path))
+        return Finding(Message.of("check_anchor_not_writable", user=user(), file=str(path)), is_configured)
     return Finding(Message.of("check_anchor", file=str(path)))

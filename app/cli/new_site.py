@@ -15,6 +15,7 @@ from app.cli.check_store import check_store
 from app.database import Database
 from app.database.presence import Presence, presence_of
 from app.database.words import in_words
+from app.errors import StoreError
 from app.history.store.salvage import put_aside
 from app.settings import Settings
 from bus.messages import Message
@@ -28,8 +29,12 @@ _WAS: dict[Presence, Message] = {
 
 def begin_new_site(settings: Settings) -> None:
     """Make a new store and a new key, with an entry in the new audit log; what is left of the former site is
-    kept under other names. Raises StoreError, also where the former store can be used."""
+    kept under other names. Raises StoreError, also where the former store can be used or the configured
+    anchor is of the former site."""
     check_store(settings, new=True)
+    if settings.audit.anchor is not None and settings.audit.anchor.exists():
+        # It may be on a medium that is written once, and would contradict the new log at each start.
+        raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
     store, key = settings.server.store, find_key_file(settings.key_files)
     presence = presence_of(store)
     with in_words(store):

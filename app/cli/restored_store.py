@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from app.audit.chain import Head
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import head_of
@@ -51,35 +52,49 @@ def make_ready(fresh: Path, present: Path, backup: Backup, key_files: Sequence[P
         database.close()
 
 
-def _standing(present: Path) -> tuple[Present | None, Protection] | None:
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What the present store has in force, and the newest entry of its log."""
+
+    rights: Present | None
+    protection: Protection
+    head: Head
+
+
+def _standing(present: Path) -> InForce | None:
     """None where there is no present store, or none that can be read: it may be why a backup is put back."""
     if not present.exists():
         return None
     try:
         with closing(open_for_reading(present)) as connection:
-            return read_present(connection), read_protection(connection)
+            return InForce(read_present(connection), read_protection(connection), head_of(connection))
     except (sqlite3.Error, ValueError):
         return None
 
 
 async def _bring_in(
-    database: Database, events: EventLog, standing: tuple[Present | None, Protection] | None, backup: Backup
+    database: Database, events: EventLog, standing: InForce | None, backup: Backup
 ) -> Withheld:
     def work(connection: sqlite3.Connection) -> Withheld:
         if standing is None:
             return withhold(connection, None)
-        keep_in_force(connection, standing[1])
-        return withhold(connection, standing[0])
+        keep_in_force(connection, standing.protection)
+        return withhold(connection, standing.rights)
 
     withheld = await database.write(work)
+    replaced = () if standing is None else (_of_replaced_log(standing.head),)
     await events.record(
         kind="server",
         what=WHAT,
         who=who_calls(),
         origin=ORIGIN,
-        message=joined([backup.message, *consequences(withheld)]) or "",
+        message=joined([backup.message, *replaced, *consequences(withheld)]) or "",
     )
     return withheld
+
+
+def _of_replaced_log(head: Head) -> Message:
+    return Message.of("restored_over", entry=head.id, hash=head.hash)
 
 
 def consequences(withheld: Withheld) -> list[Message]:

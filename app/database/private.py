@@ -52,6 +52,15 @@ def write_file(path: Path, text: str) -> None:
     fresh.replace(path)
 
 
+def sync_folder(folder: Path) -> None:
+    """Sync a folder, so that a power failure cannot remove the name of a new file in it."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def refuse_link(path: Path) -> None:
     """Raises StoreError where the file is a link."""
     if path.is_symlink():

@@ -24,9 +24,7 @@ from bus.contract import (
     Delivered,
     Hello,
     MalformedMessageError,
-    ParameterValue,
     Progress,
-    Reading,
     Result,
     Snapshot,
     Update,
@@ -154,13 +152,9 @@ class Ingest:
         return taken
 
     def _within_quota(self, updates: Sequence[Update], refused: Counter[Message]) -> list[Update]:
-        """Without the values that no wire can have carried."""
+        """Without those that no wire can have carried."""
         now = monotonic_now()
-        taken = [
-            update
-            for update in updates
-            if not isinstance(update, Reading | ParameterValue) or self._quota.admits_value(now)
-        ]
+        taken = [update for update in updates if self._quota.admits(update, now)]
         refused[OVER_QUOTA] += len(updates) - len(taken)
         return taken
 

@@ -15,6 +15,8 @@ from bus.contract import (
     BusFigures,
     BusLink,
     Frames,
+    ParameterValue,
+    Reading,
     Snapshot,
     UnitLink,
     Update,
@@ -33,8 +35,7 @@ TEXT_COST = 40.0
 MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
 """Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
 MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
-"""Readings and parameters: twice as many as a worker polls at 9600 baud on a port that is faster than that, and
-all that a worker keeps."""
+"""Stored readings and parameters: twice what a worker polls at 9600 baud, and all that it keeps at once."""
 HELLOS_PER_S, HELLOS_AT_ONCE = 0.5, 20.0
 
 
@@ -50,9 +51,14 @@ class FeedQuota:
         """Count a message of ``size`` bytes; for how many seconds nothing more is read."""
         return max(self._updates.pour(cost_of(message), now), self._bytes.pour(size, now))
 
-    def admits_value(self, now: Monotonic) -> bool:
-        """Count one value; False where a wire cannot have carried it."""
-        return self._values.take(now)
+    def admits(self, update: Update, now: Monotonic) -> bool:
+        """Count an update to be stored; False where a wire cannot have carried it."""
+        match update:
+            case Reading() | ParameterValue():
+                return self._values.take(now)
+            case UnitLink() | BusLink():
+                return self._values.take(now, TEXT_COST)
+        return True
 
 
 def hello_bucket() -> Bucket:

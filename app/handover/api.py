@@ -24,6 +24,7 @@ from app.handover.sheet import (
     ShiftSheetShown,
     SignatureShown,
     SignedShown,
+    missing_json,
     notes_json,
     signature_json,
     signed_json,
@@ -132,7 +133,11 @@ async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Resp
     """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
     found = await shifts.sheet(shift)
     sheet = msgspec.json.decode(found.sheet)
-    more = {"signed": signed_json(found.signed), "later_notes": notes_json(found.later)}
+    more = {
+        "signed": signed_json(found.signed),
+        "missing_signatures": missing_json(found.missing),
+        "later_notes": notes_json(found.later),
+    }
     return Response(msgspec.json.encode(sheet | more), media_type="application/json")
 
 

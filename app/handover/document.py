@@ -56,6 +56,7 @@ class SheetDocuments:
             style=style,
             shift=found.shift,
             signed=found.signed,
+            missing=found.missing,
             lost=len(named) - len(pictures),
         )
 

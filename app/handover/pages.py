@@ -107,6 +107,7 @@ async def sheet_page(
         sheet=sheet,
         later=readable_notes(notes_json(found.later)),
         signed=found.signed,
+        missing=found.missing,
         signs_as=person.name if person.via == "session" and not person.panel else "",
         shift=shift,
         page=_path(shift),

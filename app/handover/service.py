@@ -24,9 +24,11 @@ from app.handover.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from app.handover.sheet import SheetWriter
 from app.handover.signatures import (
+    LoggedSignature,
     Signature,
     SignedPart,
     SignedSheet,
+    missing_signatures,
     signatures_of,
     signed_between,
     signed_sheet,
@@ -70,12 +72,14 @@ class ShiftSummary:
 
 @dataclass(frozen=True, slots=True)
 class SheetOfShift:
-    """``sheet``: its JSON, as it was signed where it is. ``later``: the notes that were written since."""
+    """``sheet``: its JSON, as it was signed where it is. ``later``: the notes that were written since.
+    ``missing``: the signatures that the audit log names and the store has lost."""
 
     shift: Shift
     sheet: bytes
     signed: SignedSheet | None
     later: list[Note]
+    missing: list[LoggedSignature]
 
 
 class Handover:
@@ -132,13 +136,23 @@ class Handover:
         )
 
     def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
-        signed = signed_sheet(connection, shift.start)
+        signed, missing = self._signed(connection, shift)
         if signed is None:
             sheet = self._sheets.write(connection, shift, now)
-            return SheetOfShift(shift, msgspec.json.encode(sheet), None, [])
+            return SheetOfShift(shift, msgspec.json.encode(sheet), None, [], missing)
         known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
         later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
-        return SheetOfShift(shift, signed.frozen.sheet, signed, later)
+        return SheetOfShift(shift, signed.frozen.sheet, signed, later, missing)
+
+    async def signed(self, shift: Shift) -> tuple[SignedSheet | None, list[LoggedSignature]]:
+        """The signed sheet of a shift, and the signatures of the audit log that the store has lost."""
+        return await self._database.read(lambda connection: self._signed(connection, shift))
+
+    def _signed(
+        self, connection: sqlite3.Connection, shift: Shift
+    ) -> tuple[SignedSheet | None, list[LoggedSignature]]:
+        missing = missing_signatures(connection, self.local(shift.start))
+        return signed_sheet(connection, shift.start), missing
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""

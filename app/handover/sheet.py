@@ -24,7 +24,7 @@ from app.handover.record import (
     last_events,
 )
 from app.handover.rules.shift_times import Shift, site_time
-from app.handover.signatures import Signature, SignedSheet
+from app.handover.signatures import LoggedSignature, Signature, SignedPart, SignedSheet
 from app.settings import Settings
 from app.web.shape import Instant, MessageShown, iso, message_shown
 from bus.instants import UnixTime
@@ -118,10 +118,21 @@ class SignedShown(TypedDict):
     coming: SignatureShown | None
 
 
+class MissingSignatureShown(SignatureShown):
+    """A signature that the audit log names."""
+
+    part: SignedPart
+    event: Annotated[int, Field(description="The number of its entry.")]
+
+
 class SheetAndSignaturesShown(ShiftSheetShown):
     """The sheet, as it was signed where it is."""
 
     signed: SignedShown | None
+    missing_signatures: Annotated[
+        list[MissingSignatureShown],
+        Field(description="Those that the audit log names and the store has lost; mostly none."),
+    ]
     later_notes: Annotated[
         list[ShiftNoteShown], Field(description="Those written since it was signed; not part of it.")
     ]
@@ -194,6 +205,11 @@ def signed_json(signed: SignedSheet | None) -> SignedShown | None:
         "leaving": signature_json(signed.signatures.get("leaving")),
         "coming": signature_json(signed.signatures.get("coming")),
     }
+
+
+def missing_json(missing: Sequence[LoggedSignature]) -> list[MissingSignatureShown]:
+    """Lost signatures as the API has them."""
+    return [{"part": each.part, "who": each.who, "at": iso(each.at), "event": each.event} for each in missing]
 
 
 def signature_json(signature: Signature | None) -> SignatureShown | None:

@@ -20,6 +20,12 @@ SignedPart = Literal["leaving", "coming"]
 """Who signs: the person whose shift ends, then the one whose shift begins."""
 EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming": "event_shift_taken_over"}
 
+_LOGGED = """
+SELECT id, json_extract(messages, '$.what.code'), who, time, json_extract(messages, '$.what.params.start')
+FROM events WHERE kind = 'shift' AND about IS NULL
+AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') IN (?, ?) END
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Signature:
@@ -72,6 +78,34 @@ def signed_sheet(connection: sqlite3.Connection, start: UnixTime) -> SignedSheet
 def signatures_of(connection: sqlite3.Connection, start: UnixTime) -> dict[SignedPart, Signature]:
     query = "SELECT part, who, at, event FROM shift_signature WHERE start = ?"
     return {row["part"]: Signature(*row) for row in connection.execute(query, (start,))}
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedSignature:
+    """A signature as the audit log has it. ``start``: of its shift, by the clock of the site."""
+
+    event: int
+    part: SignedPart
+    who: str
+    at: UnixTime
+    start: str
+
+
+def missing_signatures(connection: sqlite3.Connection, start: str | None = None) -> list[LoggedSignature]:
+    """The signatures that the audit log names and the store has lost, oldest first; ``start``: of one shift.
+    Of a store of any version."""
+    if not _has(connection, "pragma_table_info('events')", "messages"):
+        return []
+    stored = _has(connection, "sqlite_master", "shift_signature")
+    query = _LOGGED if not stored else f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)"
+    parts = {code: part for part, code in EVENTS.items()}
+    found = connection.execute(f"{query} ORDER BY id", tuple(parts))
+    logged = (LoggedSignature(row[0], parts[row[1]], row[2], row[3], row[4] or "") for row in found)
+    return [each for each in logged if start in (None, each.start)]
+
+
+def _has(connection: sqlite3.Connection, of: str, name: str) -> bool:
+    return connection.execute(f"SELECT 1 FROM {of} WHERE name = ?", (name,)).fetchone() is not None
 
 
 def signed_between(connection: sqlite3.Connection, start: UnixTime, end: UnixTime) -> list[Shift]:

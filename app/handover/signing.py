@@ -59,7 +59,10 @@ class Signing:
         401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
         self._handover.quota.check(shift)
         who = await self._signer(person, address, request)
-        signed = await self._database.read(lambda store: signatures.signed_sheet(store, shift.start))
+        signed, missing = await self._handover.signed(shift)
+        if missing:
+            names = ", ".join(each.who for each in missing)
+            raise Problem(409, "not_in_state", Message.of("shift_signature_missing", names=names))
         part = request.part or ("leaving" if signed is None else "coming")
         signatures.check_turn({} if signed is None else signed.signatures, part, who, self._handover.zone)
         frozen = await self._freeze(shift) if signed is None else signed.frozen

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from app.audit.kinds import EventKind
-from app.live.state.conditions import Condition, status_conditions
+from app.live.state.conditions import StatusCondition, status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.instants import UnixTime
@@ -30,7 +30,7 @@ class LineEvent:
     """How many it stands for, of what is summed up from the first on: it becomes `new`."""
 
 
-_RECORDED: dict[Condition, tuple[EventKind, Message, tuple[Message, Message]]] = {
+_RECORDED: dict[StatusCondition, tuple[EventKind, Message, tuple[Message, Message]]] = {
     "not_in_remote": ("mode", Message("event_mode"), (term("REMOTE"), term("LOCAL"))),
     "estop_active": ("estop", Message("event_estop_input"), (term("healthy"), term("active"))),
     "run_off": ("run", Message("event_run_input"), (term("on"), term("off"))),
@@ -40,7 +40,7 @@ _RECORDED: dict[Condition, tuple[EventKind, Message, tuple[Message, Message]]] =
 
 @dataclass(slots=True)
 class _UnitMemory:
-    conditions: frozenset[Condition] | None = None
+    conditions: frozenset[StatusCondition] | None = None
     link: UnitLinkState = "unknown"
 
 

@@ -12,8 +12,8 @@ from prometheus_client.registry import Collector
 
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.rules.priority import PRIORITIES
 from app.alarms.rules.states import PRESENT_STATES
+from app.conditions.priority import PRIORITIES
 from app.live.state.bus_live import BusLive
 from app.metrics.api import MetricSources
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from app.alarms.line_alarms import LineAlarms
-from app.audit.anchoring import Anchoring, status_of
+from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
 from app.feature import Feature, Services
 from app.live.browsers.hub import Hub
@@ -15,9 +13,9 @@ from app.metrics import api
 
 def make(services: Services) -> None:
     live, hub, alarms = services[LiveState], services[Hub], services[LineAlarms]
-    anchor = partial(status_of, services.find(Anchoring))
+    anchoring = services[Anchoring]
     counts = api.Counts(services[EventLog])
-    services.add(api.MetricSources(live, lambda: hub.connected, counts, anchor, alarms))
+    services.add(api.MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms))
 
 
 FEATURE = Feature(make, (api.router,))

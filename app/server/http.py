@@ -253,6 +253,9 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         is_awaited = self._pace.awaited in (Awaited.HEAD, Awaited.BODY)
         if is_awaited:
             self.transport.write(refusal.response())
+            if self._is_responding():  # in its place: uvicorn passes over what the app sends from here on
+                self.cycle.disconnected = True
+                self.cycle.message_event.set()
         return is_awaited
 
 

@@ -64,8 +64,10 @@ class InputInTurn(asyncio.Protocol):
         if self._unparsed and not self._awaits_turn and self._is_ready():
             self._awaits_turn = True
             self._turns.run((self._turn_key(), self._is_heavy), self._take_turn)
-        if bool(self._unparsed) is not self._holds_back:
-            self._hold_back() if self._unparsed else self._read_on()
+        if self._unparsed:
+            self._hold_back()
+        elif self._holds_back:
+            self._read_on()
 
     def _take_turn(self) -> None:
         self._awaits_turn = False
@@ -85,7 +87,7 @@ class InputInTurn(asyncio.Protocol):
         self._go_on()
 
     def _hold_back(self) -> None:
-        """Leave what follows in the kernel."""
+        """Leave what follows in the kernel; again where uvicorn has resumed reading, which knows no turns."""
         self._holds_back = True
         self.transport.pause_reading()
 

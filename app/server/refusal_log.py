@@ -10,6 +10,7 @@ import logging
 
 import structlog
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect
 
 from app.server.addresses import source_of
 from app.server.repeats import Repeats
@@ -65,7 +66,10 @@ class NoteRefused:
                 self._refusals.note(address, str(message["status"]), scope["path"])
             await send(message)
 
-        await self._app(scope, receive, watching)
+        try:
+            await self._app(scope, receive, watching)
+        except WebSocketDisconnect:  # before its handshake had a response
+            self._refusals.note((scope.get("client") or ("",))[0], "incomplete", scope["path"])
 
 
 def _is_shown(scope: Scope, status: int) -> bool:

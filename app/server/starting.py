@@ -82,7 +82,7 @@ class StartInTurn:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] in ("http", "websocket"):
-            address = (scope["client"] or ("",))[0]
+            address = (scope.get("client") or ("",))[0]
             is_poll = scope["path"] == HEALTH
             await self._starts.turn((HEALTH, address) if is_poll else sender_of(scope["headers"]) or address)
         await self._app(scope, receive, send)

@@ -51,6 +51,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         """In turn: to unwind the app of one takes a millisecond, and a client with some hundred of them may
         drop them all at once."""
         self._unparsed.clear()
+        self.disconnected = True  # the app may send before that turn
         self._turns.run(self._turn_key(), partial(super().connection_lost, exc))
 
     def give_way(self) -> None:

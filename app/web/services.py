@@ -46,10 +46,6 @@ class Registry:
             raise RuntimeError(f"two services of the type {type(service).__qualname__}")
         return service
 
-    def find(self, kind: type[S]) -> S | None:
-        """The service of this type, where there is one."""
-        return self[kind] if kind in self._services else None
-
     def __getitem__(self, kind: type[S]) -> S:
         found = self._services[kind]
         assert isinstance(found, kind)

@@ -65,7 +65,7 @@ async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(h
 async def test_one_is_acknowledged_where_it_stands(house: House) -> None:
     estop(house, active=True)
     operator = await house.signed_in(Role.OPERATOR)
-    done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "back": "priority=urgent"})
+    done = await operator.post("/alarms/acknowledge?priority=urgent", data={"id": f"{ESTOP}.1"})
     assert (done.status_code, done.headers["location"]) == (303, "/alarms?priority=urgent")
     assert state(house) == "ack_active"
 
@@ -81,6 +81,64 @@ async def test_those_shown_are_acknowledged_and_one_that_came_again_is_not(house
     assert "left_out=1" in done.headers["location"]
     assert (state(house), state(house, f"{BUS}.2.estop_active")) == ("unack_active", "ack_active")
     assert "had changed and was not acknowledged" in await page(operator, done.headers["location"])
+
+
+def rows(text: str) -> list[str]:
+    """The alarms of the list, in their order."""
+    return re.findall(r'name="shown" value="([^"]+)"', text)
+
+
+async def test_no_row_moves_until_the_list_is_opened_again(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    remote_off(house, unit=2)
+    shown = rows(await page(operator, "/alarms"))
+    local = f"{BUS}.2.not_in_remote"
+    assert shown == [ESTOP, local]
+    done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "shown": shown})
+    assert (done.status_code, done.headers["hx-retarget"]) == (200, "#alarms")
+    assert rows(done.text) == shown
+    estop(house, active=False)
+    estop(house, active=True, unit=2)
+    redrawn = await operator.get("/alarms/list", params={"shown": shown})
+    assert rows(redrawn.text) == [ESTOP, local, f"{BUS}.2.estop_active"]
+    assert "normal" in redrawn.text
+    assert rows(await page(operator, "/alarms")) == [f"{BUS}.2.estop_active", local]
+
+
+async def test_a_row_that_was_never_an_alarm_is_not_listed(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    assert "No alarm is present." in await page(operator, "/alarms/list?shown=nowhere.9.estop_active")
+    too_many = await operator.get("/alarms/list", params={"shown": ["x"] * 101})
+    assert too_many.status_code == 422
+
+
+async def test_the_list_reports_what_had_changed_before_it_was_acknowledged(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+    estop(house, active=False)
+    estop(house, active=True)
+    done = await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1", "shown": ESTOP})
+    assert "had changed and was not acknowledged" in done.text
+    assert state(house) == "unack_active"
+
+
+async def test_the_list_has_the_three_times_and_an_acknowledgement_leaves_the_first(house: House) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    estop(house, active=True)
+
+    async def times() -> list[str]:
+        text = await page(operator, f"/alarms/list?shown={ESTOP}")
+        cell = r'data-head="(?:Came|Cleared|Acknowledged)">(?:<span>)?(?:<time datetime="([^"]+)")?'
+        return re.findall(cell, text)
+
+    came, *others = await times()
+    assert (bool(came), others) == (True, ["", ""])
+    await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
+    estop(house, active=False)
+    after = await times()
+    assert after[0] == came
+    assert all(after)
 
 
 async def test_the_list_is_filtered_by_place_priority_state_and_group(house: House) -> None:
@@ -188,7 +246,7 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert banner.mark(BUS, 1) == "urgent cleared waiting"
     remote_off(house, unit=2)
     active = banner.banner(translator(), now)
-    assert (active["mark"], active["more"], active["waiting"]) == ("low waiting", "1 more", "2")
+    assert (active["mark"], active["more"], active["waiting"]) == ("low waiting", " · 1 more", "2")
     assert active["state"].startswith("active since")
     await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
     assert banner.banner(translator(), now)["mark"] == "low"

@@ -11,8 +11,10 @@ from app.alarms.catalogue import BUILT_IN, built_in
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.first_out import FirstOut
 from app.alarms.rules.limits import ChangeRate, LimitRule
-from app.alarms.rules.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond
 from app.alarms.rules.suppression import Suppressors, is_at_rest
+from app.built_in_settings import BuiltIn
+from app.conditions.catalogue import CONDITIONS
+from app.conditions.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond
 from bus.instants import UnixTime
 from bus.messages import TEXTS
 
@@ -97,3 +99,8 @@ def test_every_built_in_alarm_has_its_record_in_words(code: str) -> None:
     for message in (definition.name, record.cause, record.consequence, record.response):
         assert getattr(message, "code", "") in TEXTS
     assert definition.priority == MATRIX[record.severity, record.time_to_respond]
+
+
+@pytest.mark.parametrize("code", BUILT_IN)
+def test_an_alarm_has_the_priority_of_its_condition(code: BuiltIn) -> None:
+    assert built_in(code, "dry-end").priority == CONDITIONS[code].priority

@@ -176,7 +176,9 @@ async def test_a_log_that_was_altered_is_not_anchored(scene: Scene, statement: s
         await scene.anchoring.export()
     assert scene.anchoring.status.altered
     assert [line["id"] for line in scene.lines()] == [2]
-    assert ("audit log altered", "lineside audit verify names the entry") in await scene.logged_events()
+    altered = [message for what, message in await scene.logged_events() if what == "audit log altered"]
+    assert len(altered) == 1
+    assert altered[0].endswith("; lineside audit verify names the entry")
 
 
 async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scene) -> None:
@@ -188,7 +190,7 @@ async def test_a_server_that_starts_compares_the_log_with_its_anchor(scene: Scen
     await scene.attack("DELETE FROM events WHERE id = 5")
     again = scene.started()
     await again.export()
-    assert str(again.status.altered) == "entry 5 is not the one that the anchor names"
+    assert str(again.status.altered).startswith("the log was emptied or cut off: it has no entry 5, which ")
 
 
 async def test_a_long_log_is_verified_without_blocking_the_event_loop(scene: Scene) -> None:

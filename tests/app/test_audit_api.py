@@ -126,13 +126,13 @@ async def test_an_admin_verifies_the_log(house: House) -> None:
     admin = await house.program(Role.ADMIN)
     number = await command(house)
     proof = (await admin.get("/api/v1/events/proof")).json()
+    assert 0 <= proof.pop("anchored") <= number
     assert proof == {
         "entries": number,
         "broken": None,
         "fault": "",
         "fault_message": None,
         "unsealed": 0,
-        "anchored": 0,
     }
 
     def tamper(connection: sqlite3.Connection) -> None:

@@ -75,13 +75,13 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
         ),
         (
             {"inputs": HEALTHY},
-            "high",
+            "urgent",
             "Turning without run since 02:22",
             "Dreht ohne Lauf-Freigabe seit 02:22",
         ),
         (
             {"inputs": HEALTHY, "commanded": 0, "actual": 30},
-            "high",
+            "urgent",
             "Turning without run since 02:22",
             "Dreht ohne Lauf-Freigabe seit 02:22",
         ),

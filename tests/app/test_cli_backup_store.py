@@ -39,13 +39,13 @@ def test_a_copy_taken_while_it_is_written_holds_what_was_there(tmp_path: Path) -
     writer.take((BUS.name, polls(NOON + 30, NOON + 60)))
     writer.close()
     assert seen(data) == 300
-    assert read_backup(tmp_path / "one.tar", data, keys_in(tmp_path))[0] == [
+    assert read_backup(tmp_path / "one.tar", data, keys_in(tmp_path)).names == [
         "history.db",
         "lineside.db",
     ]
     assert seen(data) == 150
     assert (data / "history.db.before-restore").exists()
-    assert read_backup(tmp_path / "one.tar", tmp_path / "elsewhere", keys_in(tmp_path))[0] == [
+    assert read_backup(tmp_path / "one.tar", tmp_path / "elsewhere", keys_in(tmp_path)).names == [
         "history.db",
         "lineside.db",
     ]

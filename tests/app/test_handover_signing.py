@@ -12,9 +12,13 @@ from typing import Any
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
 from app.audit.log import EventLog
+from app.cli import cli
+from app.database.migrating import MIGRATIONS
 from app.handover.service import Handover
+from app.handover.signatures import missing_signatures
 from app.handover.signing import Signing
 from app.web.access import Role
 from bus.instants import UnixTime
@@ -200,6 +204,50 @@ async def test_a_sheet_that_was_altered_in_the_store_is_reported_and_not_signed(
     assert (await sheet(ann))["signed"]["altered"] is True
     assert code(await sign(bob)) == (409, "not_in_state")
     assert "Do not rely on it" in (await bob.get(f"/shifts/{await last(bob)}")).text
+
+
+@pytest.mark.parametrize("lost", ["both", "coming", "sheet"])
+async def test_signatures_that_are_gone_from_the_store_are_found_by_the_log(
+    house: House, tmp_path: Path, lost: str
+) -> None:
+    ann, bob = await house.signed_in(Role.OPERATOR, "ann"), await house.signed_in(Role.OPERATOR, "bob")
+    await sign(ann)
+    await sign(bob)
+    assert (await sheet(ann))["missing_signatures"] == []
+    (tmp_path / "data.toml").write_text('[server]\ndata = "data"\n')
+    verify = ["audit", "verify", "--config", str(tmp_path / "data.toml")]
+    assert (await asyncio.to_thread(CliRunner().invoke, cli, verify)).exit_code == 0
+    which = "WHERE part = 'coming'" if lost == "coming" else ""
+    with sqlite3.connect(tmp_path / "data" / "lineside.db") as store:
+        store.execute("DROP TRIGGER shift_signature_stays")
+        store.execute("DROP TRIGGER shift_sheet_stays")
+        store.execute(f"DELETE FROM shift_signature {which}")
+        if lost == "sheet":
+            store.execute("DELETE FROM shift_sheet")
+    names = ["bob"] if lost == "coming" else ["ann", "bob"]
+    found = await sheet(ann)
+    assert [each["who"] for each in found["missing_signatures"]] == names
+    for client in (ann, bob):
+        refused = await sign(client)
+        assert code(refused) == (409, "not_in_state")
+        assert ", ".join(names) in refused.json()["detail"]
+    page = (await ann.get(f"/shifts/{await last(ann)}")).text
+    assert "signatures of this shift that are gone from the store" in page
+    assert "Not signed." not in page
+    assert "gone from the store" in (await ann.get(f"{API}/{await last(ann)}/sheet.html")).text
+    done = await asyncio.to_thread(CliRunner().invoke, cli, verify)
+    assert done.exit_code == 1
+    assert f"states that {names[0]} signed the shift of " in done.stderr
+
+
+def test_a_store_of_an_earlier_version_lacks_no_signature() -> None:
+    with sqlite3.connect(":memory:") as store:
+        store.row_factory = sqlite3.Row
+        for step in ("0002_events.sql", "0031_audit_seals.sql"):
+            store.executescript((MIGRATIONS / step).read_text())
+        assert missing_signatures(store) == []
+        store.executescript((MIGRATIONS / "0050_event_messages.sql").read_text())
+        assert missing_signatures(store) == []
 
 
 async def test_the_file_needs_no_server_and_is_no_page_of_it(house: House) -> None:

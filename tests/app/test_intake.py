@@ -132,6 +132,18 @@ async def test_what_the_parser_is_not_ready_for_waits_unread() -> None:
     assert (parser.parsed, parser.fake.is_read) == ([b"GET"], True)
 
 
+async def test_a_connection_that_is_read_before_its_turn_is_held_back_again() -> None:
+    turns = Starts()
+    Parser(turns, "a").data_received(b"GET")
+    parser = Parser(turns, "a")
+    parser.data_received(b"G")
+    parser.fake.resume_reading()
+    parser.data_received(b"ET")
+    assert (parser.parsed, parser.fake.is_read) == ([], False)
+    await parsed(parser)
+    assert (parser.parsed, parser.fake.is_read) == ([b"GET"], True)
+
+
 async def test_input_that_is_dropped_is_not_parsed() -> None:
     turns = Starts()
     Parser(turns, "a").data_received(b"GET")

@@ -46,7 +46,7 @@ def test_a_full_bus_that_is_followed_never_waits() -> None:
     assert sum(sizes) < MAX_BYTES_PER_S / 2
     for at in range(1_000):
         assert not any(map(quota.pause_s, messages, sizes, repeat(float(at))))
-        assert all(quota.admits_value(float(at)) for _ in range(38))
+        assert all(quota.admits(READING, float(at)) for _ in range(38))
 
 
 def test_a_complete_snapshot_and_a_full_buffer_come_at_once() -> None:
@@ -56,7 +56,7 @@ def test_a_complete_snapshot_and_a_full_buffer_come_at_once() -> None:
     assert quota.pause_s(complete, len(encode(complete)), 0.0) == 0.0
     late = Batch(1, 1.0, [READING] * 500, live=False)
     assert not any(quota.pause_s(late, len(encode(late)), 0.0) for _ in range(40_000 // 500 // 2))
-    assert all(quota.admits_value(0.0) for _ in range(MOST_READINGS + MOST_OTHERS))
+    assert all(quota.admits(READING, 0.0) for _ in range(MOST_READINGS + MOST_OTHERS))
 
 
 @pytest.mark.parametrize(
@@ -86,8 +86,15 @@ def test_no_token_sends_ten_gigabytes_a_day() -> None:
 
 def test_more_values_than_a_wire_can_carry_are_refused() -> None:
     quota = FeedQuota()
-    taken = sum(quota.admits_value(tenth / 10) for tenth in range(36_000) for _ in range(200))
+    taken = sum(quota.admits(READING, tenth / 10) for tenth in range(36_000) for _ in range(200))
     assert taken == pytest.approx(MAX_VALUES_AT_ONCE + 3600 * MAX_VALUES_PER_S, rel=0.001)
+
+
+def test_states_with_their_causes_are_stored_more_seldom() -> None:
+    """Each may bring 4 kB of text. All units of a bus may be lost and found, several times."""
+    quota, link = FeedQuota(), UnitLink(1, 1.0, "offline", "a cause")
+    assert sum(quota.admits(link, 0.0) for _ in range(5_000)) == 1_000
+    assert quota.admits(BusFigures(1.0, 1.0, 1.0, 1.0, 1.0), 0.0), "it is not stored"
 
 
 def test_a_hello_costs_next_to_nothing() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 from starlette.types import Message, Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
 from app.server.refusal_log import ErrorLines, NoteRefused, RefusalLog
@@ -81,6 +82,21 @@ async def test_responses_that_refuse_are_noted(
         await NoteRefused(app, RefusalLog())(scope, receive, send)
     shown = [(entry["address"], entry["reason"], entry["request"]) for entry in logs]
     assert shown == [("192.0.2.7", str(status), "/feed")] * lines
+
+
+async def test_a_client_that_leaves_its_handshake_is_a_refused_request() -> None:
+    async def app(_scope: Scope, _receive: Receive, _send: Send) -> None:
+        raise WebSocketDisconnect(1006)
+
+    async def receive() -> Message:
+        return {"type": "websocket.disconnect"}
+
+    async def send(_: Message) -> None: ...
+
+    scope: Scope = {"type": "websocket", "path": "/feed", "headers": [], "client": ("192.0.2.7", 1)}
+    with capture_logs() as logs:
+        await NoteRefused(app, RefusalLog())(scope, receive, send)
+    assert [(entry["address"], entry["reason"]) for entry in logs] == [("192.0.2.7", "incomplete")]
 
 
 def test_an_error_is_logged_with_its_traceback_once(errors: tuple[ErrorLines, Watch]) -> None:

@@ -339,6 +339,20 @@ def test_a_new_site_is_begun_by_command_and_recorded(
     assert kept == ([content] if content else [])
 
 
+def test_a_new_site_does_not_begin_with_the_anchor_of_the_former(config: Path, tmp_path: Path) -> None:
+    config.write_text(config.read_text() + '[audit]\nanchor = "./worm.anchor"\n')
+    fork_server.run("user", "list", "--config", config)
+    (tmp_path / "worm.anchor").write_text("of the former site")
+    (tmp_path / "data" / "lineside.db").unlink()
+    verified = fork_server.run("audit", "verify", "--config", config)
+    assert (verified.returncode, "lineside serve --new" in verified.stderr) == (1, True)
+    done = fork_server.run("serve", "--new", "--config", config)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "is of the former site" in done.stderr
+    assert (tmp_path / "worm.anchor").read_text() == "of the former site"
+    assert not (tmp_path / "data" / "lineside.db").exists()
+
+
 def test_the_demo_shows_a_line_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with started("demo", "--units", "3", "--port", "0") as (process, url):

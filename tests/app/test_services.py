@@ -54,7 +54,7 @@ def test_two_services_of_one_type_are_refused() -> None:
 def test_a_service_is_added_once() -> None:
     services = Registry(("text",), {"dry-end": (1,), "wet-end": (2,)})
     assert services.add(2.5) == services[float]
-    assert (services.find(int), services.of_buses(int)) == (None, {"dry-end": 1, "wet-end": 2})
+    assert services.of_buses(int) == {"dry-end": 1, "wet-end": 2}
     with pytest.raises(RuntimeError, match="two services of the type float"):
         services.add(3.5)
 

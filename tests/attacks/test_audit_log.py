@@ -37,6 +37,7 @@ class Plant:
         self.config = folder / "lineside.toml"
         self.store = folder / "data" / "lineside.db"
         self.key = folder / "lineside.audit.key"
+        self.key_anchor = folder / "lineside.audit.key.anchor"
         self.anchor = folder / "anchor"
         self.config.write_text('[server]\ndata = "data"\n[audit]\nanchor = "anchor"\n')
 
@@ -180,14 +181,16 @@ def test_an_earlier_copy_of_the_store_is_put_in_its_place(plant: Plant, tmp_path
 
 
 def test_so_are_earlier_copies_of_the_store_and_of_its_anchor(plant: Plant, tmp_path: Path) -> None:
-    """Only a copy of the anchor that is out of reach detects it."""
+    """The anchor beside the key detects it; with that put back too, only a copy that is out of reach does."""
     plant.copy_store(tmp_path / "earlier.db")
-    earlier = plant.anchor.read_bytes()
+    earlier, earlier_beside_key = plant.anchor.read_bytes(), plant.key_anchor.read_bytes()
     plant.work()
     copy = tmp_path / "copy.anchor"
     shutil.copy(plant.anchor, copy)
     plant.put_back(tmp_path / "earlier.db")
     plant.anchor.write_bytes(earlier)
+    assert "but the anchor names entry 18" in plant.broken_at()
+    plant.key_anchor.write_bytes(earlier_beside_key)
     assert plant.verify()[0] == 0
     assert "but the anchor names entry 18" in plant.broken_at("--anchor", str(copy))
 

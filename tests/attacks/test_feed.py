@@ -75,6 +75,7 @@ class HostileSocket:
         self._messages = list(messages)
         self.sent: list[AppMessage] = []
         self.reason: str | None = None
+        self.is_admitted = False
 
     async def receive(self) -> bytes:
         if self.reason is not None:
@@ -86,7 +87,8 @@ class HostileSocket:
     async def send(self, message: AppMessage) -> None:
         self.sent.append(message)
 
-    def admit(self) -> None: ...
+    def admit(self) -> None:
+        self.is_admitted = True
 
     async def close(self, reason: str) -> None:
         self.reason = reason
@@ -159,7 +161,19 @@ def test_no_message_of_a_worker_breaks_the_app_or_a_page(
 @given(first=st.one_of(encoded(BATCHES), GARBAGE))
 def test_no_first_message_does_either(runner: asyncio.Runner, scene: Scene, first: bytes) -> None:
     async def attack() -> None:
-        assert (await scene.serve(HostileSocket([first]))).sent == []
+        socket = await scene.serve(HostileSocket([first]))
+        assert (socket.sent, socket.is_admitted) == ([], False)
+
+    runner.run(attack())
+
+
+@pytest.mark.parametrize(("bus", "is_admitted"), [(BUS, True), ("wet-end", False)])
+def test_large_messages_may_follow_a_hello_that_is_accepted(
+    runner: asyncio.Runner, scene: Scene, bus: str, is_admitted: bool
+) -> None:
+    async def attack() -> None:
+        socket = await scene.serve(HostileSocket([encode(hello(uuid4().hex, bus=bus))]))
+        assert socket.is_admitted is is_admitted
 
     runner.run(attack())
 

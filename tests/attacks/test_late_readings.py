@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from app.feed.bus_feed import BusFeed
 from app.feed.holders import Credential
 from app.feed.late import FIRST_S
-from app.feed.rates import MAX_VALUES_AT_ONCE, FeedQuota
+from app.feed.rates import MAX_VALUES_AT_ONCE
 from app.feed.workers import Workers
 from app.history.intake.tail import Tail
 from app.history.series.runs import HOUR, Run, micros
@@ -178,9 +178,3 @@ async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path)
 
 def _tight(begin: float) -> Sequence[Reading]:
     return of(begin, 1, MOST_UPDATES, 0.01)
-
-
-def test_a_quota_is_of_the_bus_and_outlives_a_connection() -> None:
-    quota = FeedQuota()
-    assert all(quota.admits_value(0.0) for _ in range(int(MAX_VALUES_AT_ONCE)))
-    assert not quota.admits_value(0.0)

@@ -47,6 +47,19 @@ def bodies(target: Target) -> dict[str, tuple[bytes, bytes]]:
         "malformed": (b"\x00\x01\r\n\r\n", b""),
         "malformed head": (target.head("GET /", more="a b\r\n") + b"\r\n", b""),
         "disconnect in a head": (target.head("GET /"), b""),
+        "chunk without a size": (
+            post.replace(b"Content-Length: 500", b"Transfer-Encoding: chunked") + b"zz\r\n",
+            b"",
+        ),
+        "chunk without a size and a page": (
+            target.head("POST /", more="Transfer-Encoding: chunked\r\n") + b"\r\nzz\r\n",
+            b"",
+        ),
+        "referer": (target.head("POST /", more=f"Referer: http://[\r\n{closing}") + b"\r\n", b""),
+        "page of htmx": (
+            target.head("GET /", more=f"HX-Request: true\r\nHX-Current-URL: http://[\r\n{closing}") + b"\r\n",
+            b"",
+        ),
         "disconnect in a body": (post + b"x", b""),
         "disconnect in a command": (
             target.head(write, "operator", "Content-Length: 500\r\n") + b"\r\n{",

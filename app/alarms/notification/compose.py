@@ -10,7 +10,7 @@ from typing import Any
 from app.alarms.notification.notice import OutboxItem
 from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.rules.notices import UNACKNOWLEDGED
-from app.alarms.rules.priority import PRIORITIES
+from app.conditions.priority import PRIORITIES
 from app.messages.languages import Language
 from app.web.formats import Formats
 from app.web.shape import iso, message_shown

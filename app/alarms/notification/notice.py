@@ -8,8 +8,8 @@ from typing import Literal
 import msgspec
 
 from app.alarms.alarm import Alarm
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState
+from app.conditions.priority import AlarmPriority
 from bus.instants import UnixTime
 from bus.messages import Message
 

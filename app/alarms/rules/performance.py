@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from app.alarms.rules.priority import PRIORITIES, AlarmPriority
+from app.conditions.priority import PRIORITIES, AlarmPriority
 
 WINDOW_S = 600
 """Rates are judged in windows of ten minutes."""

@@ -11,10 +11,10 @@ from typing_extensions import TypedDict
 from app.alarm_settings import OwnValue
 from app.alarms.performance_api import MOST_DAYS, USUAL_DAYS
 from app.alarms.rules.performance import DAY_S
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
+from app.conditions.priority import AlarmPriority
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.web.access import Engineer

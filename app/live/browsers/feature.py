@@ -8,7 +8,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.banner import AlarmBanner
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import alarm_json
-from app.audit.anchoring import Anchoring, anchor_notice, status_of
+from app.audit.anchoring import Anchoring, anchor_notice
 from app.commands.safeguards.service import Safeguards
 from app.database.reserve import Reserve
 from app.feature import Feature, Services
@@ -54,7 +54,7 @@ def _make_sources(services: Services) -> Sources:
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
-        notices=partial(_notices, history, services.find(Anchoring), services[Reserve]),
+        notices=partial(_notices, history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
     )
 
@@ -64,12 +64,12 @@ def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
 
 
 def _notices(
-    history: History, anchoring: Anchoring | None, reserve: Reserve, translator: Translator, now: UnixTime
+    history: History, anchoring: Anchoring, reserve: Reserve, translator: Translator, now: UnixTime
 ) -> str:
     """Faults of the records, in the reader's language; mostly none."""
     found = (
         store_notice(history.status, translator.formats, now),
-        anchor_notice(status_of(anchoring), translator.formats, now),
+        anchor_notice(anchoring.status, translator.formats, now),
         reserve.notice,
     )
     return " ".join(translator.t(notice) for notice in found if notice is not None)

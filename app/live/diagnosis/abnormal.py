@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from app.live.diagnosis.cause import Cause, Level, unit_cause
+from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
 from bus.catalogue.numbers import OWN_ADDRESS
@@ -14,7 +14,6 @@ from bus.contract import UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message
 
-LEVELS: tuple[Level, ...] = ("urgent", "high", "low")
 _BEFORE_ALL = frozenset(
     ("worker_lost", "worker_silent", "port_lost", "unit_unknown", "unit_offline", "estop_active")
 )
@@ -65,13 +64,13 @@ def _others(
     cause: Cause | None, suspected: Message | None, blocked: Message | None, drifted: str
 ) -> Iterator[Cause]:
     if suspected is not None:
-        yield Cause("address_suspect", "high", params={"why": suspected})
+        yield abnormal("address_suspect", params={"why": suspected})
     if cause is not None and cause.level:
         yield cause
     if blocked:
-        yield Cause("blocked", "low", params={"why": blocked})
+        yield abnormal("blocked", params={"why": blocked})
     if drifted:
-        yield Cause("drift", "low", params={"why": drifted})
+        yield abnormal("drift", params={"why": drifted})
 
 
 def all_offline(views: list[UnitView]) -> Cause | None:
@@ -83,8 +82,8 @@ def all_offline(views: list[UnitView]) -> Cause | None:
         return None
     lost = [cause.onset.at for cause in unresponsive if cause.onset is not None]
     if not lost:
-        return Cause("no_unit_yet", "low")
-    return Cause("no_unit_responds", "urgent", Onset(max(lost)))
+        return abnormal("no_unit_yet")
+    return abnormal("no_unit_responds", Onset(max(lost)))
 
 
 def suspicion(bus: BusLive, unit: UnitLive) -> Message | None:

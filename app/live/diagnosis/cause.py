@@ -6,21 +6,29 @@ speed, each of which needs the one before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from typing import Any, Literal
 
+from app.conditions.catalogue import CONDITIONS, ConditionCode
+from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.state.age import offline_after_s, scan_s_of, stale_after_s, unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
-from app.live.state.conditions import Condition, bits_of, is_driven, mode_of
+from app.live.state.conditions import StatusCondition, bits_of, is_driven, mode_of
 from app.live.state.onset import Onset, later
 from app.live.state.ramp_time import ramp_seconds
 from bus.contract import Reading, UnitLinkState
 from bus.instants import UnixTime
 
-Level = Literal["", "urgent", "high", "low"]
-"""How soon it needs a person (ISA-18.2, priority). Empty: not abnormal."""
+Level = AlarmPriority | Literal[""]
+"""The priority of its conditions. Empty: not abnormal."""
+_CONDITION_OF: dict[str, ConditionCode] = {
+    "worker_silent": "worker_lost",
+    "address_suspect": "duplicate_address",
+    "drift": "parameter_drift",
+}
+"""Of a cause that has another code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +41,10 @@ class UnitFacts:
     link: UnitLinkState
     now: UnixTime
 
-    def holds(self, name: Condition) -> bool:
+    def holds(self, name: StatusCondition) -> bool:
         return name in self.unit.onsets.of
 
-    def since(self, *names: Condition) -> Onset | None:
+    def since(self, *names: StatusCondition) -> Onset | None:
         return later(*(self.unit.onsets.of.get(name) for name in names))
 
     @property
@@ -52,12 +60,13 @@ class UnitFacts:
 
 @dataclass(frozen=True, slots=True)
 class Rung:
-    """``since``: the conditions that make it broken."""
+    """``conditions``: that hold while it is broken; none where that is not abnormal. ``since``: the status
+    conditions that make it broken."""
 
     code: str
     is_broken: Callable[[UnitFacts], bool]
-    level: Callable[[UnitFacts], Level]
-    since: tuple[Condition, ...] = ()
+    conditions: Callable[[UnitFacts], Sequence[ConditionCode]]
+    since: tuple[StatusCondition, ...] = ()
     params: Callable[[UnitFacts], Mapping[str, Any]] = lambda _: {}
 
 
@@ -87,39 +96,47 @@ def _ramp(facts: UnitFacts) -> dict[str, Any]:
 
 
 RUNGS = (
-    Rung("estop_active", lambda f: f.holds("estop_active"), lambda _: "urgent", ("estop_active",), _motion),
+    Rung(
+        "estop_active",
+        lambda f: f.holds("estop_active"),
+        lambda _: ["estop_active"],
+        ("estop_active",),
+        _motion,
+    ),
     Rung(
         "running_without_run",
         lambda f: f.unit.motion.state == "turning",
-        lambda _: "high",
+        lambda _: ["running_without_run"],
         ("run_off", "turning"),
     ),
     Rung(
         "run_off",
         lambda f: f.holds("run_off") and not f.stands,
-        lambda f: "high" if f.reading.commanded else "",
+        lambda f: ["run_off"] if f.reading.commanded else [],
         ("run_off",),
         _motion,
     ),
     Rung(
         "not_in_remote",
         lambda f: f.holds("not_in_remote"),
-        lambda f: "high" if f.unit.motion.state == "off_speed" else "low",
+        lambda f: (
+            ["not_in_remote", "not_at_speed"] if f.unit.motion.state == "off_speed" else ["not_in_remote"]
+        ),
         ("not_in_remote",),
         _mode,
     ),
-    Rung("link_stale", lambda f: f.is_late, lambda _: "low"),
+    Rung("link_stale", lambda f: f.is_late, lambda _: ["link_stale"]),
     Rung(
         "ramping",
         lambda f: f.unit.motion.state in ("ramping_up", "ramping_down"),
-        lambda _: "",
+        lambda _: [],
         ("not_at_speed",),
         _ramp,
     ),
     Rung(
         "not_at_speed",
         lambda f: f.unit.motion.state == "off_speed",
-        lambda _: "high",
+        lambda _: ["not_at_speed"],
         ("not_at_speed",),
         _motion,
     ),
@@ -137,6 +154,17 @@ class Cause:
     params: Mapping[str, Any] = field(default_factory=dict)
 
 
+def abnormal(code: str, onset: Onset | None = None, params: Mapping[str, Any] | None = None) -> Cause:
+    """A cause with the priority of its condition. Raises KeyError for a code without one."""
+    condition = _CONDITION_OF.get(code, code)
+    return Cause(code, CONDITIONS[condition].priority, onset, params or {})  # type: ignore[index]
+
+
+def level_of(conditions: Iterable[ConditionCode]) -> Level:
+    """The highest priority of conditions that hold together; empty of none."""
+    return min((CONDITIONS[code].priority for code in conditions), key=PRIORITIES.index, default="")
+
+
 def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     """The first broken rung of a unit; None: at speed or at a commanded zero, and open to commands.
 
@@ -149,12 +177,12 @@ def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
     if reading is None:
         return _never_read(bus, unit, now)
     if link == "offline":
-        return Cause("unit_offline", "high", Onset(reading.at))
+        return abnormal("unit_offline", Onset(reading.at))
     facts = UnitFacts(bus, unit, reading, link, now)
     for rung in RUNGS:
         if rung.is_broken(facts):
             onset = facts.since(*rung.since) if rung.since else Onset(reading.at)
-            return Cause(rung.code, rung.level(facts), onset, rung.params(facts))
+            return Cause(rung.code, level_of(rung.conditions(facts)), onset, rung.params(facts))
     return None
 
 
@@ -162,16 +190,16 @@ def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
     """A unit that was there before a restart has its time to respond, then it is as lost as it was."""
     waited_s = now - bus.link_onset.at
     if unit.last_response is None or waited_s < offline_after_s(scan_s_of(bus)):
-        return Cause("unit_unknown", "low")
-    return Cause("unit_offline", "high", Onset(unit.last_response))
+        return abnormal("unit_unknown")
+    return abnormal("unit_offline", Onset(unit.last_response))
 
 
 def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
     """Why no unit of a bus can be read."""
     if bus.worker_lost is not None:
-        return Cause("worker_lost", "urgent", bus.worker_lost)
+        return abnormal("worker_lost", bus.worker_lost)
     if bus.figures is not None and worker_timed_out(bus, now):
-        return Cause("worker_silent", "urgent", Onset(bus.figures.at))
+        return abnormal("worker_silent", Onset(bus.figures.at))
     if bus.link.link == "closed":
-        return Cause("port_lost", "urgent", bus.link_onset, {"why": bus.link.cause})
+        return abnormal("port_lost", bus.link_onset, {"why": bus.link.cause})
     return None

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.live.diagnosis.abnormal import LEVELS, UnitView, all_offline, state_counts
+from app.conditions.priority import PRIORITIES
+from app.live.diagnosis.abnormal import UnitView, all_offline, state_counts
 from app.live.diagnosis.cause import Cause, Level, bus_cause
 from app.live.screen.cause_text import cause_line, cause_text, since_text
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
@@ -15,6 +16,7 @@ from app.live.state.bus_live import LiveState
 from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
 
+LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
 MOST_ENTRIES = 30
 """In the strip; with more abnormal ones, the verdict has their number."""
 NO_BREAK = "\u00a0"

@@ -13,19 +13,19 @@ from bus.contract import Reading
 if TYPE_CHECKING:
     from app.live.state.bus_live import BusLive, UnitLive
 
-Condition = Literal["estop_active", "run_off", "not_in_remote", "not_at_speed", "turning"]
+StatusCondition = Literal["estop_active", "run_off", "not_in_remote", "not_at_speed", "turning"]
 KEYLOCK = 2
 """#19 of a unit whose keypad is locked (manual, 4.0)."""
 
 
-STATUS_CONDITIONS: dict[Condition, Callable[[StatusBits], bool]] = {
+STATUS_CONDITIONS: dict[StatusCondition, Callable[[StatusBits], bool]] = {
     "estop_active": lambda bits: bits.estop_active,
     "run_off": lambda bits: not bits.run,
     "not_in_remote": lambda bits: not bits.remote,
     "not_at_speed": lambda bits: not bits.at_speed,
 }
 """The conditions of single bits of ST1 or ST2 (manual, 81h)."""
-_TURNING: frozenset[Condition] = frozenset(("turning",))
+_TURNING: frozenset[StatusCondition] = frozenset(("turning",))
 
 
 def bits_of(bus: BusLive, reading: Reading) -> StatusBits:
@@ -46,11 +46,11 @@ def mode_of(unit: UnitLive, bits: StatusBits) -> str:
 
 
 @lru_cache(maxsize=4096)
-def status_conditions(bits: StatusBits) -> frozenset[Condition]:
+def status_conditions(bits: StatusBits) -> frozenset[StatusCondition]:
     return frozenset(name for name, holds in STATUS_CONDITIONS.items() if holds(bits))
 
 
-def conditions_of(bits: StatusBits, reading: Reading) -> frozenset[Condition]:
+def conditions_of(bits: StatusBits, reading: Reading) -> frozenset[StatusCondition]:
     """All conditions that hold by a reading."""
     found = status_conditions(bits)
     return found | _TURNING if reading.actual else found

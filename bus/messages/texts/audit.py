@@ -68,6 +68,24 @@ TEXTS: dict[str, EnglishText] = {
     "audit_entry_not_newest": "entry {entry} is not the one that was noted as the newest",
     "audit_end_before_newest": "the log ends at entry {entry}, but {written} were written",
     "audit_end_before_key": "the log ends at entry {entry}, but {written} were there when the key was made",
+    "audit_log_cut_off": (
+        "the log was emptied or cut off: it has no entry {entry}, which {path} names; if the data was "
+        "replaced on purpose, move that file away and keep it as evidence"
+    ),
+    "audit_signature_missing": (
+        "entry {entry} states that {who} signed the shift of {start}, and the store has no such signature; "
+        "compare a backup"
+    ),
+    "anchor_put_aside": "the anchor of the log that was replaced is kept as {path}",
+    "anchor_outlives_restore": (
+        "the anchor {path} may name entries that came after the backup: keep it as evidence, and name "
+        "another file as anchor in [audit]"
+    ),
+    "anchor_of_former_site": (
+        "the anchor {path} is of the former site; nothing was begun. Keep it as evidence, and name another "
+        "file as anchor in [audit]"
+    ),
+    "restored_over": "the audit log that was replaced ended at entry {entry}, {hash}",
     "audit_end_before_anchor": "the log ends at entry {entry}, but the anchor names entry {named}",
     "audit_end_not_sealed": "the log ends at entry {entry}, but what notes that end is not sealed",
     "audit_newest_key_unused": "no entry is sealed with the newest key: the log ends before that key",

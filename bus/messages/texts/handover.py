@@ -64,6 +64,10 @@ TEXTS = {
     "shift_not_signed_over": "Nothing was signed. The leaving person signs first, and has not signed yet.",
     "shift_same_person": "{who} has signed the other part. Nothing was signed. Another person signs this.",
     "shift_sheet_differs": "The sheet is not the one that was read. Nothing was signed. Read it, then sign.",
+    "shift_signature_missing": (
+        "The audit log names signatures of this shift that are gone from the store: {names}. "
+        "Nothing was signed. Compare a backup."
+    ),
     "shift_sheet_altered": "The stored sheet is not the one that the audit log names. Nothing was signed.",
     "shift_sign_too_early": (
         "The shift ends on {end}. Nothing was signed. Its sheet can be signed from {earliest} on."

@@ -78,8 +78,8 @@ TEXTS: dict[str, EnglishText] = {
         "restore-store'. To begin a new site instead: lineside serve --new"
     ),
     "store_damaged_at_start": (
-        "the store {path} is damaged, or is no store. Put a backup back with 'lineside restore-store'. To "
-        "begin a new site instead, with the file put aside: lineside serve --new"
+        "the store {path}: it is not a Lineside store, or it is damaged. Put a backup back with 'lineside "
+        "restore-store'. To begin a new site instead, with the file put aside: lineside serve --new"
     ),
     "store_not_new": (
         "the store {path} holds a site; --new is only for one that is missing, empty or damaged. Start "

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
-from app.alarms.rules.priority import AlarmPriority
 from app.alarms.rules.states import AlarmState
 from app.alarms.store import JournalEntry
+from app.conditions.priority import AlarmPriority
 from bus.instants import UnixTime
 
 UNACKNOWLEDGED: frozenset[AlarmState] = frozenset(("unack_active", "rtn_unack", "latched_unack"))

@@ -1,0 +1,59 @@
+// A second tap within a second on a button that acts does nothing, also where another row, a dialog or the next page
+// has come under the finger since the first. Runs before the first paint: the tap may be as early.
+/** @typedef {{ at: number, x: number, y: number, isTouch: boolean }} Tap */
+(() => {
+  const WITHIN_MS = 1000;
+  /** Less than from one button to the next. */
+  const NEAR_PX = 40;
+  const STORED = "lineside-last-tap";
+  const ACTS =
+    "button:is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press]), input[type=submit]";
+  /** @type {Element | null} */
+  let button = null;
+  let last = read();
+
+  /** @returns {Tap | null} */
+  function read() {
+    try {
+      return JSON.parse(sessionStorage.getItem(STORED) ?? "null");
+    } catch {
+      return null;
+    }
+  }
+
+  /** @param {Tap} tap */
+  function remember(tap) {
+    last = tap;
+    try {
+      sessionStorage.setItem(STORED, JSON.stringify(tap));
+    } catch {
+      // A browser that keeps nothing knows the taps of this page.
+    }
+  }
+
+  /** A key presses a button at no place.
+   * @param {Tap} tap @param {Tap} before */
+  const isNear = (tap, before) =>
+    tap.isTouch && before.isTouch && Math.hypot(tap.x - before.x, tap.y - before.y) < NEAR_PX;
+
+  /** @param {Tap} tap @param {Tap} before */
+  const isSoon = (tap, before) => tap.at >= before.at && tap.at - before.at < WITHIN_MS;
+
+  addEventListener(
+    "click",
+    (event) => {
+      // A script presses what a person pressed before it was there.
+      if (!event.isTrusted) return;
+      const acting = event.target instanceof Element ? event.target.closest(ACTS) : null;
+      const tap = { at: Date.now(), x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
+      if (acting && last && isSoon(tap, last) && (acting === button || isNear(tap, last))) {
+        event.preventDefault();
+        event.stopImmediatePropagation();
+        return;
+      }
+      button = acting;
+      remember(tap);
+    },
+    { capture: true },
+  );
+})();

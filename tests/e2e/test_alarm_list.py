@@ -1,0 +1,157 @@
+"""The list of alarms under a finger, and the alarm in the head of every page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.e2e.conftest import OpensPages
+from tests.e2e.site import Site, eventually
+
+PANEL = {"width": 1280, "height": 800}
+PHONE = {"width": 360, "height": 740}
+BETWEEN_TAPS_MS = 350
+UNITS = (2, 3, 4)
+
+
+def alarms(site: Site) -> dict[int, dict[str, Any]]:
+    """The emergency stops that are present, by unit."""
+    with site.api() as client:
+        found = client.get("/alarms").json()["alarms"]
+    return {alarm["unit"]: alarm for alarm in found if alarm["code"] == "estop_active"}
+
+
+def stop(site: Site, unit: int, *, active: bool) -> None:
+    site.line.remote.do("input", unit=unit, input="estop", on=active)
+
+
+@pytest.fixture
+def stopped(site: Site) -> Iterator[None]:
+    """Three units with an emergency stop that no person has acknowledged."""
+    for unit in UNITS:
+        stop(site, unit, active=True)
+    eventually(lambda: set(UNITS) <= set(alarms(site)), "three alarms")
+    yield
+    for unit in UNITS:
+        stop(site, unit, active=False)
+    eventually(lambda: all(not alarm["active"] for alarm in alarms(site).values()), "cleared")
+    acknowledge_all(site)
+
+
+def opened(page: Page, site: Site, path: str = "/alarms") -> Page:
+    page.goto(f"{site.url}{path}")
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+    return page
+
+
+PLACE = """row => {
+    const { left, top, width, height } = row.getBoundingClientRect();
+    return [left, top + scrollY + document.querySelector("main").scrollTop, width, height];
+}"""
+
+
+def places(page: Page) -> dict[int, list[float]]:
+    """Where the rows are on the page, and how large."""
+    return {unit: row(page, unit).evaluate(PLACE) for unit in UNITS}
+
+
+def acknowledge_all(site: Site) -> None:
+    with site.api() as client:
+        for alarm in client.get("/alarms").json()["alarms"]:
+            client.post(f"/alarms/{alarm['id']}/acknowledge")
+
+
+def row(page: Page, unit: int) -> Locator:
+    return page.locator(f'[id="alarm-line.{unit}.estop_active"]')
+
+
+def acknowledged(site: Site) -> set[int]:
+    return {unit for unit, alarm in alarms(site).items() if alarm["acknowledged"]}
+
+
+def tap_twice(page: Page, button: Locator) -> None:
+    """Two taps at one place."""
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    tap = (
+        page.touchscreen.tap if page.evaluate("matchMedia('(pointer: coarse)').matches") else page.mouse.click
+    )
+    tap(x, y)
+    page.wait_for_timeout(BETWEEN_TAPS_MS)
+    tap(x, y)
+
+
+@pytest.mark.parametrize(
+    "context", [{"viewport": PANEL}, {"viewport": PHONE, "has_touch": True, "is_mobile": True}]
+)
+@pytest.mark.usefixtures("stopped")
+def test_two_taps_on_one_place_acknowledge_one_alarm(
+    site: Site, browser_page: OpensPages, context: dict[str, Any]
+) -> None:
+    page = opened(browser_page(**context), site)
+    before = places(page)
+    order = page.locator("#alarms tbody tr").evaluate_all("rows => rows.map(row => row.id)")
+    unit = int(order[0].split(".")[1])
+    tap_twice(page, row(page, unit).get_by_role("button"))
+    expect(row(page, unit)).to_contain_text("active, acknowledged")
+    assert acknowledged(site) == {unit}
+    expect(row(page, unit).get_by_role("button")).to_have_count(0)
+    assert places(page) == before
+    stop(site, unit, active=False)
+    expect(row(page, unit)).to_contain_text("normal")
+    assert places(page) == before
+    page.get_by_role("link", name="Sort list").click()
+    expect(row(page, unit)).to_have_count(0)
+
+
+@pytest.mark.usefixtures("stopped")
+def test_a_new_alarm_moves_no_row(site: Site, browser_page: OpensPages) -> None:
+    stop(site, 2, active=False)
+    page = opened(browser_page(viewport=PANEL), site)
+    before = places(page)
+    stop(site, 5, active=True)
+    try:
+        expect(row(page, 5)).to_contain_text("active, not acknowledged")
+        assert places(page) == before
+    finally:
+        stop(site, 5, active=False)
+        eventually(lambda: not alarms(site)[5]["active"], "cleared")
+        acknowledge_all(site)
+
+
+def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browser_page: OpensPages) -> None:
+    acknowledge_all(site)
+    page = opened(browser_page(viewport=PANEL), site, "/events")
+    head = page.locator(".top__alarms")
+    expect(head).to_be_hidden()
+    stop(site, 2, active=True)
+    expect(head).to_contain_text(re.compile(r"Emergency stop\s*active since \d\d:\d\d"))
+    expect(head).to_have_attribute("data-is", "urgent waiting")
+    urgent = head.locator(".alarm-priority__shape").evaluate(
+        "shape => getComputedStyle(shape).backgroundColor"
+    )
+    stop(site, 2, active=False)
+    expect(head).to_contain_text(re.compile(r"Emergency stop\s*cleared \d\d:\d\d"))
+    expect(head).to_have_attribute("data-is", "urgent cleared waiting")
+    cleared = head.locator(".alarm-priority__shape").evaluate(
+        "shape => getComputedStyle(shape).backgroundColor"
+    )
+    assert cleared != urgent
+    site.line.remote.do("mode", unit=3, to="local")
+    try:
+        expect(head).to_contain_text(re.compile(r"Not in REMOTE\s*active since \d\d:\d\d · \d more"))
+        expect(head).to_have_attribute("data-is", "low waiting")
+    finally:
+        site.line.remote.do("mode", unit=3, to="remote")
+        with site.api() as client:
+            eventually(
+                lambda: not any(each["active"] for each in client.get("/alarms").json()["alarms"]), "cleared"
+            )
+        acknowledge_all(site)
+    expect(head).to_be_hidden()
