@@ -1,4 +1,4 @@
-"""What is: the present state of every unit, and the record of its changes."""
+"""The present state of every unit, and the record of its changes."""
 
 from __future__ import annotations
 

@@ -27,13 +27,13 @@ from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
+from app.audit.settings import Audit
 from app.audit.store import Filter
 from app.auth.accounts import Accounts
 from app.database import Database
 from app.database.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
-from app.settings import Audit
 from app.web.access import Role
 from app.web.formats import Formats
 from bus.messages import Message

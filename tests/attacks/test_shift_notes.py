@@ -13,7 +13,8 @@ from app.database.reserve import KEPT_FREE
 from app.handover import notes, quota
 from app.handover.quota import MAX_AGE_DAYS, MAX_PER_HOUR
 from app.handover.service import Handover
-from app.settings import ServerSettings, ShiftSettings
+from app.handover.settings import ShiftSettings
+from app.settings import ServerSettings
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.test_shift_pictures import png

@@ -1,4 +1,4 @@
-"""Who is notified of an alarm."""
+"""Notification of people about alarms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What browsers and programs are sent as it changes."""
+"""Everything that browsers and programs are sent as it changes."""
 
 from __future__ import annotations
 
