@@ -89,11 +89,5 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 
 FEATURE = Feature(
     make,
-    (
-        performance_api.router,
-        occurrences_api.router,
-        own_api.router,
-        api.router,
-        pages.router,
-    ),
+    (performance_api.router, occurrences_api.router, own_api.router, api.router, pages.router),
 )

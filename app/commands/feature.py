@@ -1,4 +1,4 @@
-"""What people ask units to do: checked, recorded, sent, and read back."""
+"""Commands to units: checked, recorded, sent, and read back."""
 
 from __future__ import annotations
 
