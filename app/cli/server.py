@@ -40,8 +40,8 @@ class Server(uvicorn.Server):
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
-        self._services: Services = app.state.services
-        self.worker_responds: Callable[[str], bool] = self._services[Workers].responds
+        self.services: Services = app.state.services
+        self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
         refusals, errors = RefusalLog(), ErrorLines()
         super().__init__(_config(NoteRefused(app, refusals), self._watch, connections, refusals))
         errors.install()
@@ -53,7 +53,7 @@ class Server(uvicorn.Server):
     def end(self) -> None:
         """Close all connections, then return from serving."""
         self.should_exit = True
-        self._services[LineStream].end()
+        self.services[LineStream].end()
         self._ended.set()
 
     def capture_signals(self) -> Any:
@@ -62,7 +62,7 @@ class Server(uvicorn.Server):
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until :meth:`end`. Raises StartError where a service cannot start."""
-        async with self._services.lifespan.running():
+        async with self.services.lifespan.running():
             await super().serve(sockets)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:

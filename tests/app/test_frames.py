@@ -18,6 +18,8 @@ from websockets.streams import StreamReader
 
 from app.server.connections import Connection, Connections
 from app.server.frames import Outlet, outlet_of, text_frame
+from app.server.refusal_log import RefusalLog
+from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 
 PATIENCE_S = 30.0
@@ -67,8 +69,15 @@ async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
     loop = asyncio.get_running_loop()
 
     def protocol() -> WebSocketProtocol:
-        connection = Connection("127.0.0.1", None)
-        return WebSocketProtocol(config, state, {}, connection=connection, open_connections=Connections())
+        return WebSocketProtocol(
+            config,
+            state,
+            {},
+            connection=Connection("127.0.0.1", None),
+            open_connections=Connections(),
+            turns=Starts(),
+            refusals=RefusalLog(),
+        )
 
     async with await loop.create_server(protocol, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]

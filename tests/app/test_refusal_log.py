@@ -28,7 +28,8 @@ class Watch:
 
 
 @pytest.fixture
-def errors() -> Iterator[tuple[ErrorLines, Watch]]:
+def errors(caplog: pytest.LogCaptureFixture) -> Iterator[tuple[ErrorLines, Watch]]:
+    caplog.set_level(logging.ERROR, "uvicorn.error")  # a server that another test has made may have set it
     watch = Watch()
     handler = ErrorLines(watch)
     loggers = [logging.getLogger(name) for name in ("uvicorn", "asyncio")]

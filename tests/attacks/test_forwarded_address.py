@@ -43,7 +43,7 @@ async def test_only_a_proxy_that_is_named_is_believed(
     proxied = settings.server.model_copy(update={"trusted_proxies": trusted})
     settings = settings.model_copy(update={"server": proxied})
     server = Server(settings, demo=False, worker_tokens={}, serving=serving.set)
-    services = server.config.app.state.services  # type: ignore[union-attr]
+    services = server.services
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))
         await asyncio.wait_for(serving.wait(), 30)

@@ -202,6 +202,14 @@ def signed_in(browser: Browser, site: Site, role: str) -> Any:
     return site.sessions[role]
 
 
+PRESSED_S = "(Date.now() - (JSON.parse(sessionStorage.getItem('lineside-last-tap'))?.at ?? 0)) / 1000"
+
+
+def rest(page: Page) -> None:
+    """Wait until a press of the same button, or at the same place, is no second tap."""
+    eventually(lambda: page.evaluate(PRESSED_S) >= 1, "a second after the last press", within=PAGE_S)
+
+
 def focus(field: Locator) -> None:
     """Put the focus on a field; a unit that is stale for a moment has none to type into."""
 

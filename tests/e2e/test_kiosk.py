@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, expect
 
-from tests.e2e.conftest import OpensPages, focus
+from tests.e2e.conftest import OpensPages, focus, rest
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
 
@@ -52,6 +52,7 @@ def panels(site: Site, browser: Browser) -> dict[str, Any]:
             form.get_by_label("Role").select_option(role)
         form.get_by_label("PIN").fill(PIN)
         form.get_by_label("Home page").fill(HOME)
+        rest(page)
         form.get_by_role("button", name="Add the panel").click()
         expect(page.locator(f'[data-user="{name}"]')).to_contain_text("panel")
     context.close()

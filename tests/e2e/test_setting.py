@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.e2e.conftest import OpensPages, focus
+from tests.e2e.conftest import OpensPages, focus, rest
 from tests.e2e.site import Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -72,6 +72,7 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     page.keyboard.press("Enter")
     expect(page.locator("dialog[open]")).to_have_count(0)
     page.locator("#setpoint").fill("99,5")
+    rest(page)
     page.keyboard.press("Enter")
     expect(page.locator("dialog[open]")).to_have_count(1)
     page.keyboard.press("Escape")
@@ -93,6 +94,7 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     expect(page.locator("dialog[open]")).to_have_count(0)
     expect(field).to_have_value("88.0")
     expect(field).to_be_focused()
+    rest(page)
     page.keyboard.press("Enter")
     expect(cancel).to_be_focused()
     page.keyboard.press("Tab")

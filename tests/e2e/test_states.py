@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, rest
 from tests.e2e.site import AT_REST, Site, eventually
 
 PHONE = {"width": 360, "height": 740}
@@ -93,12 +93,14 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/1/limits", json={"highest": 9990}).status_code == 200
     page.locator("#setpoint").fill("999")
+    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#review")).to_contain_text("above its maximum display value (#2)")
     assert judged(page, axe) == []
     # A review lapses after 30 s, which axe may take on a machine that is busy.
     page.keyboard.press("Escape")
     page.locator("#setpoint").fill("999")
+    rest(page)
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_contain_text(
@@ -110,6 +112,7 @@ def test_each_outcome_of_a_command_is_accessible_and_names_the_request(
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/1/limits", json={}).status_code == 200
     page.locator("#setpoint").fill("999")
+    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#setpoint-error")).to_contain_text("999.0 is outside 0.0 to 200.0")
     expect(page.locator("#setpoint-error .button")).to_be_in_viewport(ratio=1)
@@ -126,11 +129,13 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator("[data-tick]:checked")).to_have_count(2)
     page.locator(".setpoints__new[name=new-1]").fill("50")
     page.evaluate("document.querySelector('[name=new-3]').value = '51'")
+    rest(page)
     page.get_by_role("button", name="Review the change").click()
     expect(page.locator("#review [data-remark=obstacle_not_in_remote]")).to_contain_text("not possible")
     expect(page.locator("#review [data-remark=obstacle_blocked]")).to_contain_text("left out")
     assert judged(page, axe) == []
     page.keyboard.press("Escape")  # as above
+    rest(page)
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator(".proofs")).to_contain_text("nothing was sent to it")
@@ -139,6 +144,7 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("50")
     page.evaluate("document.querySelector('[name=new-3]').value = ''")
     page.locator("[name=new-2]").fill("52")
+    rest(page)
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("verified at each of 2 units")
