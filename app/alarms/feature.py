@@ -54,8 +54,10 @@ def make(services: Services) -> None:
 def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore) -> None:
     settings, drift = services.settings, bus[BusDrift]
     own = [alarm for alarm in settings.alarm if alarm.bus == name]
-    is_drifted, tuned = lambda unit: bool(drift.of(unit)), settings.built_in_alarm
-    alarms = bus.add(BusAlarms(bus[BusLive], own, store, is_drifted, tuned=tuned))
+    alarms = BusAlarms(
+        bus[BusLive], own, store, lambda unit: bool(drift.of(unit)), tuned=settings.built_in_alarm
+    )
+    bus.add(alarms)
     services.lifespan.add(f"alarms of {name}", alarms.follow)
 
 
