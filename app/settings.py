@@ -20,9 +20,13 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from app.alarm_settings import AlarmSettings, refuse_misplaced
+from app.audit.settings import Audit
+from app.auth.settings import Sessions
 from app.built_in_settings import BuiltInAlarmSettings, refuse_built_in
+from app.handover.settings import ShiftSettings
+from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
-from app.notify_settings import ClockTime, NotifySettings, minute_of_day, refuse_unknown_names
+from app.notify_settings import NotifySettings, refuse_unknown_names
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
@@ -30,7 +34,7 @@ from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
 
-__all__ = ["ConfigurationError", "ServerSettings", "Sessions", "Settings", "Site", "load"]
+__all__ = ["ConfigurationError", "ServerSettings", "Settings", "Site", "load"]
 
 _HOST_NAME = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?:\.[A-Za-z0-9-]{1,63})*")
 
@@ -106,25 +110,6 @@ TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
 HostName = Annotated[str, AfterValidator(_host_name)]
 
 
-class Sessions(StrictModel):
-    """How long a sign-in lasts: since it was last used, and in all."""
-
-    idle_hours: Annotated[float, Field(strict=True, ge=0.25, le=168)] = 12
-    """A shift and its overlap."""
-    total_days: Annotated[float, Field(strict=True, ge=0.04, le=90)] = 7
-    panel_idle_days: Annotated[float, Field(strict=True, ge=0.04, le=365)] = 90
-    """A panel on the wall stays signed in."""
-    panel_total_days: Annotated[float, Field(strict=True, ge=0.04, le=3650)] = 365
-
-    @model_validator(mode="after")
-    def _idle_is_not_longer_than_all(self) -> Sessions:
-        if self.idle_hours > 24 * self.total_days:
-            raise ValueError(Message("setting_idle_hours"))
-        if self.panel_idle_days > self.panel_total_days:
-            raise ValueError(Message("setting_panel_idle_days"))
-        return self
-
-
 class ServerSettings(StrictModel):
     """Where the dashboard listens and keeps its data."""
 
@@ -143,47 +128,6 @@ class ServerSettings(StrictModel):
     def store(self) -> Path:
         """The main store: users, events, sets, recipes, limits."""
         return self.data / STORE_FILE
-
-
-class HistorySettings(StrictModel):
-    """How long readings are kept."""
-
-    raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
-    """Every reading itself; after that one-minute and one-hour least, greatest and average."""
-    years: Annotated[int, Field(strict=True, ge=1, le=100)] = 10
-    """Those, and the bits as intervals."""
-
-
-class ShiftSettings(StrictModel):
-    """When the shifts of the site begin, and what people store of them."""
-
-    starts: Annotated[tuple[ClockTime, ...], Field(min_length=1, max_length=24)] = ("06:00", "14:00", "22:00")
-    """Local times; a shift lasts until the next of them."""
-    pictures_mb: Annotated[int, Field(ge=0, le=1_000_000)] = 2_000
-    """What the pictures of all notes may take."""
-
-    @property
-    def minutes(self) -> list[int]:
-        """The same as minutes after local midnight."""
-        return [minute_of_day(each) for each in self.starts]
-
-    @field_validator("starts")
-    @classmethod
-    def _each_once(cls, starts: tuple[str, ...]) -> tuple[str, ...]:
-        for index, start in enumerate(starts):
-            if start in starts[:index]:
-                raise ValueError(Message.of("setting_shift_twice", time=start))
-        return starts
-
-
-class Audit(StrictModel):
-    """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
-
-    key_file: Path | None = None
-    """The keys that seal the log, made at the first start; when absent, see `Settings.key_files`."""
-    anchor: Path | None = None
-    """Where the head of the log is noted every minute and at every stop; when absent, see
-    `Settings.anchor_file`."""
 
 
 class Settings(StrictModel):

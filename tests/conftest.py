@@ -136,8 +136,8 @@ def assets_read_once() -> Iterator[None]:
     """To read and hash every static file is a quarter of what it takes to make an app. Tests that make none
     have not imported what makes it, which takes a second."""
     with pytest.MonkeyPatch.context() as patch:
-        if wiring := sys.modules.get("app.wiring"):
-            patch.setattr(wiring, "Assets", cache(Assets))
+        if feature := sys.modules.get("app.web.feature"):
+            patch.setattr(feature, "Assets", cache(Assets))
         yield
 
 
@@ -145,8 +145,8 @@ def assets_read_once() -> Iterator[None]:
 def reserves_are_small() -> Iterator[None]:
     """What a test leaves behind is kept for a while, and many make an app that they never end."""
     with pytest.MonkeyPatch.context() as patch:
-        if wiring := sys.modules.get("app.wiring"):
-            patch.setattr(wiring, "Reserve", partial(Reserve, size=1_000_000))
+        if feature := sys.modules.get("app.database.feature"):
+            patch.setattr(feature, "Reserve", partial(Reserve, size=1_000_000))
         yield
 
 

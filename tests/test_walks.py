@@ -19,9 +19,13 @@ import pytest
 from fastapi.routing import APIRoute
 from websockets.asyncio.client import ClientConnection
 
+from app.feed.bus_feed import BusFeed
+from app.feed.channel import Channel
 from app.feed.ingest import Ingest, IngestPosition
 from app.feed.rates import FeedQuota
 from app.live.browsers.browser import Browser
+from app.live.browsers.hub import Hub
+from app.pipeline import Pipeline
 from app.web.access import Role
 from bus.contract import AppMessage, Batch, Command, Result, SetSpeed, Update, encode
 from bus.worker.outbox import Outbox
@@ -97,9 +101,9 @@ class PlayedConnection:
 
 async def connected(house: House) -> PlayedConnection:
     bus, connection = house.services.buses[BUS], PlayedConnection()
-    followed = (FeedQuota(), bus.feed.coverage)
+    followed = (FeedQuota(), bus[BusFeed].coverage)
     connection.ingest = Ingest(
-        hello(), IngestPosition("w1"), bus.channel, bus.pipeline, connection, *followed
+        hello(), IngestPosition("w1"), bus[Channel], bus[Pipeline], connection, *followed
     )
     await connection.ingest.receive(encode(snapshot()))
     return connection
@@ -154,7 +158,7 @@ def worker_calls_of_a_click(calls: Calls) -> None:
 
 async def app_calls_of_a_reading(house: House, connection: PlayedConnection, calls: Calls) -> None:
     """From the message of the worker to the transport of a page."""
-    house.services.hub.join(Browser("anna", "viewer", "en", PlayedOutlet()))
+    house.services[Hub].join(Browser("anna", "viewer", "en", PlayedOutlet()))
     with calls.watched():
         await connection.report(reading(UNIT, 1234))
 

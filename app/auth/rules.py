@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from app.settings import Sessions
+from app.auth.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
 from bus.instants import UnixTime

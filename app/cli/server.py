@@ -11,6 +11,9 @@ from typing import Any, cast
 
 import uvicorn
 
+from app.feature import Services
+from app.feed.workers import Workers
+from app.live.api.line_stream import LineStream
 from app.main import create_app
 from app.server.accepting import accept_connections
 from app.server.connections import Connections
@@ -21,7 +24,6 @@ from app.server.stamping import StampingProtocol
 from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
-from app.wiring import Services, running
 
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
@@ -39,7 +41,7 @@ class Server(uvicorn.Server):
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services
-        self.worker_responds: Callable[[str], bool] = self.services.workers.responds
+        self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
         refusals, errors = RefusalLog(), ErrorLines()
         super().__init__(_config(NoteRefused(app, refusals), self._watch, connections, refusals))
         errors.install()
@@ -51,7 +53,7 @@ class Server(uvicorn.Server):
     def end(self) -> None:
         """Close all connections, then return from serving."""
         self.should_exit = True
-        self.services.stream.end()
+        self.services[LineStream].end()
         self._ended.set()
 
     def capture_signals(self) -> Any:
@@ -60,7 +62,7 @@ class Server(uvicorn.Server):
 
     async def serve(self, sockets: list[socket.socket] | None = None) -> None:
         """Serve until :meth:`end`. Raises StartError where a service cannot start."""
-        async with running(self.services):
+        async with self.services.lifespan.running():
             await super().serve(sockets)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:

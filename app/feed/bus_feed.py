@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -67,6 +68,10 @@ class BusFeed:
     _holder: Holder | None = None
     _connection: WorkerConnection | None = None
     _watches: set[asyncio.Task[None]] = field(default_factory=set)
+
+    async def load(self, newest: Awaitable[UnixTime | None]) -> None:
+        """Once at start: up to the newest stored reading, the bus was followed."""
+        self.coverage.until = await newest
 
     @property
     def has_own_worker(self) -> bool:

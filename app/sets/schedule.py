@@ -14,12 +14,14 @@ from app.errors import StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.keeper import SetKeeper
 from app.sets.taking import read_together
-from app.web.access import Person
+from app.web.access import Person, Role
 from bus.instants import UnixTime
 from bus.messages import Message
 
 _log = structlog.get_logger(__name__)
 
+SERVER = Person("server", Role.VIEWER, "worker")
+"""Author of automatic actions: the daily sets, and reading what is compared with a golden set. It reads."""
 LocalClock = Callable[[], datetime]
 LOOK_EVERY_S = 5.0
 REPORT_AFTER = timedelta(seconds=15)

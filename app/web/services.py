@@ -33,13 +33,18 @@ class Registry:
     """
 
     def __init__(
-        self, services: Iterable[object], buses: Mapping[str, Iterable[object]] | None = None
+        self, services: Iterable[object] = (), buses: Mapping[str, Iterable[object]] | None = None
     ) -> None:
         self._services: dict[type[object], object] = {}
+        self.buses = {bus: Registry(of_bus) for bus, of_bus in (buses or {}).items()}
         for each in services:
-            if self._services.setdefault(type(each), each) is not each:
-                raise RuntimeError(f"two services of the type {type(each).__qualname__}")
-        self._buses = {bus: Registry(of_bus) for bus, of_bus in (buses or {}).items()}
+            self.add(each)
+
+    def add(self, service: S) -> S:
+        """Return ``service``, which is now found by its type."""
+        if self._services.setdefault(type(service), service) is not service:
+            raise RuntimeError(f"two services of the type {type(service).__qualname__}")
+        return service
 
     def __getitem__(self, kind: type[S]) -> S:
         found = self._services[kind]
@@ -48,20 +53,24 @@ class Registry:
 
     def of_bus(self, bus: str) -> Registry:
         """The services of a configured bus. Raises Problem 404."""
-        if bus not in self._buses:
-            raise unknown_bus(bus, self._buses)
-        return self._buses[bus]
+        if bus not in self.buses:
+            raise unknown_bus(bus, self.buses)
+        return self.buses[bus]
+
+    def of_buses(self, kind: type[S]) -> dict[str, S]:
+        """The service of this type of each bus, by the name of the bus."""
+        return {name: bus[kind] for name, bus in self.buses.items()}
 
 
 def service_of(connection: HTTPConnection, kind: type[S]) -> S:
-    registry: Registry = connection.app.state.registry
-    return registry[kind]
+    services: Registry = connection.app.state.services
+    return services[kind]
 
 
 def bus_service_of(connection: HTTPConnection, bus: str, kind: type[S]) -> S:
     """The service of this type of a configured bus. Raises Problem 404."""
-    registry: Registry = connection.app.state.registry
-    return registry.of_bus(bus)[kind]
+    services: Registry = connection.app.state.services
+    return services.of_bus(bus)[kind]
 
 
 def looked_up(find: Callable[[HTTPConnection], Any]) -> Any:

@@ -11,11 +11,14 @@ from typing import Any
 import httpx
 from fastapi import FastAPI
 
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.feature import Services
+from app.handover.settings import ShiftSettings
 from app.main import create_app
 from app.notify_settings import NotifySettings
-from app.settings import ServerSettings, Settings, ShiftSettings, Site
+from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
-from app.wiring import Services, running
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 
 PASSWORD = "correct horse battery"
@@ -50,7 +53,7 @@ class House:
 
     async def add(self, name: str, role: Role) -> None:
         """A person with the password of all."""
-        await self.services.accounts.add_user(name, role, PASSWORD, by="test", origin="test")
+        await self.services[Accounts].add_user(name, role, PASSWORD, by="test", origin="test")
 
     async def signed_in(self, role: Role, name: str = "") -> httpx.AsyncClient:
         """A browser of a new person who has signed in."""
@@ -64,7 +67,7 @@ class House:
     async def token(self, role: Role) -> str:
         """A bearer token."""
         bus = "dry-end" if role is Role.WORKER else ""
-        return await self.services.accounts.create_token(f"key-{role}", role, bus=bus, by="t", origin="t")
+        return await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, by="t", origin="t")
 
     async def program(self, role: Role) -> httpx.AsyncClient:
         """A program with a token."""
@@ -74,7 +77,7 @@ class House:
         """Return the events of one kind, newest first."""
         from app.audit.store import Filter
 
-        return (await self.services.events.page(Filter(kind=kind), 100))[0]
+        return (await self.services[EventLog].page(Filter(kind=kind), 100))[0]
 
 
 @asynccontextmanager
@@ -93,7 +96,7 @@ async def complete_app(
     others["shift"] = shift or settings.shift
     app = create_app(settings.model_copy(update=others), demo=demo)
     house = House(app, app.state.services)
-    async with running(house.services):
+    async with house.services.lifespan.running():
         try:
             yield house
         finally:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import msgspec
 
+from app.feature import Services
 from app.feed.channel import Channel
 from app.live.state.bus_live import LiveState
-from app.wiring import Services
 from bus.contract import (
     AppMessage,
     BusLink,
@@ -99,13 +99,13 @@ def _value(unit: int, number: int, raw: int) -> ParameterValue:
 
 async def played_line(services: Services, stopped: Collection[int] = ()) -> PlayedLine:
     """Both units of ``settings_in`` are online, in REMOTE, and stand still. ``stopped``: by an e-stop."""
-    line = PlayedLine(services.buses[BUS].channel, services.live)
+    line = PlayedLine(services.buses[BUS][Channel], services[LiveState])
     now = time.time()
-    services.live.buses[BUS].worker_lost = None
-    services.live.buses[BUS].apply([BusLink(at=now, link="open")])
+    services[LiveState].buses[BUS].worker_lost = None
+    services[LiveState].buses[BUS].apply([BusLink(at=now, link="open")])
     for unit in line.memory:
-        services.live.buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
-        services.live.buses[BUS].apply(
+        services[LiveState].buses[BUS].apply([UnitLink(unit=unit, at=now, link="online")])
+        services[LiveState].buses[BUS].apply(
             [Reading(unit, now, 0, 0, 0, REMOTE, 0 if unit in stopped else HEALTHY)]
         )
     await line.channel.opened(line, "w1")

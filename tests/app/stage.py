@@ -252,7 +252,7 @@ class Stage:
             lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
-        self.app.state.registry = Registry(
+        self.app.state.services = Registry(
             (
                 *(configuration, _templates(), sources),
                 *(self.live, self.workers, self.events, Turns()),

@@ -16,6 +16,8 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from app.auth import rules
 from app.auth.access import COOKIE, PUBLIC_PATHS
+from app.auth.accounts import Accounts
+from app.auth.identity import Identity
 from app.main import create_app
 from app.server.connections import EXTENSION
 from app.web.access import Person, Requires, Role
@@ -107,7 +109,7 @@ def test_each_websocket(tmp_path: Path, role: Role | None) -> None:
     with TestClient(app) as client:
         headers = {}
         if role:
-            make = app.state.services.accounts.create_token
+            make = app.state.services[Accounts].create_token
             bus = "dry-end" if role is Role.WORKER else ""
             token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
             headers["authorization"] = f"Bearer {token}"
@@ -229,8 +231,8 @@ async def test_a_token_opens_pages_and_a_cookie_the_api(house: House) -> None:
 
 async def test_a_session_that_is_over(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     client = await house.signed_in(Role.OPERATOR)
-    now = house.services.identity._clock() + 12 * rules.HOUR
-    monkeypatch.setattr(house.services.identity, "_clock", lambda: now)
+    now = house.services[Identity]._clock() + 12 * rules.HOUR
+    monkeypatch.setattr(house.services[Identity], "_clock", lambda: now)
     assert (await client.get("/api/v1/line")).status_code == 401
     page = await client.get("/events?unit=1", headers={"accept": "text/html"})
     assert (page.status_code, page.headers["location"]) == (303, "/login?next=/events%3Funit%3D1")

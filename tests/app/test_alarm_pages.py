@@ -12,11 +12,15 @@ import httpx
 import pytest
 
 from app.alarms.banner import AlarmBanner
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
+from app.web.templating import Templates
 from bus.contract import Reading
 from bus.instants import UnixTime, unix_now
 from tests.app.complete_app import House, complete_app
@@ -30,12 +34,12 @@ ESTOP = f"{BUS}.1.estop_active"
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
         await played_line(house.services)
-        house.services.buses[BUS].alarms.tick()
+        house.services.buses[BUS][BusAlarms].tick()
         yield house
 
 
 def estop(house: House, *, active: bool, unit: int = 1) -> None:
-    live = house.services.live.buses[BUS]
+    live = house.services[LiveState].buses[BUS]
     live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if active else HEALTHY)])
 
 
@@ -46,7 +50,7 @@ async def page(client: httpx.AsyncClient, path: str) -> str:
 
 
 def state(house: House, key: str = ESTOP) -> str:
-    return house.services.alarms.buses[BUS].list.alarms[key].facts.state
+    return house.services[LineAlarms].buses[BUS].list.alarms[key].facts.state
 
 
 async def test_the_summary_has_the_present_alarms_and_only_an_operator_may_act(house: House) -> None:
@@ -187,7 +191,7 @@ async def test_a_link_to_a_former_occurrence_leads_to_the_present_one(house: Hou
 async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house, active=True)
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     viewer.headers["Accept-Language"] = "de"
     text = await page(viewer, "/alarms/journal")
     assert "Not-Halt" in text
@@ -213,7 +217,7 @@ async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(hous
     viewer = await house.signed_in(Role.VIEWER)
     assert head(await page(viewer, "/events")) == ("", "", "", "")
     estop(house, active=True)
-    name, now = house.services.alarms.place(BUS, 1), house.services.templates.formats("en")
+    name, now = house.services[LineAlarms].place(BUS, 1), house.services[Templates].formats("en")
     for path in ("/", "/events", "/alarms"):
         mark, text, state, more = head(await page(viewer, path))
         assert (mark, text, more) == ("urgent waiting", f"{name} · Emergency stop", "")
@@ -227,11 +231,11 @@ async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(hous
 
 
 def facts_of(house: House, unit: int = 1) -> AlarmFacts:
-    return house.services.alarms.buses[BUS].list.alarms[f"{BUS}.{unit}.estop_active"].facts
+    return house.services[LineAlarms].buses[BUS].list.alarms[f"{BUS}.{unit}.estop_active"].facts
 
 
 async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_priority(house: House) -> None:
-    banner, now = AlarmBanner(house.services.alarms), unix_now()
+    banner, now = AlarmBanner(house.services[LineAlarms]), unix_now()
     operator = await house.signed_in(Role.OPERATOR)
     estop(house, active=True)
     estop(house, active=False)
@@ -253,29 +257,29 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
 
 def remote_off(house: House, unit: int) -> None:
     """A unit is in LOCAL, for longer than the delay of its alarm."""
-    live = house.services.live.buses[BUS]
+    live = house.services[LiveState].buses[BUS]
     live.apply([Reading(unit, time.time(), 0, 0, 0, 0, HEALTHY)])
-    house.services.alarms.buses[BUS].list.advance(unix_now() + 10)
+    house.services[LineAlarms].buses[BUS].list.advance(unix_now() + 10)
 
 
 async def test_an_unknown_condition_is_not_shown_as_active(house: House) -> None:
     estop(house, active=True)
-    alarm = house.services.alarms.buses[BUS].list.alarms[ESTOP]
+    alarm = house.services[LineAlarms].buses[BUS].list.alarms[ESTOP]
     alarm.facts = replace(alarm.facts, unknown_since=unix_now())
-    state = AlarmBanner(house.services.alarms).banner(translator(), unix_now())["state"]
+    state = AlarmBanner(house.services[LineAlarms]).banner(translator(), unix_now())["state"]
     assert state.startswith("unknown since")
 
 
 async def test_an_alarm_of_another_day_shows_its_date_from_midnight_on(house: House) -> None:
     estop(house, active=True)
-    banner, came = AlarmBanner(house.services.alarms), facts_of(house).came or unix_now()
+    banner, came = AlarmBanner(house.services[LineAlarms]), facts_of(house).came or unix_now()
     later = banner.banner(translator(), UnixTime(came + 3 * 86_400.0))["state"]
     assert later == f"active since {translator().formats.since(came, UnixTime(came + 3 * 86_400.0))}"
     assert "," in later
 
 
 async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> None:
-    hub = house.services.hub
+    hub = house.services[Hub]
     assert isinstance(hub, Hub)
     screen = hub.screen("en")
     before = screen.shown[ALARM_GROUP]["changed"]
@@ -286,10 +290,10 @@ async def test_an_open_page_gets_the_alarm_without_a_request(house: House) -> No
 async def test_the_figures_are_a_page_and_data_and_a_file(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     estop(house, active=True)
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     assert "observed for less than 10 minutes" in await page(viewer, "/alarms/performance")
     now = unix_now()
-    await house.services.alarms.store.write_observed(BUS, ObservedSpan(now - 3600, now))
+    await house.services[LineAlarms].store.write_observed(BUS, ObservedSpan(now - 3600, now))
     assert "observed for 1.0 of 24 hours" in await page(viewer, "/alarms/performance?days=1")
     text = await page(viewer, "/alarms/performance?days=1")
     assert "Alarms in 10 minutes, peak" in text

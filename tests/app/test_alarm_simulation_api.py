@@ -12,8 +12,10 @@ import httpx
 import pytest
 
 from app.alarm_settings import AlarmSettings
+from app.alarms.line_alarms import LineAlarms
 from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.simulator import Simulator
+from app.history.service import History
 from app.settings import load
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
@@ -36,7 +38,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
             Reading(1, UnixTime(now + second), 1000, 1100 if second in fast else 1000, 51, 0xC0, 3)
             for second in range(600)
         ]
-        history = house.services.history
+        history = house.services[History]
         history.append(BUS, [ParameterValue(1, 3, UnixTime(now - 1), 1), *readings])
         await asyncio.to_thread(until, lambda: history.status.waiting == 0)
         yield house
@@ -69,7 +71,7 @@ async def test_an_engineer_learns_how_often_it_would_have_come(house: House) -> 
     assert past["covered_from"] is None
     unscaled = await simulated(engineer, value="analog")
     assert (unscaled["annunciated"], unscaled["unknown_s"]) == (0, pytest.approx(600, abs=70))
-    assert not house.services.alarms.buses[BUS].list.take_unwritten()[0]
+    assert not house.services[LineAlarms].buses[BUS].list.take_unwritten()[0]
 
 
 @pytest.mark.parametrize(
@@ -103,7 +105,7 @@ async def test_only_an_engineer_may_simulate(house: House) -> None:
 
 
 async def test_the_work_of_one_is_bounded_and_that_is_stated(house: House) -> None:
-    history = house.services.history
+    history = house.services[History]
     settings = AlarmSettings(name="x", **{**ABOVE, "value": "actual"})
     now = UnixTime(time.time())
     found = await Simulator(history, work_s=0.0).run(

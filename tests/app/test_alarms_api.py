@@ -11,7 +11,10 @@ import httpx
 import pytest
 
 from app.alarms.bus_alarms import BusAlarms
+from app.alarms.line_alarms import LineAlarms
+from app.audit.log import EventLog
 from app.errors import StoreError
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from bus.contract import Reading
 from bus.messages import Message
@@ -26,13 +29,13 @@ OWN_FIELDS = {"id", "name", "code", "bus", "unit", "priority", "state", "active"
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
         await played_line(house.services)
-        house.services.buses[BUS].alarms.tick()
+        house.services.buses[BUS][BusAlarms].tick()
         yield house
 
 
 def estop(house: House, *, active: bool, unit: int = 1) -> None:
     inputs = 0 if active else HEALTHY
-    live = house.services.live.buses[BUS]
+    live = house.services[LiveState].buses[BUS]
     live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, inputs)])
 
 
@@ -57,7 +60,7 @@ async def test_an_alarm_comes_is_acknowledged_and_goes(house: House) -> None:
     assert (done.status_code, done.json()["state"]) == (200, "ack_active")
     estop(house, active=False)
     assert await present(operator) == []
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     journal = (await operator.get(f"{API}/journal")).json()["transitions"]
     assert [(e["trigger"], e["after"], e["reason"]) for e in journal if e["code"] == "estop_active"] == [
         ("clear", "normal", None),
@@ -166,7 +169,7 @@ async def test_the_detail_has_the_record_and_the_transitions(house: House) -> No
     viewer = await house.program(Role.VIEWER)
     estop(house, active=True)
     (alarm,) = await present(viewer)
-    await house.services.buses[BUS].alarms.list.write()
+    await house.services.buses[BUS][BusAlarms].list.write()
     detail = (await viewer.get(f"{API}/{alarm['id']}")).json()
     assert (detail["record"]["severity"], detail["record"]["time_to_respond"]) == ("severe", "minutes")
     assert all(detail["record"].values())
@@ -208,11 +211,11 @@ async def test_what_cannot_be_recorded_did_not_happen(house: House, monkeypatch:
         raise StoreError(Message("store_closed"))
 
     with monkeypatch.context() as context:
-        context.setattr(house.services.events, "record", fails)
+        context.setattr(house.services[EventLog], "record", fails)
         refused = await act(operator, alarm["id"], "acknowledge")
     assert (refused.status_code, refused.json()["code"]) == (503, "store")
     assert [each["state"] for each in await present(operator)] == ["unack_active"]
-    await house.services.buses[BUS].alarms.list.write()
+    await house.services.buses[BUS][BusAlarms].list.write()
     journal = (await operator.get(f"{API}/journal")).json()["transitions"]
     assert [each["trigger"] for each in journal if each["code"] == "estop_active"] == ["rise"]
 
@@ -222,7 +225,7 @@ async def test_the_journal_goes_on_by_pages(house: House) -> None:
     for _ in range(3):
         estop(house, active=True)
         estop(house, active=False)
-    alarms = house.services.buses[BUS].alarms
+    alarms = house.services.buses[BUS][BusAlarms]
     assert isinstance(alarms, BusAlarms)
     await alarms.list.write()
     found, before = [], None
@@ -241,7 +244,7 @@ async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(
     viewer = await house.program(Role.VIEWER)
     viewer.headers["Accept-Language"] = "de"
     estop(house, active=True)
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     here = (await viewer.get(f"{API}/occurrences", params={"unit": f"{BUS}/1"})).json()
     (mark,) = (each for each in here["occurrences"] if each["unit"] == 1)
     assert (mark["alarm"], mark["to"], here["more"]) == (f"{BUS}.1.estop_active.1", None, False)
@@ -251,7 +254,7 @@ async def test_occurrences_of_the_units_shown_are_in_the_language_of_the_reader(
 
 
 async def test_silence_ends_the_sound_and_nothing_else_until_it_comes_again(house: House) -> None:
-    operator, alarms = await house.program(Role.OPERATOR), house.services.alarms
+    operator, alarms = await house.program(Role.OPERATOR), house.services[LineAlarms]
     estop(house, active=True)
     (alarm,) = await present(operator)
     done = (await act(operator, alarm["id"], "silence", comment="on my way")).json()
@@ -269,7 +272,7 @@ async def test_silence_ends_the_sound_and_nothing_else_until_it_comes_again(hous
 
 
 async def test_a_press_silences_what_sounded_and_not_what_came_since(house: House) -> None:
-    alarms = house.services.alarms
+    alarms = house.services[LineAlarms]
     viewer, operator = await house.signed_in(Role.VIEWER), await house.signed_in(Role.OPERATOR)
     estop(house, active=True)
     until = {"until": str(float(alarms.sounding()[0].facts.since or 0.0))}

@@ -66,7 +66,7 @@ def test_only_what_was_there_at_the_start_is_served(folder: Path, name: str) -> 
 
 
 async def test_a_stylesheet_needs_no_sign_in(house: House) -> None:
-    url = house.services.assets.url("css/tokens.css")
+    url = house.services[Assets].url("css/tokens.css")
     result = await house.client().get(url)
     assert result.status_code == 200
     assert result.headers["content-type"].startswith("text/css")
@@ -122,8 +122,8 @@ async def test_a_page_preloads_exactly_the_imports_of_its_first_module(house: Ho
     for path, first in (("/", "main"), ("/trends", "trends")):
         page = (await client.get(path)).text
         request = re.findall(r'<link rel="modulepreload" href="([^"]+)">', page)
-        assert request == house.services.assets.imports(f"js/{first}.js")
+        assert request == house.services[Assets].imports(f"js/{first}.js")
         assert re.findall(r'<script type="module" src="([^"]+)">', page) == [
-            house.services.assets.url(f"js/{first}.js"),
-            *([house.services.assets.url("js/sparkline.js")] if path == "/" else []),
+            house.services[Assets].url(f"js/{first}.js"),
+            *([house.services[Assets].url("js/sparkline.js")] if path == "/" else []),
         ]

@@ -27,15 +27,15 @@ from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
+from app.audit.settings import Audit
 from app.audit.store import Filter
+from app.auth.accounts import Accounts
 from app.database import Database
 from app.database.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
-from app.settings import Audit
 from app.web.access import Role
 from app.web.formats import Formats
-from app.wiring import running
 from bus.messages import Message
 from tests.app.complete_app import settings_in
 
@@ -247,8 +247,8 @@ def test_something_that_is_no_file_is_refused(tmp_path: Path) -> None:
 async def test_the_server_anchors_its_last_entry_when_it_ends(tmp_path: Path) -> None:
     settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path / "anchor")})
     services = create_app(settings).state.services
-    async with running(services):
-        ring = services.events.keys.ring
+    async with services.lifespan.running():
+        ring = services[EventLog].keys.ring
     anchors = read_anchor_file(tmp_path / "anchor", ring)
     with closing(open_for_reading(settings.server.store)) as connection:
         what, last = connection.execute("SELECT what, id FROM events ORDER BY id DESC").fetchone()
@@ -263,10 +263,10 @@ async def test_a_running_server_anchors_its_head_every_minute(
     path = tmp_path / "anchor"
     settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=path)})
     services = create_app(settings).state.services
-    async with running(services), asyncio.timeout(60):
+    async with services.lifespan.running(), asyncio.timeout(60):
         for _ in range(2):
-            number = await services.events.record(kind="estop", what="e-stop")
-            ring = services.events.keys.ring
+            number = await services[EventLog].record(kind="estop", what="e-stop")
+            ring = services[EventLog].keys.ring
             while not path.exists() or read_anchor_file(path, ring).newest < number:  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
 
@@ -275,9 +275,9 @@ async def test_audit_faults_are_on_the_page_and_in_the_metrics(tmp_path: Path) -
     settings = settings_in(tmp_path).model_copy(update={"audit": Audit(anchor=tmp_path)})
     app = create_app(settings)
     services = app.state.services
-    async with running(services):
-        await services.anchoring.export()
-        token = await services.accounts.create_token("plc", Role.VIEWER, by="test", origin="test")
+    async with services.lifespan.running():
+        await services[Anchoring].export()
+        token = await services[Accounts].create_token("plc", Role.VIEWER, by="test", origin="test")
         headers = {"Authorization": f"Bearer {token}"}
         transport = httpx.ASGITransport(app)
         async with httpx.AsyncClient(transport=transport, base_url="http://plant", headers=headers) as client:

@@ -13,6 +13,8 @@ from typing import Any
 import httpx
 import pytest
 
+from app.audit.log import EventLog
+from app.database import Database
 from app.web.access import Role
 from bus.messages import Message
 from bus.messages import number as decimal
@@ -35,12 +37,12 @@ async def viewer(house: House) -> httpx.AsyncClient:
 
 async def command(house: House, unit: int = 1, what: str = "set speed") -> int:
     fields: dict[str, Any] = {"who": "ann", "origin": "page", "bus": "dry-end", "unit": unit, "what": what}
-    return await intend(house.services.events, **fields, old="48.0", new="50.0", old_raw=480, new_raw=500)
+    return await intend(house.services[EventLog], **fields, old="48.0", new="50.0", old_raw=480, new_raw=500)
 
 
 async def test_a_command_with_its_outcome(house: House, viewer: httpx.AsyncClient) -> None:
     number = await command(house)
-    await house.services.events.conclude(number, "verified")
+    await house.services[EventLog].conclude(number, "verified")
     response = (await viewer.get("/api/v1/events", params={"kind": "command"})).json()
     [event] = response["events"]
     assert set(event) >= CONTRACT
@@ -103,7 +105,7 @@ async def test_an_unknown_kind_is_refused_with_the_known_ones(viewer: httpx.Asyn
 
 
 async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
-    await house.services.events.record(kind="estop", what="then", at=1_700_000_000.0)
+    await house.services[EventLog].record(kind="estop", what="then", at=1_700_000_000.0)
     span = {"from": "2023-11-14T22:13:20Z", "to": "2023-11-14T23:13:21+01:00"}
     response = await viewer.get("/api/v1/events", params=span)
     assert [event["what"] for event in response.json()["events"]] == ["then"]
@@ -111,8 +113,8 @@ async def test_a_span(house: House, viewer: httpx.AsyncClient) -> None:
 
 async def test_csv_has_every_event_and_no_formula(house: House, viewer: httpx.AsyncClient) -> None:
     for number in range(1200):
-        await house.services.events.record(kind="secret", what=str(number))
-    await house.services.events.record(kind="secret", what="=HYPERLINK(1)", old="-5.0")
+        await house.services[EventLog].record(kind="secret", what=str(number))
+    await house.services[EventLog].record(kind="secret", what="=HYPERLINK(1)", old="-5.0")
     response = await viewer.get("/api/v1/events.csv", params={"kind": "secret"})
     assert response.headers["content-type"].startswith("text/csv")
     rows = list(csv.DictReader(io.StringIO(response.text)))
@@ -137,7 +139,7 @@ async def test_an_admin_verifies_the_log(house: House) -> None:
         connection.execute("DROP TRIGGER events_stay_as_written")
         connection.execute("UPDATE events SET new = '1' WHERE id = ?", (number,))
 
-    await house.services.database.write(tamper)
+    await house.services[Database].write(tamper)
     assert (await admin.get("/api/v1/events/proof")).json()["broken"] == number
 
 
@@ -158,7 +160,7 @@ async def test_the_pages_days_are_days_at_the_site(house: House) -> None:
     """Half past midnight in Berlin is the evening before in UTC."""
     client = await house.signed_in(Role.VIEWER)
     at = datetime.fromisoformat("2026-03-02T00:30:00+01:00").timestamp()
-    await house.services.events.record(kind="estop", what="at half past midnight", at=at)
+    await house.services[EventLog].record(kind="estop", what="at half past midnight", at=at)
     assert "half past" in (await client.get("/events?since=2026-03-02&until=2026-03-02")).text
     assert "half past" not in (await client.get("/events?until=2026-03-01")).text
     csv_link = "from=2026-03-02T00%3A00%3A00%2B01%3A00"
@@ -168,7 +170,7 @@ async def test_the_pages_days_are_days_at_the_site(house: House) -> None:
 async def test_the_page_goes_on_to_older_ones(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     for number in range(120):
-        await house.services.events.record(kind="secret", what=f"thing-{number:03}")
+        await house.services[EventLog].record(kind="secret", what=f"thing-{number:03}")
     page = await client.get("/events?kind=secret")
     assert "thing-020" in page.text
     assert "thing-019" not in page.text
@@ -191,9 +193,9 @@ async def test_a_german_reads_and_searches_numbers_in_german_writing(house: Hous
         "unit": 2,
         "what": "set speed",
     }
-    number = await intend(house.services.events, **fields, old=decimal("48.0"), new=decimal("1250.5"))
+    number = await intend(house.services[EventLog], **fields, old=decimal("48.0"), new=decimal("1250.5"))
     message = Message.of("parameter_reads", value=decimal("48.0"))
-    await house.services.events.conclude(number, "unverified", message)
+    await house.services[EventLog].conclude(number, "unverified", message)
     for query in ("kind=command", "search=1250,5"):
         page = (await viewer.get(f"/events?{query}", headers={"Accept-Language": "de"})).text
         row = page.split(f'id="event-{number}"')[1].split("</tr>")[0]
@@ -204,10 +206,10 @@ async def test_a_german_reads_and_searches_numbers_in_german_writing(house: Hous
 async def test_what_people_have_named_and_written_is_not_translated(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     fields: dict[str, Any] = {"who": "ann", "bus": "dry-end", "unit": 1}
-    await house.services.events.record(
+    await house.services[EventLog].record(
         kind="control", what="control handed over", old="operator", new="user", **fields
     )
-    await house.services.events.record(kind="block", what="commands blocked", new="ramping", **fields)
+    await house.services[EventLog].record(kind="block", what="commands blocked", new="ramping", **fields)
     page = (await viewer.get("/events", headers={"Accept-Language": "de"})).text
     assert '<td class="event__old number">operator</td>' in page
     assert '<td class="event__new number">user</td>' in page

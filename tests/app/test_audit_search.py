@@ -122,7 +122,7 @@ def test_without_fts5_events_are_written_and_searched_all_the_same(
 
 async def test_the_log_is_indexed_from_the_start_of_the_server(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
-        events, rows = house.services.events, house.services.database.read_now
+        events, rows = house.services[EventLog], house.services[Database].read_now
         await events.index()
         assert rows(search.lowest_indexed) == 1
         number = await events.record(kind="server", what="a needle")
@@ -140,7 +140,7 @@ async def test_a_search_beyond_its_budget_ends_in_words(
     monkeypatch.setattr(connection, "STEPS", 10)
     async with complete_app(tmp_path) as house:
         for _ in range(20):
-            await house.services.events.record(kind="server", what="hay")
+            await house.services[EventLog].record(kind="server", what="hay")
         client = await house.program(Role.VIEWER)
         response = await client.get("/api/v1/events?search=needle")
         assert (response.status_code, response.json()["code"]) == (503, "too_costly")

@@ -76,7 +76,7 @@ async def test_who_comes_back_later_is_an_event_at_once_again(scene: Scene) -> N
 async def test_the_end_of_the_server_loses_no_count(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         for _ in range(7):
-            await house.services.events.repeated.count("login_refused", "login refused")
+            await house.services[EventLog].repeated.count("login_refused", "login refused")
     async with complete_app(tmp_path) as house:
         assert [event["count"] for event in await house.events("login_refused")] == [6, None]
 

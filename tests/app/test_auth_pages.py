@@ -9,8 +9,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.auth.accounts import Accounts
 from app.auth.pages import DEVICE_COOKIE
 from app.auth.throttle import FREE
+from app.database import Database
 from app.web.access import Role
 from tests.app.complete_app import PASSWORD, House, complete_app
 
@@ -30,7 +32,7 @@ async def admin(house: House) -> httpx.AsyncClient:
 
 
 async def names(house: House) -> dict[str, str]:
-    return {user.name: user.role.value for user in await house.services.accounts.users()}
+    return {user.name: user.role.value for user in await house.services[Accounts].users()}
 
 
 async def can_sign_in(house: House, name: str, password: str) -> bool:
@@ -85,7 +87,7 @@ async def test_too_many_failures_are_refused_with_the_time_to_wait(house: House)
 
 async def test_a_panel_begins_at_its_home_page(house: House) -> None:
     by = {"by": "t", "origin": "t"}
-    await house.services.accounts.add_panel("p1", Role.VIEWER, PIN, "/units/dry-end/1", **by)
+    await house.services[Accounts].add_panel("p1", Role.VIEWER, PIN, "/units/dry-end/1", **by)
     client = house.client()
     assert 'name="pin"' in (await client.get("/login?panel=true")).text
     response = await client.post("/login/panel", data={"name": "p1", "pin": PIN})
@@ -124,7 +126,7 @@ async def test_ones_own_password_is_changed_and_every_other_device_is_out(house:
 
 async def test_a_weak_password_is_reported_to_the_admin(house: House, admin: httpx.AsyncClient) -> None:
     assert "still in use" not in (await admin.get("/users")).text
-    await house.services.database.write(lambda c: c.execute("UPDATE users SET weak_secret = 1"))
+    await house.services[Database].write(lambda c: c.execute("UPDATE users SET weak_secret = 1"))
     assert "must change theirs: ada." in (await admin.get("/users")).text
 
 
@@ -144,7 +146,7 @@ async def test_a_worker_and_an_expiry_are_shown_with_their_token(
 ) -> None:
     form = {"token": "cabinet", "token_role": "worker", "token_bus": "dry-end", "expires": "30"}
     assert (await admin.post("/users/tokens", data=form)).status_code == 200
-    (token,) = await house.services.accounts.tokens()
+    (token,) = await house.services[Accounts].tokens()
     assert (token.role, token.bus) == (Role.WORKER, "dry-end")
     assert token.expires_at is not None
     assert token.expires_at - token.created_at == 30 * 86_400
@@ -243,4 +245,4 @@ async def test_an_irreversible_action_is_confirmed_and_ends_in_the_dialog(
     assert (refused.status_code, "there is no token none" in refused.text) == (422, True)
     done = await admin.post("/users/tokens/plc/revoke", headers=fragment)
     assert (done.status_code, done.headers["hx-redirect"]) == (200, "/users")
-    assert [token.name for token in await house.services.accounts.tokens()] == []
+    assert [token.name for token in await house.services[Accounts].tokens()] == []

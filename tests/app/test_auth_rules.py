@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.auth import rules
-from app.settings import Sessions
+from app.auth.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from app.audit.store import Filter
-from app.bus_service import SERVER
 from app.commands.catalogue import COMMANDS, READ_PARAMETERS, ROLES_BY_COMMAND, kind_of_command
 from app.errors import Problem
 from app.sets.batch import rows_of_batch, write_batch
+from app.sets.schedule import SERVER
 from app.settings import Site
 from app.web.access import Person, Role
 from app.web.assets import Assets, static_dir, templates_dir

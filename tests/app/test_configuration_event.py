@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from app.audit.configuration import FILE, change_since_last, differences
+from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.main import create_app
-from app.wiring import running
 from tests.app.complete_app import settings_in
 
 LINE: dict[str, Any] = {
@@ -48,8 +48,8 @@ async def test_a_new_store_is_one_event_without_its_steps(tmp_path: Path) -> Non
     found = []
     for _ in range(2):
         app = create_app(settings_in(tmp_path))
-        async with running(app.state.services):
-            found, _ = await app.state.services.events.page(Filter(kind="server"), 10)
+        async with app.state.services.lifespan.running():
+            found, _ = await app.state.services[EventLog].page(Filter(kind="server"), 10)
     made = [event for event in found if event["messages"]["what"].code.startswith("event_store")]
     assert [event["what"] for event in made] == ["store created"]
 
@@ -57,6 +57,6 @@ async def test_a_new_store_is_one_event_without_its_steps(tmp_path: Path) -> Non
 async def test_the_server_notes_it_at_its_start(tmp_path: Path) -> None:
     for name in ("Mill 7", "Mill 7", "Mill 8"):
         app = create_app(settings_in(tmp_path, name=name))
-        async with running(app.state.services):
-            found, _ = await app.state.services.events.page(Filter(kind="configuration"), 10)
+        async with app.state.services.lifespan.running():
+            found, _ = await app.state.services[EventLog].page(Filter(kind="configuration"), 10)
     assert [event["message"] for event in found] == ['site.name: "Mill 7" → "Mill 8"']

@@ -10,6 +10,9 @@ from typing import Any
 import pytest
 
 from app.commands.catalogue import timeout_s_for
+from app.commands.service.command_service import CommandService
+from app.live.state.bus_live import LiveState
+from app.recipes.book import RecipeBook
 from app.web.access import Role
 from app.web.arrival import Deadline
 from bus.contract import BusLink, Result, SetLine
@@ -22,7 +25,7 @@ from tests.app.played_commands import ANNA, a_bus, responding
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        responding(house.services.live)
+        responding(house.services[LiveState])
         yield house
 
 
@@ -50,8 +53,8 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
         given.append(deadline.timeout_s)
         return Result("x", time.time(), "verified")
 
-    monkeypatch.setattr(house.services.buses["dry-end"].commands, "send", send)
-    house.services.live.buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
+    monkeypatch.setattr(house.services.buses["dry-end"][CommandService], "send", send)
+    house.services[LiveState].buses["dry-end"].apply([BusLink(at=1.0, link="open", baud=300)])
     operator = await house.signed_in(Role.OPERATOR)
     setpoints = {"raw-1": "700", "was-1": "1000", "raw-2": "800", "was-2": "1000"}
     form = {"bus": "dry-end", "id": "c" * 32, "reviewed_at": f"{time.time()}"} | setpoints
@@ -59,7 +62,7 @@ async def test_pages_programs_and_recipes_give_a_change_the_same_time_at_any_bau
         assert (await operator.post(path, data=form)).status_code == 200
     body = {"setpoints": {"1": {"raw": 700}, "2": {"raw": 800}}}
     assert (await operator.post("/api/v1/buses/dry-end/speeds", json=body)).status_code == 200
-    await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700, 2: 800})
+    await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700, 2: 800})
     assert (await operator.post("/api/v1/recipes/1/load", json={})).status_code == 200
-    assert set(given) == {timeout_s_for(house.services.live.buses["dry-end"], 2)}
+    assert set(given) == {timeout_s_for(house.services[LiveState].buses["dry-end"], 2)}
     assert len(given) == 4

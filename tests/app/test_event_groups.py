@@ -14,6 +14,7 @@ import pytest
 
 from app.audit import groups
 from app.audit.groups import MOST_PARTS, EventRow, link_parts
+from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.database.migrating import MIGRATIONS, bring_up_to_date
 from app.web.access import Role
@@ -42,7 +43,7 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
     group_entry = intent(
         None, f"set {units} units at once", who=who, old="1: 10.0, " * units, new="1: 11.0, " * units
     )
-    log = house.services.events
+    log = house.services[EventLog]
     event, *numbers = await log.intend_together([group_entry, *parts], lambda c: link_parts(c, units))
     outcome = "verified" if failed is None else "unverified"
     results = dict.fromkeys(numbers, ("verified", ""))
@@ -54,13 +55,13 @@ async def change(house: House, units: int, *, failed: int | None = None, who: st
 
 
 async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[EventRow], int | None]:
-    return await groups.page(house.services.events, Filter(kind="command", **wanted), limit)
+    return await groups.page(house.services[EventLog], Filter(kind="command", **wanted), limit)
 
 
 async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None:
-    single = await intend(house.services.events, **intent(2))
+    single = await intend(house.services[EventLog], **intent(2))
     group = await change(house, 3, failed=2)
-    after = await intend(house.services.events, **intent(1))
+    after = await intend(house.services[EventLog], **intent(1))
     found, more = await rows(house)
     assert [(row.event["id"], [part["unit"] for part in row.parts]) for row in found] == [
         (after, []),
@@ -154,7 +155,7 @@ async def test_the_page_has_one_row_and_each_units_values_and_result_in_it(house
 
 async def test_long_values_of_one_event_stand_apart(house: House) -> None:
     long = ", ".join(f"{n}: 100.0" for n in range(1, 20))
-    await intend(house.services.events, **intent(None, "set 19 units at once", old=long, new=long))
+    await intend(house.services[EventLog], **intent(None, "set 19 units at once", old=long, new=long))
     client = await house.signed_in(Role.VIEWER)
     page = (await client.get("/events", params={"kind": "command"})).text
     assert "Old and new values" in page

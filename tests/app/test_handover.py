@@ -13,7 +13,14 @@ from typing import Any
 import httpx
 import pytest
 
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.line_alarms import LineAlarms
+from app.audit.log import EventLog
 from app.commands.safeguards.limits import Limits
+from app.commands.safeguards.service import Safeguards
+from app.database import Database
+from app.handover.service import Handover
+from app.live.state.bus_live import LiveState
 from app.web.access import Person, Role
 from bus.contract import BusLink, Reading
 from bus.messages import Message
@@ -30,7 +37,7 @@ ANN = Person("ann", Role.ENGINEER, "demo")
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path, time_zone="Europe/Berlin") as house:
         await played_line(house.services)
-        house.services.buses[BUS].alarms.tick()
+        house.services.buses[BUS][BusAlarms].tick()
         yield house
 
 
@@ -54,20 +61,20 @@ async def write(client: httpx.AsyncClient, text: str, key: str = "", **more: Any
 
 
 async def test_the_sheet_is_made_from_the_store(house: House) -> None:
-    viewer, guards = await house.program(Role.VIEWER), house.services.buses[BUS].safeguards
-    house.services.live.buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
-    await house.services.alarms.write()
+    viewer, guards = await house.program(Role.VIEWER), house.services.buses[BUS][Safeguards]
+    house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    await house.services[LineAlarms].write()
     await guards.block(ANN, 1, "bearing")
     await guards.block(ANN, 2, "rebuilt")
     await guards.lift(ANN, 2)
     await guards.set_limits(ANN, 2, Limits(highest=500))
     await guards.take(ANN)
-    await house.services.events.record(
+    await house.services[EventLog].record(
         kind="recipe", what=Message.of("event_recipe_loaded", name="Kraft", version=3), who="ann", bus=BUS
     )
     for outcome in ("verified", "verified", "unverified"):
         number = await intend(
-            house.services.events,
+            house.services[EventLog],
             who="ann",
             origin="page",
             bus=BUS,
@@ -76,7 +83,7 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
             old="1",
             new="2",
         )
-        await house.services.events.conclude(number, outcome)  # type: ignore[arg-type]
+        await house.services[EventLog].conclude(number, outcome)  # type: ignore[arg-type]
     found = await sheet(viewer)
     assert [(each["code"], each["after"]) for each in found["standing"] if each["unit"] == 1] == [
         ("estop_active", "unack_active")
@@ -91,10 +98,10 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
 
 
 async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:
-    operator, live = await house.signed_in(Role.OPERATOR), house.services.live.buses[BUS]
+    operator, live = await house.signed_in(Role.OPERATOR), house.services[LiveState].buses[BUS]
     live.apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
     live.apply([BusLink(at=time.time(), link="closed")])
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     found = await sheet(operator)
     assert [(each["unit"], each["code"]) for each in found["suppressed"]] == [(1, "estop_active")]
     assert {each["code"] for each in found["standing"]} == {"port_lost"}
@@ -110,7 +117,7 @@ async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_nam
 
 async def test_the_page_shows_it_in_both_languages(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    await house.services.buses[BUS].safeguards.block(ANN, 1, "bearing")
+    await house.services.buses[BUS][Safeguards].block(ANN, 1, "bearing")
     await write(operator, "Felt changed\nat the <b>dryer</b>", bus=BUS, unit=1)
     path = f"/shifts/{await present(operator)}"
     text = (await operator.get(path)).text
@@ -175,8 +182,8 @@ async def test_a_correction_is_a_new_note_and_a_note_has_one(house: House) -> No
 
 async def test_a_note_is_about_an_occurrence_that_was(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
-    house.services.live.buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
-    await house.services.alarms.write()
+    house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, 0)])
+    await house.services[LineAlarms].write()
     assert (await write(operator, "x", alarm=f"{BUS}.1.estop_active.1")).status_code == 201
     assert (await write(operator, "x", alarm=f"{BUS}.1.estop_active.2")).json()["code"] == "unknown_alarm"
     assert (await write(operator, "x", bus=BUS, unit=9)).json()["code"] == "unknown_unit"
@@ -204,9 +211,9 @@ async def test_the_page_of_an_alarm_and_of_a_unit_open_the_form_with_what_they_a
     operator, viewer = await house.signed_in(Role.OPERATOR), await house.signed_in(Role.VIEWER)
     estop = f"{BUS}.1.estop_active.1"
     for status in (0, HEALTHY):
-        house.services.live.buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, status)])
+        house.services[LiveState].buses[BUS].apply([Reading(1, time.time(), 0, 0, 0, REMOTE, status)])
     await operator.post("/alarms/acknowledge", data={"id": estop})
-    await house.services.alarms.write()
+    await house.services[LineAlarms].write()
     assert estop not in {each["alarm"] for each in (await sheet(operator))["standing"]}
     for path, expected in (
         (f"/alarms/{estop}", {"place": f"{BUS}/1", "alarm": estop}),
@@ -265,7 +272,7 @@ async def test_a_note_of_a_shift_that_is_over_states_its_time(house: House) -> N
         f"{API}/{earlier['start']}/notes", json={"text": "x", "time": earlier["start"]}
     )
     assert stored.status_code == 201
-    clock = datetime.fromisoformat(earlier["start"]).astimezone(house.services.handover.zone)
+    clock = datetime.fromisoformat(earlier["start"]).astimezone(house.services[Handover].zone)
     form = {"text": "y", "clock": f"{clock:%H:%M}"}
     assert (await operator.post(f"/shifts/{earlier['start']}/notes", data=form)).status_code == 303
     counts = [each["notes"] for each in (await operator.get(API)).json()["shifts"][:2]]
@@ -295,7 +302,7 @@ async def test_a_start_that_is_none_is_refused(house: House, start: str, status:
 async def test_what_happened_before_and_after_a_shift_is_not_on_its_sheet(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
     earlier = (await viewer.get(API)).json()["shifts"][1]["start"]
-    await house.services.buses[BUS].safeguards.block(ANN, 1, "bearing")
+    await house.services.buses[BUS][Safeguards].block(ANN, 1, "bearing")
     found = (await viewer.get(f"{API}/{earlier}")).json()
     assert (found["standing"], found["blocked"], found["done"]["total"]) == ([], [], 0)
     assert found["until"] == found["end"]
@@ -305,7 +312,7 @@ async def test_what_happened_before_and_after_a_shift_is_not_on_its_sheet(house:
 async def test_a_time_without_the_server_is_on_the_sheet(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
         yesterday = time.time() - 86_400
-        await house.services.events.record(kind="server", what=Message("event_server_ended"), at=yesterday)  # type: ignore[arg-type]
+        await house.services[EventLog].record(kind="server", what=Message("event_server_ended"), at=yesterday)  # type: ignore[arg-type]
     async with complete_app(tmp_path) as house:
         viewer = await house.program(Role.VIEWER)
         start = (await viewer.get(API)).json()["shifts"][2]["start"]
@@ -314,7 +321,7 @@ async def test_a_time_without_the_server_is_on_the_sheet(tmp_path: Path) -> None
 
 
 async def test_a_long_shift_has_the_newest_of_its_commands_and_counts_all(house: House) -> None:
-    viewer, events = await house.program(Role.VIEWER), house.services.events
+    viewer, events = await house.program(Role.VIEWER), house.services[EventLog]
     intents = [
         {
             "who": "ann",
@@ -346,7 +353,7 @@ async def test_a_long_note_and_one_too_many_are_refused(house: House) -> None:
     columns = "at, written_at, who, text, sender"
     copies = f"INSERT INTO shift_note ({columns}) SELECT {columns} FROM shift_note, generate LIMIT 499"
     numbers = "WITH RECURSIVE generate(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM generate WHERE n < 499)"
-    await house.services.database.write(lambda store: store.execute(f"{numbers} {copies}"))
+    await house.services[Database].write(lambda store: store.execute(f"{numbers} {copies}"))
     full = await write(operator, "one more")
     assert (full.status_code, full.json()["reason"]) == (409, "shift_notes_full")
     assert len((await sheet(operator))["notes"]) == 500

@@ -14,9 +14,12 @@ import httpx
 import pytest
 from typer.testing import CliRunner
 
+from app.audit.log import EventLog
 from app.cli import cli
 from app.database.migrating import MIGRATIONS
+from app.handover.service import Handover
 from app.handover.signatures import missing_signatures
+from app.handover.signing import Signing
 from app.web.access import Role
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
@@ -72,7 +75,7 @@ async def test_two_people_sign_one_after_the_other_and_the_audit_log_names_the_s
     newest, first, *_ = await house.events("shift")
     assert (newest["who"], first["who"]) == ("bob", "ann")
     assert all(taken["digest"] in event["what"] for event in (newest, first))
-    assert (await house.services.events.proof.verify()).broken is None
+    assert (await house.services[EventLog].proof.verify()).broken is None
 
 
 async def test_a_second_signing_is_refused_with_who_signed_and_when(house: House) -> None:
@@ -102,8 +105,8 @@ async def test_a_signed_sheet_does_not_change_with_what_it_was_made_from(house: 
     await sign(ann)
     before = await sheet(ann)
     late = (await note(ann, "Wire, not felt")).json()
-    await house.services.events.record(
-        kind="limits", what="limits", bus=BUS, at=UnixTime(house.services.handover.present().start - 60.0)
+    await house.services[EventLog].record(
+        kind="limits", what="limits", bus=BUS, at=UnixTime(house.services[Handover].present().start - 60.0)
     )
     after = await sheet(ann)
     assert [each["text"] for each in after["later_notes"]] == ["Wire, not felt"]
@@ -119,7 +122,7 @@ async def test_a_signed_sheet_does_not_change_with_what_it_was_made_from(house: 
 async def test_a_sheet_that_an_earlier_version_signed_states_nothing_of_suppressed_alarms(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ann, sheets = await house.signed_in(Role.OPERATOR, "ann"), house.services.handover._sheets
+    ann, sheets = await house.signed_in(Role.OPERATOR, "ann"), house.services[Handover]._sheets
     now_written = sheets.write
 
     def as_before(*given: Any) -> dict[str, Any]:
@@ -173,10 +176,10 @@ async def test_a_shift_is_signed_from_half_an_hour_before_its_end_on(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    shift, services = house.services.handover.present(), house.services
+    shift, services = house.services[Handover].present(), house.services
     path = f"{API}/{(await operator.get(API)).json()['shifts'][0]['start']}"
     for seconds, status in ((-1801.0, 409), (-1799.0, 200)):
-        for each in (services.handover, services.signing):
+        for each in (services[Handover], services[Signing]):
             monkeypatch.setattr(each, "_clock", lambda seconds=seconds: UnixTime(shift.end + seconds))
         assert (await operator.post(f"{path}/sign")).status_code == status
     found = (await operator.get(path)).json()
@@ -269,13 +272,13 @@ async def test_a_signed_shift_keeps_its_times_when_others_are_configured(
     house: House, monkeypatch: pytest.MonkeyPatch, hour: int
 ) -> None:
     """Also one that began within the shift that is the present one by the new times."""
-    yesterday = datetime.now(house.services.handover.zone) - timedelta(days=1)
+    yesterday = datetime.now(house.services[Handover].zone) - timedelta(days=1)
     at = UnixTime(yesterday.replace(hour=hour, minute=30).timestamp())
-    monkeypatch.setattr(house.services.handover, "_clock", lambda: at)
+    monkeypatch.setattr(house.services[Handover], "_clock", lambda: at)
     ann = await house.signed_in(Role.OPERATOR, "ann")
     start = await last(ann)
     await sign(ann)
-    monkeypatch.setattr(house.services.handover, "_starts", [1])
+    monkeypatch.setattr(house.services[Handover], "_starts", [1])
     listed = (await ann.get(API)).json()["shifts"]
     (signed,) = [each for each in listed if each["leaving"]]
     assert signed["start"] == start

@@ -13,6 +13,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
+from app.auth.accounts import Accounts
 from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, respond_while_allowed, while_allowed
 from app.main import create_app
 from app.web.access import Role
@@ -230,7 +231,7 @@ def read_to_the_end(socket: WebSocketTestSession) -> None:
 def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:
     """It was looked at every 20 s."""
     app = create_app(settings_in(tmp_path))
-    accounts = app.state.services.accounts
+    accounts = app.state.services[Accounts]
     by = {"by": "t", "origin": "t"}
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]

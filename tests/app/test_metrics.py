@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from app.audit.log import EventLog
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, UnitFigures
 from tests.app.complete_app import House, complete_app
@@ -46,7 +48,7 @@ async def test_figures_of_the_workers(house: House) -> None:
     figures = BusFigures(
         at=now, scan_hz=4.5, scan_s=0.2, wire_utilisation=0.97, scan_s_with_one_more=0.3, units=[unit]
     )
-    house.services.live.buses["dry-end"].apply([BusLink(at=now, link="open"), figures])
+    house.services[LiveState].buses["dry-end"].apply([BusLink(at=now, link="open"), figures])
     found = await samples(house)
     assert found["lineside_polls_total", "dry-end", "2"] == 50
     assert found["lineside_timeouts_total", "dry-end", "2"] == 2
@@ -58,7 +60,7 @@ async def test_figures_of_the_workers(house: House) -> None:
 
 
 async def test_commands_by_their_outcome(house: House) -> None:
-    events = house.services.events
+    events = house.services[EventLog]
     for outcome in ("verified", "refused", "refused"):
         number = await intend(events, who="a", origin="api", bus="dry-end", unit=1, what="x")
         await events.conclude(number, outcome)  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.auth.accounts import Accounts
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 
@@ -56,7 +57,7 @@ async def test_control_of_one_is_not_that_of_the_other(
 async def test_what_the_one_holds_stays_when_the_other_goes(house: House, user: httpx.AsyncClient) -> None:
     await house.token(Role.OPERATOR)
     await user.post(f"{BUS}/control")
-    await house.services.accounts.revoke_token(NAME, by="test", origin="test")
+    await house.services[Accounts].revoke_token(NAME, by="test", origin="test")
     assert (await user.get(f"{BUS}/control")).json()["holder"] == NAME
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import httpx
 import pytest
 
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.notification.service import Notification
 from app.notify_settings import NotifySettings
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
@@ -42,7 +44,7 @@ async def house(tmp_path: Path, mail: PlayedMailServer) -> AsyncIterator[House]:
     )
     async with complete_app(tmp_path, notify=settings) as house:
         await played_line(house.services)
-        house.services.buses[BUS].alarms.tick()
+        house.services.buses[BUS][BusAlarms].tick()
         yield house
 
 
@@ -56,7 +58,7 @@ async def risen(house: House, mail: PlayedMailServer) -> str:
 
 
 def state(house: House) -> str:
-    return house.services.buses[BUS].alarms.list.alarms[f"{BUS}.1.estop_active"].facts.state
+    return house.services.buses[BUS][BusAlarms].list.alarms[f"{BUS}.1.estop_active"].facts.state
 
 
 async def test_only_an_engineer_sees_addresses(house: House) -> None:
@@ -100,7 +102,7 @@ async def test_nothing_is_notified_in_a_maintenance(house: House, mail: PlayedMa
     assert (begun["bus"], begun["reason"]) == (BUS, "new felt")
     path = Path_(house, mail, None)  # type: ignore[arg-type]
     await path.estop(active=True)
-    assert await house.services.notification.outbox.deliveries(9, None) == []
+    assert await house.services[Notification].outbox.deliveries(9, None) == []
     assert (await engineer.post(f"{API}/maintenance/{begun['id']}/end")).json() == []
     assert (await engineer.post(f"{API}/maintenance/{begun['id']}/end")).status_code == 404
     await path.advance()
@@ -181,7 +183,7 @@ async def test_the_page_shows_it_all(house: House, mail: PlayedMailServer, langu
     }
     for text in (*words[language], "duty@plant", "550 no &lt;b&gt;such&lt;/b&gt; mailbox", "felt"):
         assert text in page
-    (row,) = house.services.notification.maintenance.present()
+    (row,) = house.services[Notification].maintenance.present()
     assert (await engineer.post(f"/notifications/maintenance/{row.id}/end")).status_code == 303
     assert "felt" not in (await engineer.get("/notifications")).text
 

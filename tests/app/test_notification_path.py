@@ -12,10 +12,17 @@ from typing import Any
 
 import pytest
 
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.notice import OutboxItem
+from app.alarms.notification.notifier import AlarmNotifier
 from app.alarms.notification.outbox import NotificationDelivery
+from app.alarms.notification.service import Notification
 from app.alarms.notification.store import NotificationStore
+from app.alarms.own_book import OwnAlarmBook
+from app.audit.log import EventLog
 from app.errors import StoreError
+from app.live.state.bus_live import LiveState
 from app.notify_settings import NotifySettings
 from app.web.access import Person, Role
 from bus.contract import Reading
@@ -37,7 +44,7 @@ class Path_:
     hooks: PlayedReceiver
 
     def input(self, *, estop: bool, unit: int = 1) -> None:
-        live = self.house.services.live.buses[BUS]
+        live = self.house.services[LiveState].buses[BUS]
         live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0 if estop else HEALTHY)])
 
     async def estop(self, *, active: bool, unit: int = 1) -> None:
@@ -46,8 +53,8 @@ class Path_:
 
     async def advance(self) -> None:
         """Bring the journal to disk and follow it."""
-        await self.house.services.alarms.write()
-        await self.house.services.buses[BUS].notifier.advance()
+        await self.house.services[LineAlarms].write()
+        await self.house.services.buses[BUS][AlarmNotifier].advance()
 
     async def events(self, state: str) -> list[dict[str, Any]]:
         found = await self.house.events("notification")
@@ -55,7 +62,7 @@ class Path_:
 
     async def ended(self, state: str, count: int = 1) -> list[NotificationDelivery]:
         """The deliveries in a state, once there are so many."""
-        notification = self.house.services.notification
+        notification = self.house.services[Notification]
         async with asyncio.timeout(LIMIT_S):
             while True:
                 attempted = notification.dispatcher.attempted
@@ -85,7 +92,7 @@ async def running(
 ) -> AsyncIterator[Path_]:
     async with complete_app(folder, notify=notify(mail, hooks, folder, **more)) as house:
         await played_line(house.services)
-        house.services.buses[BUS].alarms.tick()
+        house.services.buses[BUS][BusAlarms].tick()
         yield Path_(house, mail, hooks)
 
 
@@ -135,20 +142,20 @@ async def test_an_alarm_at_once_after_the_first_start_is_notified(
     monkeypatch.setattr(NotificationStore, "load", load_slowly)
     async with running(tmp_path, *servers) as path:
         path.input(estop=True)
-        await path.house.services.alarms.write()
+        await path.house.services[LineAlarms].write()
         assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop"
 
 
 async def test_the_end_of_an_alarm_that_is_removed_reaches_who_was_notified(path: Path_) -> None:
     services, anna = path.house.services, Person("anna", Role.ENGINEER, "session")
     written = {"name": "Stopped", "bus": BUS, "unit": 1, "value": "run", "state": "off", "priority": "urgent"}
-    own = await services.own_alarms.add(anna, written)
-    live = services.live.buses[BUS]
+    own = await services[OwnAlarmBook].add(anna, written)
+    live = services[LiveState].buses[BUS]
     live.apply([Reading(1, UnixTime(time.time()), 0, 0, 0, REMOTE, HEALTHY)])
     await path.advance()
     mail = await path.mail.mail()
     assert mail["Subject"] == "urgent: Unwind · Stopped"
-    await services.own_alarms.remove(anna, own.key, own.version, "no longer needed")
+    await services[OwnAlarmBook].remove(anna, own.key, own.version, "no longer needed")
     await path.advance()
     mail, hook = await path.mail.mail(2), await path.hooks.body(2)
     assert mail["Subject"] == "Cleared: Unwind · Stopped"
@@ -160,12 +167,12 @@ async def test_nothing_is_notified_twice(path: Path_) -> None:
     for _ in range(3):
         await path.advance()
     await path.ended("delivered", 2)
-    notifier = path.house.services.buses[BUS].notifier
+    notifier = path.house.services.buses[BUS][AlarmNotifier]
     await notifier.load()
     notifier._cursor = 0  # as after a crash between reading the journal and writing the outbox
     await notifier.advance()
     assert len(await path.ended("delivered", 2)) == 2
-    assert await path.house.services.notification.outbox.waiting() == {}
+    assert await path.house.services[Notification].outbox.waiting() == {}
 
 
 async def test_a_site_in_german_writes_german(tmp_path: Path, servers: Any) -> None:
@@ -183,10 +190,10 @@ async def test_a_refused_message_is_tried_again_and_fails_as_an_alarm(
     monkeypatch.setattr("app.alarms.notification.dispatcher.retry_after_s", lambda _: 0.0)
     path.mail.replies["RCPT"] = "451 later"
     await path.estop(active=True)
-    site = path.house.services.alarms.site
+    site = path.house.services[LineAlarms].site
     async with asyncio.timeout(LIMIT_S):
-        while not path.house.services.notification.dispatcher.is_failing():
-            await path.house.services.notification.dispatcher.attempted.wait()
+        while not path.house.services[Notification].dispatcher.is_failing():
+            await path.house.services[Notification].dispatcher.attempted.wait()
     site.tick()
     alarm = site.list.alarms["_.notification_failed"]
     assert alarm.facts.active
@@ -205,7 +212,7 @@ async def test_an_attempt_that_a_crash_interrupted_is_repeated_with_its_id(
     tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
 ) -> None:
     async with running(tmp_path, *servers, smtp=None, webhook=[]) as path:
-        store = path.house.services.notification.outbox
+        store = path.house.services[Notification].outbox
         now = UnixTime(time.time())
         await store.add([OutboxItem("test:crash", "mail:duty@plant", "test", now)])
         ((item, _),) = (await store.load_of("mail:duty@plant", now, collects=True)).items
@@ -221,14 +228,14 @@ async def test_a_result_that_cannot_be_stored_sends_nothing_twice(
     path: Path_, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("app.alarms.notification.dispatcher.STORE_RETRY_S", 0.0)
-    record, failures = path.house.services.events.record, [StoreError(Message("store_closed"))] * 3
+    record, failures = path.house.services[EventLog].record, [StoreError(Message("store_closed"))] * 3
 
     async def fails_thrice(**event: Any) -> int:
         if failures:
             raise failures.pop()
         return await record(**event)
 
-    monkeypatch.setattr(path.house.services.events, "record", fails_thrice)
+    monkeypatch.setattr(path.house.services[EventLog], "record", fails_thrice)
     await path.estop(active=True)
     await path.ended("delivered", 2)
     assert (len(path.mail.mails), len(path.hooks.received)) == (1, 1)
@@ -243,10 +250,10 @@ async def test_a_flood_is_one_message_for_people_and_each_for_programs(
         path = Path_(house, *servers)
         await path.estop(active=True)
         delivered = await path.ended("delivered", 2)
-        store = house.services.notification.outbox
+        store = house.services[Notification].outbox
         items = [replace(each.items[0], key=f"more:{n}") for each in delivered for n in range(4)]
         await store.add(items)
-        house.services.notification.dispatcher.wake()
+        house.services[Notification].dispatcher.wake()
         assert {(await path.hooks.body(count))["kind"] for count in range(1, 6)} == {"alarm"}
         digest = await path.mail.mail(2)
         assert digest["Subject"] == "Mill 7: 4 messages, 4 of them urgent"
@@ -271,7 +278,7 @@ async def test_an_escalation_goes_to_people_on_duty(
 
 
 async def test_a_test_message_goes_the_same_way(path: Path_) -> None:
-    dispatcher = path.house.services.notification.dispatcher
+    dispatcher = path.house.services[Notification].dispatcher
     for endpoint in dispatcher.plan.endpoints.values():
         delivery = await dispatcher.test(endpoint)
         assert delivery is not None
@@ -298,8 +305,8 @@ async def test_each_address_gets_one_heartbeat_a_day(
         checked_again.clear()
         async with asyncio.timeout(LIMIT_S):
             await checked_again.wait()
-        await path.house.services.notification.dispatcher.test(
-            next(iter(path.house.services.notification.plan.endpoints.values()))
+        await path.house.services[Notification].dispatcher.test(
+            next(iter(path.house.services[Notification].plan.endpoints.values()))
         )
         heartbeats = [each for each in await path.ended("delivered", 3) if each.items[0].kind == "heartbeat"]
         assert [each.id for each in heartbeats] == [each.id for each in delivered]
@@ -318,7 +325,7 @@ async def test_an_address_that_was_removed_gets_nothing_more(
 
 
 async def test_a_fault_of_one_address_leaves_the_others(path: Path_, monkeypatch: pytest.MonkeyPatch) -> None:
-    outbox = path.house.services.notification.outbox
+    outbox = path.house.services[Notification].outbox
     load_of = outbox.load_of
 
     async def fails_for_mail(endpoint: str, *given: Any, **more: Any) -> Any:
@@ -348,14 +355,14 @@ async def stand(folder: Path, *, settled: bool = False, **notified: NotifySettin
     """Two e-stops stand when the server ends; ``settled``: one is acknowledged, the other has cleared."""
     async with complete_app(folder, **notified) as house:
         await played_line(house.services)
-        alarms, live = house.services.alarms, house.services.live.buses[BUS]
+        alarms, live = house.services[LineAlarms], house.services[LiveState].buses[BUS]
         live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0) for unit in (1, 2)])
         if settled:
             await alarms.acknowledge(Person("anna", Role.OPERATOR, "session"), f"{BUS}.1.estop_active.1")
             live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
         await alarms.write()
-        await house.services.buses[BUS].notifier.load()
-        await house.services.buses[BUS].notifier.advance()
+        await house.services.buses[BUS][AlarmNotifier].load()
+        await house.services.buses[BUS][AlarmNotifier].advance()
 
 
 @asynccontextmanager
@@ -365,7 +372,7 @@ async def started(
     """The server is started on what stands, and has seen to it."""
     async with complete_app(folder, notify=settings) as house:
         await played_line(house.services, stopped)
-        notifier = house.services.buses[BUS].notifier
+        notifier = house.services.buses[BUS][AlarmNotifier]
         await notifier.load()
         await notifier.advance()
         await notifier.notify_standing()
@@ -386,7 +393,7 @@ async def test_what_stood_before_notification_was_configured_is_one_message(
         assert alarms == [f"{BUS}.1.estop_active.1", f"{BUS}.2.estop_active.1"]
         await Path_(house, mail, hooks).ended("delivered", 3)
     async with started(tmp_path, settings) as house:
-        outbox = house.services.notification.outbox
+        outbox = house.services[Notification].outbox
         assert await outbox.waiting() == {}, "each address is notified once"
         assert len(await outbox.deliveries(100, None)) == 3
 
@@ -396,8 +403,8 @@ async def test_a_settled_alarm_is_not_notified_at_a_start(
 ) -> None:
     await stand(tmp_path, settled=True)
     async with started(tmp_path, notify(*servers, tmp_path), (1,)) as house:
-        assert await house.services.notification.outbox.waiting() == {}
-        assert await house.services.notification.outbox.deliveries(100, None) == []
+        assert await house.services[Notification].outbox.waiting() == {}
+        assert await house.services[Notification].outbox.deliveries(100, None) == []
 
 
 async def test_an_address_that_was_corrected_is_notified_of_what_stands(

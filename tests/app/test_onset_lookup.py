@@ -12,6 +12,7 @@ from app.errors import StoreError
 from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset, WordSpan
 from app.live.state.onset_lookup import DAY_S, HOUR_S, OnsetLookup
+from app.pipeline import Pipeline
 from app.web.access import Role
 from bus.contract import BusLink, Reading, Snapshot, UnitLink, UnitState
 from bus.messages import Message
@@ -126,7 +127,7 @@ def snapshot(word: int, at: float) -> Snapshot:
 
 
 def take(house: House, *readings: Reading) -> None:
-    house.services.buses["dry-end"].pipeline.batch(list(readings), live=True)
+    house.services.buses["dry-end"][Pipeline].batch(list(readings), live=True)
 
 
 async def cause_of(house: House, token: str) -> dict[str, Any]:
@@ -141,14 +142,14 @@ async def test_after_a_restart_the_api_has_the_true_onset(tmp_path: Path) -> Non
     changed_at = round(now - 40, 3)
     async with complete_app(tmp_path) as house:
         token = await house.token(Role.VIEWER)
-        house.services.buses["dry-end"].pipeline.snapshot(snapshot(WELL, now - 60))
+        house.services.buses["dry-end"][Pipeline].snapshot(snapshot(WELL, now - 60))
         well = [reading(now - 60 + n / 5, WELL) for n in range(100)]
         off = [reading(changed_at + n / 5, RUN_OFF) for n in range(100)]
         take(house, *well, *off)
     async with complete_app(tmp_path) as house:
-        house.services.buses["dry-end"].pipeline.snapshot(snapshot(RUN_OFF, time.time()))
+        house.services.buses["dry-end"][Pipeline].snapshot(snapshot(RUN_OFF, time.time()))
         first = await cause_of(house, token)
-        onsets = house.services.live.buses["dry-end"].units[1].onsets
+        onsets = house.services[LiveState].buses["dry-end"].units[1].onsets
         await until(lambda: onsets.of["run_off"].exact, "the time of the change")
         found = await cause_of(house, token)
     assert (first["code"], first["since_exact"]) == ("run_off", False)

@@ -17,9 +17,10 @@ from schemathesis.specs.openapi.checks import positive_data_acceptance
 
 from app.auth import rules, store
 from app.auth.store import Token
+from app.database import Database
+from app.feature import Services
 from app.main import create_app
 from app.web.access import Role
-from app.wiring import Services
 from tests.app.complete_app import settings_in
 
 ENDLESS = "GET /api/v1/stream"
@@ -44,7 +45,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     services: Services = app.state.services
     token = rules.new_secret()
     key = Token(0, "test", Role.ENGINEER, "test", 0.0, None)
-    services.database.write_now(lambda c: store.add_token(c, rules.secret_hash(token), key))
+    services[Database].write_now(lambda c: store.add_token(c, rules.secret_hash(token), key))
     server = uvicorn.Server(
         uvicorn.Config(app, port=0, log_level="warning", lifespan="on", ws="websockets-sansio")
     )

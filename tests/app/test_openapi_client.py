@@ -14,6 +14,7 @@ import pytest
 from openapi_python_client import generate
 from openapi_python_client.config import Config, ConfigFile, MetaType
 
+from app.database import Database
 from app.main import create_app
 from app.web.schema import openapi_document
 from bus.contract import UnitOutcome
@@ -31,7 +32,7 @@ def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     try:
         return openapi_document(app)
     finally:
-        app.state.services.database.close()
+        app.state.services[Database].close()
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.alarms.alarm import Alarm
-from app.alarms.own_book import MOST_OWN
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.own_book import MOST_OWN, OwnAlarmBook
+from app.audit.log import EventLog
+from app.database import Database
 from app.errors import StoreError
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import UnixTime
@@ -36,7 +40,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 def connect(house: House) -> None:
     """Unit 1 responds and has one decimal."""
-    live = house.services.live.buses[BUS]
+    live = house.services[LiveState].buses[BUS]
     live.worker_lost = None
     now = UnixTime(time.time())
     live.apply([BusLink(at=now, link="open"), UnitLink(unit=1, at=now, link="online")])
@@ -46,11 +50,11 @@ def connect(house: House) -> None:
 def read(house: House, actual: int) -> None:
     """A reading of unit 1, now."""
     now = UnixTime(time.time())
-    house.services.live.buses[BUS].apply([Reading(1, now, 1000, actual, 51, 0xC0, 3)])
+    house.services[LiveState].buses[BUS].apply([Reading(1, now, 1000, actual, 51, 0xC0, 3)])
 
 
 def alarm_of(house: House, key: str) -> Alarm:
-    return house.services.alarms.buses[BUS].list.alarms[key]
+    return house.services[LineAlarms].buses[BUS].list.alarms[key]
 
 
 async def added(client: httpx.AsyncClient, **body: Any) -> dict[str, Any]:
@@ -90,8 +94,8 @@ async def test_a_changed_alarm_ends_and_comes_again_by_the_next_reading(house: H
     read(house, 1040)
     alarm = alarm_of(house, own["id"])
     assert (alarm.facts.state, alarm.facts.occurrence) == ("unack_active", 2)
-    await house.services.alarms.write()
-    entries = await house.services.alarms.store.journal_of(own["id"], 10)
+    await house.services[LineAlarms].write()
+    entries = await house.services[LineAlarms].store.journal_of(own["id"], 10)
     assert [each.trigger for each in reversed(entries)] == ["rise", "remove", "clear", "return", "rise"]
     event = (await house.events("alarm"))[0]
     assert event["what"] == "Alarm changed: Too fast"
@@ -107,15 +111,15 @@ async def test_a_removed_alarm_is_gone_from_every_list(house: House) -> None:
     own = await added(engineer)
     read(house, 1060)
     services = house.services
-    first = services.alarms.first_of_unit(BUS, 1)
+    first = services[LineAlarms].first_of_unit(BUS, 1)
     assert first is not None
     assert first.definition.key == own["id"]
     response = await removed(engineer, own)
     assert response.status_code == 204, response.text
-    assert services.alarms.first_of_unit(BUS, 1) is None
-    assert own["id"] not in {each.definition.key for each in services.alarms.every()}
+    assert services[LineAlarms].first_of_unit(BUS, 1) is None
+    assert own["id"] not in {each.definition.key for each in services[LineAlarms].every()}
     read(house, 1070)
-    assert own["id"] not in {each.definition.key for each in services.alarms.present()}
+    assert own["id"] not in {each.definition.key for each in services[LineAlarms].present()}
     assert (await engineer.get(f"/api/v1/alarms/{own['id']}.1")).status_code == 404
     assert (await removed(engineer, own)).status_code == 404
     again = await added(engineer)
@@ -190,7 +194,7 @@ async def test_an_act_that_cannot_be_recorded_did_not_happen(
         raise StoreError(Message("own_alarm_unreadable"))
 
     with monkeypatch.context() as patched:
-        patched.setattr(house.services.events, "record", fails)
+        patched.setattr(house.services[EventLog], "record", fails)
         assert (await removed(engineer, own)).status_code == 503
         assert (await engineer.post(PATH, json={**FAST, "name": "Second"})).status_code == 503
     assert alarm_of(house, own["id"]).facts.state == "unack_active"
@@ -208,7 +212,7 @@ async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_pat
         read(house, 1060)
         gone = json.dumps({**FAST, "name": "Of a unit that goes", "unit": 9})
         statement = "UPDATE own_alarm SET settings = ? WHERE version = 2"
-        await house.services.database.write(lambda connection: connection.execute(statement, (gone,)))
+        await house.services[Database].write(lambda connection: connection.execute(statement, (gone,)))
     async with complete_app(tmp_path) as house:
         assert alarm_of(house, own["id"]).facts.state == "unack_active"
         engineer = await house.signed_in(Role.ENGINEER)
@@ -229,7 +233,7 @@ async def test_the_page_adds_changes_and_removes_without_script(house: House) ->
     assert 'name="above" value="105.0"' in simulated
     assert "Add alarm" in simulated
     assert (await engineer.post("/alarms/own", data=FORM)).status_code == 303
-    book = house.services.own_alarms
+    book = house.services[OwnAlarmBook]
     (own,) = book.added.values()
     page = (await engineer.get("/alarms/own")).text
     assert f'name="change" value="{own.key}"' in page
@@ -261,7 +265,7 @@ async def test_the_page_states_why_an_alarm_is_refused(house: House) -> None:
     assert (await engineer.post("/alarms/own", data=FORM | {"name": " "})).status_code == 422
     assert (await operator.post("/alarms/own", data=FORM)).status_code == 403
     assert (await operator.post("/alarms/own/remove", data={"alarm": "x", "version": "1"})).status_code == 403
-    assert not house.services.own_alarms.added
+    assert not house.services[OwnAlarmBook].added
 
 
 ACTS = st.lists(
@@ -304,8 +308,8 @@ async def test_random_acts_between_readings_leave_the_alarms_that_a_model_has(
         for number, own in there.items():
             facts = alarm_of(house, own["id"]).facts
             assert (facts.active, facts.occurrence) == (active[number], rises[number])
-        await house.services.alarms.write()
-        entries = await house.services.alarms.store.journal(1000, None)
+        await house.services[LineAlarms].write()
+        entries = await house.services[LineAlarms].store.journal(1000, None)
         risen = [sum(e.trigger == "rise" and e.name == f"Alarm {n}" for e in entries) for n in range(4)]
         cleared = [sum(e.trigger == "clear" and e.name == f"Alarm {n}" for e in entries) for n in range(4)]
         assert risen == rises

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from app.live.pages import digits_of, view_for
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
@@ -59,14 +60,14 @@ async def test_nothing_is_called_stop(house: House, path: str) -> None:
 
 async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(house: House) -> None:
     client = await house.program(Role.VIEWER)
-    live = house.services.live.buses["dry-end"].units[1]
+    live = house.services[LiveState].buses["dry-end"].units[1]
     unit = live.settings.labels.unit
     assert unit
     unread = (await client.get("/units/dry-end/1")).text
     assert "raw</span>" in unread
     assert f"raw {unit}</span>" not in unread
     values = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((2, 2000), (3, 1))]
-    house.services.live.buses["dry-end"].apply(list(values))
+    house.services[LiveState].buses["dry-end"].apply(list(values))
     assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
 
 
@@ -153,7 +154,7 @@ async def test_a_raw_value_and_a_choice_are_in_the_readers_language(house: House
     client = await house.signed_in(Role.ENGINEER)
     client.headers["Accept-Language"] = "de"
     read = [ParameterValue(unit=1, number=n, at=1, raw=raw) for n, raw in ((8, 0), (20, 1234))]
-    house.services.live.buses["dry-end"].apply(list(read))
+    house.services[LiveState].buses["dry-end"].apply(list(read))
     page = (await client.get("/units/dry-end/1/parameters")).text
     assert "1234 roh" in page
     assert "1234 raw" not in page

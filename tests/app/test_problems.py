@@ -8,6 +8,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.audit.log import EventLog
+from app.auth.identity import Identity
 from app.errors import Problem, StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
@@ -137,7 +139,7 @@ async def test_a_failing_store_is_reported(
             )
         )
 
-    monkeypatch.setattr(house.services.events, "page", fail)
+    monkeypatch.setattr(house.services[EventLog], "page", fail)
     response = await engineer.get("/api/v1/events")
     check_problem(response, 503, "store")
     assert "the disk is full" in response.json()["detail"]
@@ -149,7 +151,7 @@ async def test_a_store_that_fails_at_the_door_refuses(
     async def fail(*_: object) -> None:
         raise StoreError(Message.of("store_failed", path="x", reason=Message("store_disk_failed")))
 
-    monkeypatch.setattr(house.services.identity, "by_token", fail)
+    monkeypatch.setattr(house.services[Identity], "by_token", fail)
     check_problem(await engineer.get("/api/v1/line"), 503, "store")
     assert (await house.client().get("/healthz")).status_code == 200
 
@@ -160,7 +162,7 @@ async def test_an_internal_error_reveals_nothing(
     async def fail(*_: object) -> None:
         raise ZeroDivisionError("a secret of the inside")
 
-    monkeypatch.setattr(house.services.events, "page", fail)
+    monkeypatch.setattr(house.services[EventLog], "page", fail)
     transport = httpx.ASGITransport(house.app, raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://x", headers=engineer.headers) as other:
         response = await other.get("/api/v1/events")

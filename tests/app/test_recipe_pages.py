@@ -9,6 +9,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.live.state.bus_live import LiveState
+from app.recipes.book import RecipeBook
 from app.web.access import Role
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
@@ -39,18 +41,18 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
 )
 async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], expected: str) -> None:
     unit_1 = [ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))]
-    house.services.live.buses["dry-end"].apply(list(unit_1))
-    await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
+    house.services[LiveState].buses["dry-end"].apply(list(unit_1))
+    await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700})
     response = await load(await house.signed_in(Role.OPERATOR), **changed)
     assert expected in response.text
     assert 'data-review-done="bad"' in response.text
 
 
 async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
-    unit = house.services.live.buses["dry-end"].units[1]
-    house.services.live.buses["dry-end"].apply([ParameterValue(unit=1, number=8, at=1, raw=0)])
+    unit = house.services[LiveState].buses["dry-end"].units[1]
+    house.services[LiveState].buses["dry-end"].apply([ParameterValue(unit=1, number=8, at=1, raw=0)])
     object.__setattr__(unit.settings, "name", "Line")
-    recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 700})
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700})
     viewer = await house.signed_in(Role.VIEWER)
     page = await viewer.get(f"/recipes/{recipe.id}", headers={"Accept-Language": "de"})
     assert '<th scope="row">Line</th>' in page.text

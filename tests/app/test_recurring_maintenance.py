@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from app.alarms.notification.maintenance import Maintenance, recurring_of
 from app.alarms.notification.rules.recurring import RecurringMaintenance, first_at
+from app.alarms.notification.service import Notification
+from app.audit.log import EventLog
 from app.notify_settings import DAYS, MaintenanceSettings, NotifySettings, SmtpSettings
 from app.settings import load
 from app.web.access import Role
@@ -153,19 +155,19 @@ async def test_nothing_is_notified_in_it_and_the_page_and_the_api_show_it(
             page = await engineer.get("/notifications", headers={"Accept-Language": language})
             assert (words in page.text) is is_present
             assert "felt &lt;wash&gt;" in page.text
-        spans = house.services.notification.maintenance.spans()
+        spans = house.services[Notification].maintenance.spans()
         assert any(span.covers(BUS, unix_now()) for span in spans) is is_present
         assert not any(span.covers(None, unix_now()) for span in spans)
 
 
 async def test_its_spans_follow_the_day(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
-        notification = house.services.notification
+        notification = house.services[Notification]
         now = UnixTime(first_at(date(2026, 11, 23), 12 * 60, BERLIN))
         daily = window("22:00", "02:00", until=date(2026, 11, 24))
         clock = [now]
         maintenance = Maintenance(
-            notification.store, house.services.events, [daily], BERLIN, lambda: clock[0]
+            notification.store, house.services[EventLog], [daily], BERLIN, lambda: clock[0]
         )
         covered = []
         for hour in range(0, 72, 6):

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.database import Database
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 
@@ -20,7 +23,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 async def recorded(house: House) -> list[tuple[str, str, str, str, int]]:
-    await house.services.events.repeated.record_due(everything=True)
+    await house.services[EventLog].repeated.record_due(everything=True)
     events = await house.events("access_refused")
     names = ("what", "who", "origin", "message")
     return [(*(event[name] for name in names), event["count"] or 1) for event in reversed(events)]
@@ -48,9 +51,9 @@ async def test_tokens_that_are_not_good_are_one_event_a_minute(house: House) -> 
 
 
 async def test_a_token_that_has_expired_is_named(house: House) -> None:
-    accounts = house.services.accounts
+    accounts = house.services[Accounts]
     token = await accounts.create_token("report", Role.VIEWER, expires_days=1, by="ann", origin="test")
-    await house.services.database.write(lambda c: c.execute("UPDATE tokens SET expires_at = 1.0"))
+    await house.services[Database].write(lambda c: c.execute("UPDATE tokens SET expires_at = 1.0"))
     response = await house.client(Authorization=f"Bearer {token}").get("/api/v1/line")
     assert (response.status_code, "expired on 1970-01-01" in response.json()["detail"]) == (401, True)
     assert await recorded(house) == [("token refused", "report (token)", "192.0.2.7", "", 1)]

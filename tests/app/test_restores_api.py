@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
+from app.sets.restore import RestoreService
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
@@ -54,7 +55,7 @@ async def plan(client: httpx.AsyncClient, golden: int, **chosen: Any) -> Any:
 
 
 async def ended(house: House, client: httpx.AsyncClient, restore: str) -> Any:
-    found = await house.services.restores.find(restore)
+    found = await house.services[RestoreService].find(restore)
     assert found is not None
     await until(lambda: found.ended, "the end of the restore")
     return (await client.get(f"/api/v1/restores/{restore}")).json()

@@ -13,6 +13,9 @@ import httpx
 import pytest
 
 from app.commands.safeguards.limits import Limits
+from app.commands.safeguards.service import Safeguards
+from app.live.state.bus_live import LiveState
+from app.recipes.book import RecipeBook
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
 from tests.app.complete_app import House, complete_app
@@ -25,7 +28,7 @@ NOTICE = re.compile(r'data-remark="(\w+)">.*?<p><b>([^<]*)</b>([^<]*)</p>', re.S
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     """Two units that run in REMOTE at 100.0 of 2000.0; only the first has a label for its unit, m/min."""
     async with complete_app(tmp_path) as house:
-        responding(house.services.live, run=True)
+        responding(house.services[LiveState], run=True)
         await house.signed_in(Role.OPERATOR)
         yield house
 
@@ -35,13 +38,13 @@ def report(
 ) -> None:
     """A unit responds like this."""
     at = time.time() - more["age"] if more else fresh()
-    house.services.live.buses["dry-end"].apply([Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
+    house.services[LiveState].buses["dry-end"].apply([Reading(unit, at, 1000, 1000, 0, outputs, inputs)])
 
 
 def report_parameter(house: House, unit: int, number: int, raw: int | None) -> None:
     """A unit has this parameter."""
     value = ParameterValue(unit=unit, number=number, at=1.0, raw=raw, available=raw is not None)
-    house.services.live.buses["dry-end"].apply([value])
+    house.services[LiveState].buses["dry-end"].apply([value])
 
 
 def remarks(response: httpx.Response) -> list[tuple[str, str]]:
@@ -67,7 +70,7 @@ async def group(house: House, **setpoints: str) -> httpx.Response:
 
 async def recipe(house: House, units: dict[int, int]) -> httpx.Response:
     browser = operator(house)
-    saved = await house.services.recipes.save(ANNA, "dry-end", "Board", "", units)
+    saved = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", units)
     return await browser.get(f"/recipes/{saved.id}/review")
 
 
@@ -105,7 +108,7 @@ async def test_a_change_of_several_names_units_left_out_and_why(house: House) ->
 async def test_a_recipe_and_zero_name_units_left_out_too(house: House) -> None:
     report(house, 2, outputs=0)
     assert remarks(await recipe(house, {1: 500})) == [("obstacle_not_in_remote", "Nip")]
-    await house.services.buses["dry-end"].safeguards.block(ANNA, 2, "belt off")
+    await house.services.buses["dry-end"][Safeguards].block(ANNA, 2, "belt off")
     response = await zero(house)
     assert remarks(response) == [("obstacle_blocked", "Nip")]
     assert "belt off" in response.text
@@ -153,7 +156,7 @@ async def test_an_old_value_is_shown_with_its_age(house: House) -> None:
 
 
 async def test_an_engineers_limit_above_the_maximum_is_reported(house: House) -> None:
-    await house.services.buses["dry-end"].safeguards.set_limits(ANNA, 1, Limits(highest=25000))
+    await house.services.buses["dry-end"][Safeguards].set_limits(ANNA, 1, Limits(highest=25000))
     assert remarks(await single(house, "2100.0")) == [("risk_above_display", "Unwind")]
     assert remarks(await single(house, "2000.0")) == []
 

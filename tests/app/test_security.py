@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
+from app.auth.accounts import Accounts
 from app.main import create_app
 from app.web.access import Role
 from app.web.bounds import MOST_BODY_BYTES
@@ -62,7 +63,7 @@ async def test_what_changes_something_must_come_from_our_own_page(
     client = await house.signed_in(Role.VIEWER)
     response = await client.post("/account/language", data={"language": "de"}, headers=headers)
     assert response.status_code == status
-    [user] = await house.services.accounts.users()
+    [user] = await house.services[Accounts].users()
     assert user.language == ("de" if status == 303 else "")
 
 
@@ -81,7 +82,7 @@ async def test_looking_is_free(house: House) -> None:
 def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_path: Path, path: str) -> None:
     app = create_app(settings_in(tmp_path))
     with TestClient(app) as client:
-        make = app.state.services.accounts.create_token
+        make = app.state.services[Accounts].create_token
         role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.ENGINEER, "")
         token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
         headers = {"authorization": f"Bearer {token}", "origin": "http://evil.example"}

@@ -12,7 +12,6 @@ from fastapi.dependencies.models import Dependant
 from fastapi.routing import APIRoute, APIWebSocketRoute
 
 import app
-from app import wiring
 from app.web.access import Requires
 from app.web.services import Registry
 from tests.app.complete_app import complete_app
@@ -52,11 +51,21 @@ def test_two_services_of_one_type_are_refused() -> None:
     Registry(("text",), {"dry-end": (1,), "wet-end": (2,)})
 
 
+def test_a_service_is_added_once() -> None:
+    services = Registry(("text",), {"dry-end": (1,), "wet-end": (2,)})
+    assert services.add(2.5) == services[float]
+    assert services.of_buses(int) == {"dry-end": 1, "wet-end": 2}
+    with pytest.raises(RuntimeError, match="two services of the type float"):
+        services.add(3.5)
+
+
 def test_nothing_is_patched_into_a_service_after_it_was_made() -> None:
-    tree = ast.parse(Path(wiring.__file__).read_text())
+    features = sorted(Path(app.__file__).parent.rglob("feature.py"))
+    assert len(features) > 10
     stored = [
-        ast.unparse(node)
-        for node in ast.walk(tree)
+        f"{path}: {ast.unparse(node)}"
+        for path in features
+        for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Attribute)
         and isinstance(node.ctx, ast.Store)
         and ast.unparse(node.value) != "self"

@@ -16,7 +16,9 @@ from app.commands.rules.setpoint_range import (
     unread_for_range,
 )
 from app.commands.safeguards.limits import NO_LIMITS, Limits
-from app.live.state.bus_live import UnitLive
+from app.commands.safeguards.service import Safeguards
+from app.live.state.bus_live import LiveState, UnitLive
+from app.recipes.book import RecipeBook
 from app.web.access import Role
 from bus.contract import Command, ParameterValue, ReadParameters, SetLine, SetSpeed, Update
 from tests.app.complete_app import House, complete_app
@@ -103,7 +105,7 @@ def test_what_has_to_be_read_first(
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     """Two units, 0 to 2000.0 (#2, one decimal), at 100.0."""
     async with complete_app(tmp_path) as house:
-        responding(house.services.live)
+        responding(house.services[LiveState])
         yield house
 
 
@@ -150,9 +152,9 @@ async def test_a_person_gets_no_review_above_the_maximum(
 
 
 async def test_what_was_reviewed_below_a_maximum_that_has_sunk_since_is_refused(house: House) -> None:
-    house.services.live.buses["dry-end"].apply([ParameterValue(unit=1, number=2, at=2.0, raw=900)])
+    house.services[LiveState].buses["dry-end"].apply([ParameterValue(unit=1, number=2, at=2.0, raw=900)])
     browser = await house.signed_in(Role.OPERATOR)
-    recipe = await house.services.recipes.save(ANNA, "dry-end", "Board", "", {1: 1000})
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 1000})
     reviewed = {"id": "c" * 32, "reviewed_at": f"{time.time()}", "raw-1": "1000", "was-1": "1000"}
     for path, form in (
         ("/units/dry-end/1/speed", {"raw": "1000", "was": "1000", "how": "now"}),
@@ -168,7 +170,7 @@ async def test_labels_agree_with_the_checks(house: House) -> None:
     browser = await house.signed_in(Role.ENGINEER)
     bus = "/api/v1/buses/dry-end/units/1"
     for highest, label in ((None, "2000.0"), (25000, "2500.0"), (1500, "150.0")):
-        await house.services.buses["dry-end"].safeguards.set_limits(ANNA, 1, Limits(highest=highest))
+        await house.services.buses["dry-end"][Safeguards].set_limits(ANNA, 1, Limits(highest=highest))
         assert f"0.0 to {label}" in (await browser.get("/units/dry-end/1")).text
         assert f"0.0 to {label}" in (await browser.get("/setpoints")).text
         review = await browser.post("/units/dry-end/1/review", data={"value": label})
@@ -187,7 +189,7 @@ async def test_an_engineer_s_limit_is_what_the_protocol_can_carry_at_most(house:
     browser = await house.signed_in(Role.ENGINEER)
     response = await browser.post("/units/dry-end/1/limits", data={"highest": "10000.0"})
     assert "9999.9" in response.text
-    assert house.services.buses["dry-end"].safeguards.limits.of(1) == NO_LIMITS
+    assert house.services.buses["dry-end"][Safeguards].limits.of(1) == NO_LIMITS
 
 
 # --- what was never read is read first --------------------------------------------------------------

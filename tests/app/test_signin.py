@@ -16,11 +16,11 @@ from app.auth.identity import Identity
 from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.auth.rules import Lifetimes
+from app.auth.settings import Sessions
 from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from app.database import Database
 from app.errors import Problem
-from app.settings import Sessions
 from app.web.access import Role
 from bus.errors import CallerError
 

@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
+from app.auth.accounts import Accounts
 from app.live.admission import Admission
-from app.live.api.line_stream import MOST_OF_ACCOUNT, MOST_OF_ADDRESS
+from app.live.api.line_stream import MOST_OF_ACCOUNT, MOST_OF_ADDRESS, LineStream
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.stage import snapshot
@@ -23,7 +25,7 @@ from tests.app.test_recent_events import read
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
     async with complete_app(tmp_path) as house:
-        house.services.live.buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
         yield house
 
 
@@ -93,7 +95,7 @@ async def test_a_snapshot_then_changes_and_alarms(house: House) -> None:
         assert response.headers["content-type"].startswith("text/event-stream")
         assert response.headers["cache-control"] == "no-store"
         assert "content-encoding" not in response.headers
-        house.services.live.buses["dry-end"].lose_worker(0.0)
+        house.services[LiveState].buses["dry-end"].lose_worker(0.0)
         changes = await response.until("change")
         assert changes[0]["bus"] == "dry-end"
         alarm = (await response.until("alarm"))[0]
@@ -104,9 +106,9 @@ async def test_it_ends_with_the_rights_of_its_reader(house: House) -> None:
     token = await house.token(Role.VIEWER)
     async with streaming(house, token) as response:
         await response.until("snapshot")
-        await house.services.accounts.revoke_token("key-viewer", by="t", origin="t")
+        await house.services[Accounts].revoke_token("key-viewer", by="t", origin="t")
         seen = response.body
-        house.services.stream.tick(with_heartbeat=True)
+        house.services[LineStream].tick(with_heartbeat=True)
         assert response.task is not None
         await asyncio.wait_for(response.task, 30)
         assert response.body == seen
@@ -115,7 +117,7 @@ async def test_it_ends_with_the_rights_of_its_reader(house: House) -> None:
 async def test_it_ends_with_the_server(house: House) -> None:
     async with streaming(house, await house.token(Role.VIEWER)) as response:
         await response.until("snapshot")
-        house.services.stream.end()
+        house.services[LineStream].end()
         assert response.task is not None
         await asyncio.wait_for(response.task, 30)
 
@@ -131,12 +133,12 @@ async def test_its_headers_alone(house: House) -> None:
     viewer = await house.program(Role.VIEWER)
     response = await asyncio.wait_for(viewer.head("/api/v1/stream"), 30)
     assert response.headers["content-type"].startswith("text/event-stream")
-    assert house.services.stream.admission.enter("nobody", "nowhere")
+    assert house.services[LineStream].admission.enter("nobody", "nowhere")
 
 
 async def test_too_many_of_one_account(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     admission = Admission(MOST_OF_ACCOUNT, MOST_OF_ADDRESS)
-    monkeypatch.setattr(house.services.stream, "admission", admission)
+    monkeypatch.setattr(house.services[LineStream], "admission", admission)
     for number in range(MOST_OF_ACCOUNT):
         assert admission.enter("key-viewer (token)", f"elsewhere {number}")
     viewer = await house.program(Role.VIEWER)

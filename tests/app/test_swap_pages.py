@@ -8,6 +8,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.sets.store import SetStore
+from app.swap.service import SwapService
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, played_line
@@ -35,7 +37,7 @@ async def test_a_stored_set(house: House, client: httpx.AsyncClient) -> None:
     number = await stored(client)
     begun = await client.post(SWAP, data={"source": f"set:{number}:2"})
     assert (begun.status_code, begun.headers["location"]) == (303, SWAP)
-    swap = house.services.swaps.of_or_404(BUS, 2)
+    swap = house.services[SwapService].of_or_404(BUS, 2)
     assert swap.source is not None
     assert swap.source.set == number
 
@@ -46,9 +48,9 @@ async def test_a_file_replaces_the_selection(house: House, client: httpx.AsyncCl
     data = {"source": f"set:{number}:2"}
     begun = await client.post(SWAP, data=data, files={"file": ("nip.toml", document)})
     assert begun.status_code == 303
-    source = house.services.swaps.of_or_404(BUS, 2).source
+    source = house.services[SwapService].of_or_404(BUS, 2).source
     assert source is not None
-    kept = await house.services.sets.load(source.set)
+    kept = await house.services[SetStore].load(source.set)
     assert kept is not None
     assert (kept.id > number, kept.name, kept.origin) == (True, "nip.toml", "from a file")
 
@@ -57,7 +59,7 @@ async def test_the_sheet(house: House, client: httpx.AsyncClient) -> None:
     # As a browser does: the field of a file that was not chosen is sent, empty.
     begun = await client.post(SWAP, data={"source": "sheet"}, files={"file": ("", b"")})
     assert begun.status_code == 303
-    assert house.services.swaps.of_or_404(BUS, 2).source is None
+    assert house.services[SwapService].of_or_404(BUS, 2).source is None
 
 
 @pytest.mark.parametrize("source", ["", "set:99:2", "set:1", "nonsense"])
@@ -66,4 +68,4 @@ async def test_what_names_no_source_begins_nothing(
 ) -> None:
     refused = await client.post(SWAP, data={"source": source})
     assert refused.status_code in (404, 422)
-    assert house.services.swaps.of(BUS, 2) is None
+    assert house.services[SwapService].of(BUS, 2) is None

@@ -11,9 +11,11 @@ import httpx
 import pytest
 from babel.messages.catalog import Catalog
 
+from app.live.state.bus_live import LiveState
 from app.messages import Languages
 from app.messages.languages import DEFAULT, catalogs
 from app.web.access import Role
+from app.web.templating import Templates
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue
 from tests.app.complete_app import House, complete_app
@@ -90,7 +92,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 async def french(house: House) -> httpx.AsyncClient:
-    bus = house.services.live.buses["dry-end"]
+    bus = house.services[LiveState].buses["dry-end"]
     bus.take_snapshot(snapshot())
     lowest = [ParameterValue(unit=1, number=n, at=1.7e9, raw=p.minimum) for n, p in PARAMETERS.items()]
     bus.apply([each for each in lowest if each.number % 2])
@@ -101,7 +103,7 @@ async def french(house: House) -> httpx.AsyncClient:
 
 async def test_no_page_has_a_text_outside_of_the_catalog(tmp_path: Path, folder: Path) -> None:
     async with complete_app(tmp_path) as house:
-        house.services.templates.languages = Languages(folder)
+        house.services[Templates].languages = Languages(folder)
         reader = await french(house)
         pages = {path: (await reader.get(path, follow_redirects=True)).text for path in PAGES}
     assert [path for path, page in pages.items() if "⟦" not in page] == []

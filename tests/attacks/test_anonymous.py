@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
+from app.auth.passwords import Passwords
 from app.web.access import Person, Role
 from app.web.anonymous import AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, AnonymousInTurn
 from app.web.bounds import MOST_PLAIN_BODY_BYTES
@@ -152,7 +153,7 @@ async def test_a_sign_in_without_a_name_or_a_secret_tries_nothing(
     house: House, monkeypatch: pytest.MonkeyPatch, form: dict[str, str]
 ) -> None:
     tried = list[object]()
-    monkeypatch.setattr(house.services.passwords, "verify", tried.append)
+    monkeypatch.setattr(house.services[Passwords], "verify", tried.append)
     response = await house.client().post("/login", data=form)
     assert (response.status_code, tried) == (401, [])
     assert await house.events("login_refused") == []

@@ -12,6 +12,7 @@ from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
 from app.alarms.definition import key_of
+from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import Anchoring, AnchorStatus
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
@@ -20,7 +21,6 @@ from app.cli import cli
 from app.database import Database
 from app.main import create_app
 from app.settings import load
-from app.wiring import running
 from tests.app.complete_app import settings_in
 from tests.attacks.test_audit_log import ENTRIES, Plant
 
@@ -99,15 +99,15 @@ def test_the_start_reports_an_emptied_log(plant: QuietPlant) -> None:
 
 async def test_a_server_over_an_emptied_log_raises_the_alarm(tmp_path: Path) -> None:
     settings = settings_in(tmp_path)
-    async with running(create_app(settings).state.services):
+    async with create_app(settings).state.services.lifespan.running():
         pass
     remove_store(tmp_path / "data")
     services = create_app(settings).state.services
     with capture_logs() as logs:
-        async with running(services):
-            await services.anchoring.export()
-            services.alarms.site.tick()
-            alarm = services.alarms.site.list.alarms[key_of(None, None, "audit_degraded")]
+        async with services.lifespan.running():
+            await services[Anchoring].export()
+            services[LineAlarms].site.tick()
+            alarm = services[LineAlarms].site.list.alarms[key_of(None, None, "audit_degraded")]
             assert alarm.holds is True
     assert [entry["event"] for entry in logs if entry["log_level"] == "error"] == ["audit log altered"]
 

@@ -8,9 +8,11 @@ from sqlite3 import Connection
 import pytest
 from structlog.testing import capture_logs
 
+from app.audit.log import EventLog
+from app.database import Database
 from app.errors import StoreError
+from app.history.service import History
 from app.main import create_app
-from app.wiring import running
 from tests.app.complete_app import settings_in
 from tests.app.history_line import NOON, Shelf, polls
 
@@ -24,13 +26,13 @@ def refuse_events(connection: Connection) -> None:
 async def test_every_store_is_closed_and_every_other_backlog_written(tmp_path: Path) -> None:
     services = create_app(settings_in(tmp_path)).state.services
     with capture_logs() as logs:
-        async with running(services):
-            await services.events.repeated.count("login_refused", "refused", who="ann")
-            await services.database.write(refuse_events)
-            await services.events.repeated.count("login_refused", "refused", who="ann")
-            services.history.append("dry-end", polls(NOON, NOON + 10))
+        async with services.lifespan.running():
+            await services[EventLog].repeated.count("login_refused", "refused", who="ann")
+            await services[Database].write(refuse_events)
+            await services[EventLog].repeated.count("login_refused", "refused", who="ann")
+            services[History].append("dry-end", polls(NOON, NOON + 10))
     with pytest.raises(StoreError, match="closed"):
-        await services.database.read(lambda _: None)
+        await services[Database].read(lambda _: None)
     shelf = Shelf(tmp_path / "data" / "history.db")
     assert len(shelf.query("actual", NOON, NOON + 60).series.at) == 50
     shelf.close()

@@ -19,14 +19,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
+from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.feed.bus_feed import WorkerLeft
+from app.feed.bus_feed import BusFeed, WorkerLeft
+from app.feed.channel import Channel
 from app.feed.holders import Credential
 from app.feed.ingest import Ingest
 from app.feed.rates import HELLOS_AT_ONCE, FeedQuota
-from app.feed.workers import TOO_OFTEN
+from app.feed.workers import TOO_OFTEN, Workers
 from app.live.browsers.browser import Browser
-from app.live.state.bus_live import Audience
+from app.live.browsers.hub import Hub
+from app.live.change_recorder import ChangeRecorder
+from app.live.state.bus_live import Audience, BusLive
 from app.web.access import Role
 from bus.contract import (
     MOST_UPDATES,
@@ -99,9 +103,9 @@ class Scene:
         self.house = house
         self.admin = admin
         self.page = Browser("ada", "admin", "de", units=frozenset({(BUS, 1)}), trace=BUS)
-        house.services.hub.join(self.page)
+        house.services[Hub].join(self.page)
         self._skipped_s = 0.0
-        for timed in (house.services.workers, house.services.buses[BUS].feed):
+        for timed in (house.services[Workers], house.services.buses[BUS][BusFeed]):
             timed.monotonic = lambda: time.monotonic() + self._skipped_s
 
     async def attack(self, *messages: bytes) -> HostileSocket:
@@ -112,13 +116,13 @@ class Scene:
         """One connection, by another token each time; nothing behind it fails unnoticed."""
         self._skipped_s += 60.0
         with capture_logs() as logs:
-            await self.house.services.workers.serve(socket, Credential(uuid4().hex, BUS, "192.0.2.66"))
+            await self.house.services[Workers].serve(socket, Credential(uuid4().hex, BUS, "192.0.2.66"))
         assert [entry for entry in logs if entry["log_level"] == "error"] == []
         return socket
 
     async def look_at_everything(self) -> None:
         """An exception in a page comes through to the test."""
-        self.house.services.hub.tick()
+        self.house.services[Hub].tick()
         for path in PAGES:
             response = await self.admin.get(path)
             assert response.status_code == 200, (path, response.status_code, response.text[:500])
@@ -196,13 +200,13 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
             msgspec.structs.replace(reading(1, 7777), at=at) for at in (now + 3600, now - 9 * 86_400, 0.0)
         ]
         unknown = [reading(200, 7777)]
-        recorder = scene.house.services.buses[BUS].recorder
+        recorder = scene.house.services.buses[BUS][ChangeRecorder]
         await recorder.recorded()  # what the attacks before have left to sum up
         await scene.attack(encode(snapshot()), encode(Batch(1, now, [*updates, *unknown])))
         unit = (await scene.admin.get("/api/v1/buses/dry-end/units/1")).json()
         assert unit["commanded_raw"] != 7777
         await recorder.recorded()
-        events, _ = await scene.house.services.events.page(Filter(kind="worker"), 10)
+        events, _ = await scene.house.services[EventLog].page(Filter(kind="worker"), 10)
         refused = [event for event in events if event["what"] == "updates of the bus worker refused"]
         assert refused[0]["new"] == "4"
 
@@ -212,7 +216,7 @@ def test_values_from_outside_the_window_are_refused_and_counted(runner: asyncio.
 def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
         closed = BusLink(at=time.time() + 1e9, link="closed", cause=term("cut"))
-        live, seen = scene.house.services.buses[BUS].live, []
+        live, seen = scene.house.services.buses[BUS][BusLive], []
         end = live.subscribe(Audience.BROWSERS, seen.extend)
         await scene.attack(encode(snapshot()), encode(Batch(1, time.time(), [closed])))
         end()
@@ -237,7 +241,7 @@ def test_only_the_parts_of_a_result_that_belong_to_its_command_count(
     runner: asyncio.Runner, scene: Scene
 ) -> None:
     async def attack() -> None:
-        channel = scene.house.services.buses[BUS].channel
+        channel = scene.house.services.buses[BUS][Channel]
         frame = Frame(time.time(), "in", b"\x10\x02", [])
         values = [ParameterValue(1, 20, time.time(), 4711)]
 
@@ -271,7 +275,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
     """Every reading with another mode, run input and e-stop: three events each into a log that is kept."""
 
     async def attack() -> None:
-        events = scene.house.services.events
+        events = scene.house.services[EventLog]
         before = (await events.page(Filter(), 1))[0][0]["id"]
         flips: list[Update] = [
             msgspec.structs.replace(reading(1), outputs=0x40 * (n % 2), inputs=3 * (n % 2))
@@ -279,7 +283,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
         ]
         batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
         await scene.attack(encode(snapshot()), *batches)
-        await scene.house.services.buses[BUS].recorder.recorded()
+        await scene.house.services.buses[BUS][ChangeRecorder].recorded()
         found, _ = await events.page(Filter(), 1000)
         fresh = [event for event in found if event["id"] > before]
         assert len(fresh) < 100
@@ -291,7 +295,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
 
 def test_a_token_sends_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
-        workers, credential = scene.house.services.workers, Credential("busy", BUS, "192.0.2.66")
+        workers, credential = scene.house.services[Workers], Credential("busy", BUS, "192.0.2.66")
         sockets = [HostileSocket([b"no hello"]) for _ in range(int(HELLOS_AT_ONCE) + 5)]
         for socket in sockets:
             await workers.serve(socket, credential)
@@ -317,7 +321,7 @@ def test_messages_over_the_rate_are_not_read_yet(
         await scene.attack(encode(snapshot()), *batches)
 
     monkeypatch.setattr(Ingest, "_hold_back", hold_back)
-    monkeypatch.setattr(scene.house.services.buses[BUS].feed, "_quota", FeedQuota())
+    monkeypatch.setattr(scene.house.services.buses[BUS][BusFeed], "_quota", FeedQuota())
     runner.run(attack())
     # 20,000 updates, of which a quarter of an hour's backlog may come at once.
     assert sum(pause > 0 for pause in pauses) > 10

@@ -10,7 +10,9 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.audit.log import EventLog
 from app.audit.store import Filter
+from app.auth.accounts import Accounts
 from app.cli.server import Server
 from app.server.addresses import Network
 from app.web.access import Role
@@ -45,11 +47,11 @@ async def test_only_a_proxy_that_is_named_is_believed(
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))
         await asyncio.wait_for(serving.wait(), 30)
-        await services.accounts.add_user("ann", Role.OPERATOR, PASSWORD, by="test", origin="test")
+        await services[Accounts].add_user("ann", Role.OPERATOR, PASSWORD, by="test", origin="test")
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
         async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False) as client:
             response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
-        [event], _ = await services.events.page(Filter(kind="login"), 10)
+        [event], _ = await services[EventLog].page(Filter(kind="login"), 10)
         server.end()
         await task
     assert (response.status_code, event["origin"]) == (303, origin)

@@ -92,7 +92,7 @@ def test_history_notes_and_pictures_give_way_and_the_page_shows_it(plant: Dashbo
 async def test_a_server_starts_on_a_full_disk_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.wiring.Reserve", Reserve)
+    monkeypatch.setattr("app.database.feature.Reserve", Reserve)
     disk = tmp_path / "disk"
     with small_disk(disk):
         async with complete_app(disk) as house:

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from app.live.state.bus_live import LiveState
+from app.recipes.book import RecipeBook
 from app.web import arrival
 from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
@@ -199,8 +201,8 @@ PUBLIC = {"/login", "/login/panel"}
 async def test_of_every_route_that_writes(house: House) -> None:
     """A program that sends the time of its request, and a page that sends the time of the click."""
     browser = await house.signed_in(Role.ADMIN)
-    responding_units(house.services.live)
-    recipe = await house.services.recipes.save(ANNA, "dry-end", "Kraft 80", "", {1: 1100})
+    responding_units(house.services[LiveState])
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Kraft 80", "", {1: 1100})
     routes = {(method, route.path) for route in house.app.routes for method in getattr(route, "methods", ())}
     writes = {(method, path) for method, path in routes if method not in SAFE_METHODS and path not in PUBLIC}
     assert len(writes) > 50

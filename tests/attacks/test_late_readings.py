@@ -10,12 +10,17 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from app.feed.bus_feed import BusFeed
 from app.feed.holders import Credential
 from app.feed.late import FIRST_S
 from app.feed.rates import MAX_VALUES_AT_ONCE
+from app.feed.workers import Workers
 from app.history.intake.tail import Tail
 from app.history.series.runs import HOUR, Run, micros
+from app.history.service import History
 from app.history.store import tables
+from app.live.change_recorder import ChangeRecorder
+from app.live.state.bus_live import LiveState
 from bus.contract import MOST_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot, unit_state, until
@@ -28,7 +33,7 @@ DAY_S = 86_400.0
 async def connect(house: House, *batches: Batch, state: Snapshot | None = None, worker: str = "w1") -> None:
     """One connection from its hello to its announced end."""
     messages = [encode(each) for each in (hello(worker), state or snapshot(), *batches)]
-    await house.services.workers.serve(HostileSocket(messages), Credential("stolen", BUS, "192.0.2.66"))
+    await house.services[Workers].serve(HostileSocket(messages), Credential("stolen", BUS, "192.0.2.66"))
 
 
 def of(begin: float, actual: int, count: int = 10, each_s: float = 1.0) -> list[Any]:
@@ -38,7 +43,7 @@ def of(begin: float, actual: int, count: int = 10, each_s: float = 1.0) -> list[
 
 async def stored(house: House, begin: float, end: float) -> list[int]:
     """The actual speed of every reading of unit 1 that history has, once all that came is written."""
-    history = house.services.history
+    history = house.services[History]
     await until(lambda: history.status.waiting == 0, "everything stored")
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Run]:
@@ -53,7 +58,7 @@ async def stored(house: House, begin: float, end: float) -> list[int]:
 
 
 async def refusals(house: House) -> list[dict[str, Any]]:
-    await house.services.buses[BUS].recorder.recorded()
+    await house.services.buses[BUS][ChangeRecorder].recorded()
     return [each for each in await house.events("worker") if "refused" in each["what"]]
 
 
@@ -61,7 +66,7 @@ async def refusals(house: House) -> list[dict[str, Any]]:
 async def followed(folder: Path, at: float) -> AsyncIterator[House]:
     """An app whose bus was followed at that time, with 5000 as stored; started again since."""
     async with complete_app(folder) as house:
-        house.services.buses[BUS].feed.coverage.until = at - 1
+        house.services.buses[BUS][BusFeed].coverage.until = at - 1
         await connect(house, Batch(1, at, of(at, 5000), live=False), worker="before")
         assert await stored(house, at - 1, at + 100) == [5000] * 10
     async with complete_app(folder) as house:
@@ -101,7 +106,7 @@ async def test_of_one_connection_each_time_counts_once(tmp_path: Path) -> None:
 
 async def test_the_time_of_a_connection_is_not_delivered_later(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
-        feed, begin = house.services.buses[BUS].feed, time.time()
+        feed, begin = house.services.buses[BUS][BusFeed], time.time()
         feed.coverage.until = begin - 3600
         await connect(house, Batch(1, time.time(), [reading(1, 5000)]))
         await connect(house, Batch(1, time.time(), of(begin - 3000, 1), live=False), worker="forger")
@@ -133,7 +138,7 @@ async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) 
         forged = UnitState(state.unit, state.link, None, long_ago)
         await connect(house, state=replace(snapshot(), units=[forged]), worker="forger")
         await stored(house, begin, begin + 1)
-        steps = await house.services.history.read(
+        steps = await house.services[History].read(
             lambda store, _: store.execute("SELECT at FROM parameter WHERE raw = 4").fetchall()
         )
         assert all(at > micros(begin) for (at,) in steps)
@@ -141,12 +146,12 @@ async def test_a_forged_parameter_scales_nothing_that_is_stored(tmp_path: Path) 
 
 async def test_more_live_readings_than_a_wire_carries_are_shown_and_not_stored(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
-        now, feed = time.time(), house.services.buses[BUS].feed
+        now, feed = time.time(), house.services.buses[BUS][BusFeed]
         feed._quota._values.capacity = 10
         await connect(
             house, Batch(1, now, [replace(reading(1, n), at=now - 0.3 + n / 100) for n in range(20)])
         )
-        shown = house.services.live.buses[BUS].units[1].reading
+        shown = house.services[LiveState].buses[BUS].units[1].reading
         assert shown is not None
         assert shown.actual == 19
         assert len(await stored(house, now - 1, now + 1)) in range(10, 15)
@@ -155,7 +160,7 @@ async def test_more_live_readings_than_a_wire_carries_are_shown_and_not_stored(t
 
 async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path) -> None:
     async with complete_app(tmp_path) as house:
-        feed, begin = house.services.buses[BUS].feed, time.time() - 3 * DAY_S
+        feed, begin = house.services.buses[BUS][BusFeed], time.time() - 3 * DAY_S
         feed.coverage.until = begin
         flood = [
             Batch(1 + number, time.time(), _tight(begin + 60 * number), live=False)
@@ -168,7 +173,7 @@ async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path)
         total = sum(int(event["new"]) for event in refused)
         # The test takes some seconds, in which some more are admitted.
         assert 10 * MOST_UPDATES < total <= 20 * MOST_UPDATES
-        await until(lambda: house.services.history.status.waiting == 0, "everything stored")
+        await until(lambda: house.services[History].status.waiting == 0, "everything stored")
 
 
 def _tight(begin: float) -> Sequence[Reading]:

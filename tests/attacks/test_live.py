@@ -12,6 +12,7 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
+from app.auth.accounts import Accounts
 from app.live.admission import MOST_OF_ACCOUNT, Admission
 from app.live.browsers import socket
 from app.live.browsers.browser import Browser, Diff
@@ -29,14 +30,14 @@ ORIGIN = {"origin": "http://testserver"}
 def client(tmp_path: Path) -> Iterator[TestClient]:
     app = create_app(settings_in(tmp_path))
     with TestClient(app) as client:
-        make = app.state.services.accounts.create_token
+        make = app.state.services[Accounts].create_token
         token = client.portal.call(lambda: make("t", Role.VIEWER, by="t", origin="t"))  # type: ignore[union-attr]
         client.headers["authorization"] = f"Bearer {token}"
         yield client
 
 
 def hub_of(client: TestClient) -> Hub:
-    hub: Hub = client.app.state.services.hub  # type: ignore[attr-defined]
+    hub: Hub = client.app.state.services[Hub]  # type: ignore[attr-defined]
     return hub
 
 

@@ -16,7 +16,10 @@ import httpx
 import pytest
 
 from app.auth import rights
+from app.auth.accounts import Accounts
+from app.auth.identity import Identity
 from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
+from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.stage import snapshot, until
@@ -33,7 +36,7 @@ async def house(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterato
     monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (NEVER_S,))
     monkeypatch.setattr(rights, "WATCH_EVERY_S", NEVER_S)
     async with complete_app(tmp_path) as house:
-        house.services.live.buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
         await house.add("boss", Role.ADMIN)
         yield house
 
@@ -102,7 +105,7 @@ def cookies_of(client: httpx.AsyncClient) -> dict[str, str]:
 
 
 async def withdraw(house: House, how: str) -> None:
-    accounts = house.services.accounts
+    accounts = house.services[Accounts]
     match how:
         case "a lower role":
             await accounts.set_role("ann", Role.VIEWER, **BY)
@@ -127,9 +130,9 @@ async def test_it_ends_when_the_rights_of_its_user_are_withdrawn(house: House, p
 
 @pytest.mark.parametrize("path", PATHS)
 async def test_it_ends_with_its_token(house: House, path: str) -> None:
-    token = await house.services.accounts.create_token("plc", Role.VIEWER, **BY)
+    token = await house.services[Accounts].create_token("plc", Role.VIEWER, **BY)
     async with opened(house, path, {"authorization": f"Bearer {token}"}) as connection:
-        await house.services.accounts.revoke_token("plc", **BY)
+        await house.services[Accounts].revoke_token("plc", **BY)
         await over(connection)
 
 
@@ -173,7 +176,7 @@ async def test_it_ends_after_a_change_by_the_command_line(
     """Another process: the server looks at its store twice a second, the connection at nothing."""
     monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (NEVER_S,))
     async with complete_app(tmp_path) as house:
-        house.services.live.buses["dry-end"].take_snapshot(snapshot())
+        house.services[LiveState].buses["dry-end"].take_snapshot(snapshot())
         client = await house.signed_in(Role.OPERATOR, "ann")
         async with opened(house, path, cookies_of(client)) as connection:
             in_another_process(tmp_path, "UPDATE users SET disabled = 1 WHERE name = 'ann'")
@@ -185,12 +188,12 @@ async def test_a_right_withdrawn_while_a_page_opens_ends_it(
 ) -> None:
     """Between the look at the cookie and the first value."""
     client = await house.signed_in(Role.OPERATOR, "ann")
-    by_cookie, identity = house.services.identity.by_cookie, house.services.identity
+    by_cookie, identity = house.services[Identity].by_cookie, house.services[Identity]
 
     async def found_and_then_removed(*args: Any, **options: Any) -> Any:
         person = await by_cookie(*args, **options)
         if person is not None:
-            await house.services.accounts.remove_user("ann", **BY)
+            await house.services[Accounts].remove_user("ann", **BY)
         return person
 
     monkeypatch.setattr(identity, "by_cookie", found_and_then_removed)

@@ -8,6 +8,10 @@ from typing import Any
 import httpx
 import pytest
 
+from app.auth.accounts import Accounts
+from app.sets.restore import RestoreService
+from app.sets.store import SetStore
+from app.swap.service import SwapService
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
 from tests.app.complete_app import House
@@ -45,7 +49,7 @@ async def planned(client: httpx.AsyncClient, line: PlayedLine) -> dict[str, Any]
 
 
 async def ended(house: House, restore: str) -> dict[str, Any]:
-    found = await house.services.restores.find(restore)
+    found = await house.services[RestoreService].find(restore)
     assert found is not None
     await until(lambda: found.ended, "the end of the restore")
     await until(lambda: found.who, "its account")
@@ -95,7 +99,7 @@ async def test_a_restore_under_a_token_ends_with_the_token(
 ) -> None:
     client = await house.program(Role.ENGINEER)
     plan = await planned(client, line)
-    accounts = house.services.accounts
+    accounts = house.services[Accounts]
 
     async def before(writes: int) -> None:
         if writes != 0:
@@ -124,9 +128,9 @@ async def test_users_who_keep_their_rights_are_not_affected(house: House, line: 
 
     async def before(writes: int) -> None:
         if writes == 1:
-            await house.services.accounts.set_role(ENGINEER, Role.ADMIN, by="boss", origin="test")
+            await house.services[Accounts].set_role(ENGINEER, Role.ADMIN, by="boss", origin="test")
             await house.add("somebody-else", Role.ENGINEER)
-            await house.services.accounts.remove_user("somebody-else", by="boss", origin="test")
+            await house.services[Accounts].remove_user("somebody-else", by="boss", origin="test")
 
     line.before_write = before
     await client.post(f"/api/v1/restores/{plan['id']}/start")
@@ -159,7 +163,7 @@ async def test_the_restore_of_a_swap_stops_and_the_swap_is_not_verified(
     end = await ended(house, restore)
     assert (end["state"], end["cause_code"]) == ("stopped", "rights_withdrawn")
     assert [row["outcome"] for row in end["rows"]] == ["verified", "not_sent"]
-    swap = house.services.swaps.of(BUS, 2)
+    swap = house.services[SwapService].of(BUS, 2)
     assert swap is not None
     assert not swap.proven
 
@@ -176,7 +180,7 @@ async def test_a_swap_from_the_sheet_is_not_verified_for_a_user_removed_meanwhil
     line.before_read = before
     response = await client.post(f"/swap/{BUS}/2/entered")
     assert response.status_code == 403
-    swap = house.services.swaps.of(BUS, 2)
+    swap = house.services[SwapService].of(BUS, 2)
     assert swap is not None
     assert not swap.proven
-    assert await house.services.sets.summaries(BUS, 2) == []
+    assert await house.services[SetStore].summaries(BUS, 2) == []

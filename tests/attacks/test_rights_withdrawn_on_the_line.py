@@ -9,7 +9,12 @@ from pathlib import Path
 import pytest
 
 from app.audit.entry import Event
-from app.bus_service import SERVER
+from app.audit.log import EventLog
+from app.commands.safeguards.service import Safeguards
+from app.recipes.book import RecipeBook
+from app.sets.schedule import SERVER, SetSchedule
+from app.sets.store import SetStore
+from app.sets.taking import Takings
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.played_line import BUS, PlayedLine, played_line
@@ -74,7 +79,7 @@ async def test_a_recipe_is_given_up_and_does_not_count_as_loaded(
     line.end("not_sent")
     response = await pending
     assert "rights withdrawn: the role was lowered" in response.json()["detail"]
-    assert house.services.recipes.loaded(BUS) is None
+    assert house.services[RecipeBook].loaded(BUS) is None
 
 
 async def test_a_schedule_outlives_who_made_it_and_only_reads(
@@ -86,8 +91,8 @@ async def test_a_schedule_outlives_who_made_it_and_only_reads(
     assert (await client.put(f"/api/v1/buses/{BUS}/set-schedule", json=wanted)).status_code == 200
     await removed(house, tmp_path)
     now = datetime.now().astimezone()
-    await house.services.buses[BUS].set_schedule.look(SERVER, now - timedelta(days=1), now)
-    kept = await house.services.sets.summaries(BUS)
+    await house.services.buses[BUS][SetSchedule].look(SERVER, now - timedelta(days=1), now)
+    kept = await house.services[SetStore].summaries(BUS)
     assert {(one.who, one.origin) for one in kept} == {("server", "on schedule")}
     assert (line.written, line.held) == ([], [])
     refused = await client.put(f"/api/v1/buses/{BUS}/set-schedule", json={"minute_of_day": None})
@@ -106,7 +111,7 @@ async def test_a_set_is_not_saved_for_a_user_removed_meanwhile(
     line.before_read = before
     begun = await client.post("/sets/take", data={"bus": BUS, "name": "mine"})
     assert begun.status_code == 303
-    taking = house.services.takings.get(begun.headers["location"].rpartition("/")[2])
+    taking = house.services[Takings].get(begun.headers["location"].rpartition("/")[2])
     assert taking is not None
     await until(lambda: taking.state != "reading", "the end of the reading")
     assert (taking.state, taking.set_id) == ("failed", None)
@@ -118,12 +123,12 @@ async def test_a_token_that_another_process_revokes_loses_control_of_the_line(tm
         client = await house.program(Role.ENGINEER)
         await played_line(house.services)
         assert (await client.post(f"/api/v1/buses/{BUS}/control")).status_code == 200
-        assert house.services.buses[BUS].safeguards.holder() == "key-engineer (token)"
+        assert house.services.buses[BUS][Safeguards].holder() == "key-engineer (token)"
         released: list[Event] = []
-        house.services.events.subscribe(released.append)
+        house.services[EventLog].subscribe(released.append)
         in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
         await until(lambda: released, "control released, on disk")
-        assert house.services.buses[BUS].safeguards.holder() == ""
+        assert house.services.buses[BUS][Safeguards].holder() == ""
         [event] = released
         assert (event["what"], event["old"]) == ("control released", "key-engineer (token)")
 
@@ -146,7 +151,7 @@ async def test_a_write_that_ends_while_the_set_before_it_is_stored_is_an_event(
     """The response was 403, and no event named the command."""
     client = await house.signed_in(Role.ENGINEER)
     await client.get(f"/api/v1/buses/{BUS}/units/1/parameters?refresh=true")
-    store = house.services.sets
+    store = house.services[SetStore]
     has_set_since = store.has_set_since
 
     async def withdrawn_meanwhile(bus: str, unit: int, since: float) -> bool:

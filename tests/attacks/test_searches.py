@@ -11,6 +11,9 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.history.service import History
 from app.server.fair_queue import FairQueue
 from app.web.access import Person, Role
 from app.web.turns import (
@@ -18,6 +21,7 @@ from app.web.turns import (
     MOST_WAITING,
     READS_AT_ONCE,
     ReadInTurn,
+    Turns,
 )
 from tests.app.complete_app import House, complete_app
 
@@ -65,8 +69,8 @@ async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
 
         return held
 
-    monkeypatch.setattr(house.services.events, "page", slow(house.services.events.page))
-    monkeypatch.setattr(house.services.history, "read", slow(house.services.history.read))
+    monkeypatch.setattr(house.services[EventLog], "page", slow(house.services[EventLog].page))
+    monkeypatch.setattr(house.services[History], "read", slow(house.services[History].read))
     one, other = await house.signed_in(Role.VIEWER, "ann"), await house.signed_in(Role.OPERATOR, "ben")
     pending = [asyncio.create_task(one.get(path)) for _ in range(12)]
     await until(lambda: running == AT_ONCE)
@@ -90,26 +94,26 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
         yield []
         await gate.wait()
 
-    monkeypatch.setattr(house.services.events, "every", every)
+    monkeypatch.setattr(house.services[EventLog], "every", every)
     client = await house.program(Role.VIEWER)
     pending = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
-    await until(lambda: house.services.turns.downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
+    await until(lambda: house.services[Turns].downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
     assert begun == AT_ONCE
     gate.set()
     assert [response.status_code for response in await asyncio.gather(*pending)] == [200] * len(pending)
     assert begun == AT_ONCE + 2
-    assert not house.services.turns.downloads.count_of("key-viewer (token)")
+    assert not house.services[Turns].downloads.count_of("key-viewer (token)")
 
 
 async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> None:
     gate = asyncio.Event()
 
     async def hold() -> None:
-        async with house.services.turns.searches.turn("key-viewer (token)"):
+        async with house.services[Turns].searches.turn("key-viewer (token)"):
             await gate.wait()
 
     held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
-    await until(lambda: house.services.turns.searches.count_of("key-viewer (token)") == len(held))
+    await until(lambda: house.services[Turns].searches.count_of("key-viewer (token)") == len(held))
     client = await house.program(Role.VIEWER)
     refused = await client.get("/api/v1/events")
     assert (refused.status_code, refused.json()["code"], refused.headers["retry-after"]) == (
@@ -133,7 +137,7 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
         await gate.wait()
         return []
 
-    monkeypatch.setattr(house.services.accounts, "users", slow)
+    monkeypatch.setattr(house.services[Accounts], "users", slow)
     ann, ben = await house.signed_in(Role.ADMIN, "ann"), await house.signed_in(Role.ADMIN, "ben")
     pending = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
     await until(lambda: running == READS_AT_ONCE)

@@ -12,7 +12,9 @@ import pytest
 from app.database.reserve import KEPT_FREE
 from app.handover import notes, quota
 from app.handover.quota import MAX_AGE_DAYS, MAX_PER_HOUR
-from app.settings import ServerSettings, ShiftSettings
+from app.handover.service import Handover
+from app.handover.settings import ShiftSettings
+from app.settings import ServerSettings
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.test_shift_pictures import png
@@ -40,7 +42,7 @@ def picture(number: int) -> str:
 
 async def test_a_shift_of_long_ago_gets_no_note_and_no_signature(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    quota_of_site = house.services.handover.quota
+    quota_of_site = house.services[Handover].quota
     for before in ("1971-06-01T00:00:00Z", "2026-01-01T00:00:00Z"):
         old = (await operator.get(API, params={"before": before})).json()["shifts"][0]
         note = await operator.post(f"{API}/{old['start']}/notes", json={"text": "x", "time": old["start"]})
@@ -50,7 +52,7 @@ async def test_a_shift_of_long_ago_gets_no_note_and_no_signature(house: House) -
             assert f"more than {MAX_AGE_DAYS} days ago" in refused.json()["detail"]
         page = (await operator.get(f"/shifts/{old['start']}")).text
         assert 'method="post"' not in page.partition("<main")[2], "the page offers neither"
-    shifts = await house.services.handover.summaries(None, 100)
+    shifts = await house.services[Handover].summaries(None, 100)
     recent = [each.shift for each in shifts if quota_of_site.is_recent(each.shift)]
     assert 3 * MAX_AGE_DAYS <= len(recent) < len(shifts)
     assert await house.events("shift") == []

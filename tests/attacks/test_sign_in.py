@@ -21,7 +21,9 @@ from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.auth.pages import DEVICE_COOKIE
 from app.auth.passwords import Passwords
 from app.auth.rules import SECRET_LENGTH
+from app.auth.signin import SignIn
 from app.auth.throttle import FREE, OF_ADDRESS, OF_NAME
+from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.main import create_app
 from app.web.access import Role
@@ -40,7 +42,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 @pytest.fixture
 def within_a_moment(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
     """However long the machine takes for it: after 2 s one more may be tried."""
-    monkeypatch.setattr(house.services.sign_in, "_monotonic", lambda: 1_000.0)
+    monkeypatch.setattr(house.services[SignIn], "_monotonic", lambda: 1_000.0)
 
 
 def at(house: House, address: str) -> httpx.AsyncClient:
@@ -180,7 +182,7 @@ async def test_many_sign_ins_at_once_delay_only_their_own_place(house: House) ->
 async def test_a_flood_of_refusals_is_a_few_events_with_a_count(house: House) -> None:
     for number in range(60):
         await sign_in(at(house, f"198.51.100.{number}"), "nobody")
-    await house.services.events.repeated.record_due(everything=True)
+    await house.services[EventLog].repeated.record_due(everything=True)
     events = await house.events("login_refused")
     assert len(events) < 30
     assert events[0]["who"] == "unknown name"
@@ -230,13 +232,13 @@ async def test_a_refusal_is_returned_before_it_is_recorded(
     """The disk is waited for by known names only: unknown ones are counted together."""
     await house.add("ann", Role.OPERATOR)
     order: list[str] = []
-    record = house.services.events.record
+    record = house.services[EventLog].record
 
     async def recording(**fields: Any) -> int:
         order.append(fields["what"].code)
         return await record(**fields)
 
-    monkeypatch.setattr(house.services.events.repeated, "_record", recording)
+    monkeypatch.setattr(house.services[EventLog].repeated, "_record", recording)
 
     async def watched(scope: Scope, receive: Receive, send: Send) -> None:
         async def sending(message: Message) -> None:
@@ -258,7 +260,7 @@ async def test_the_account_page_is_no_way_around(house: House) -> None:
     form = {"present": "wrong", "password": "a good new one", "again": "a good new one"}
     statuses = [(await client.post("/account/password", data=form)).status_code for _ in range(FREE + 3)]
     assert statuses == [422] * FREE + [429] * 3
-    await house.services.events.repeated.record_due(everything=True)
+    await house.services[EventLog].repeated.record_due(everything=True)
     refused = [event for event in await house.events("user") if event["what"] == "password change refused"]
     assert [(event["who"], event["count"] or 1) for event in refused] == [
         ("ann", FREE - 1),
@@ -268,7 +270,7 @@ async def test_the_account_page_is_no_way_around(house: House) -> None:
 
 async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: House) -> None:
     """An export goes on for minutes."""
-    accounts, events = house.services.accounts, house.services.events
+    accounts, events = house.services[Accounts], house.services[EventLog]
     token = await accounts.create_token("t", Role.VIEWER, **BY)
     for number in range(2 * CHUNK):
         await events.record(kind="server", what=f"line {number}")
@@ -329,7 +331,7 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
     monkeypatch.setattr(Rechecks.until_withdrawn, "__defaults__", (1e6,))
     role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.VIEWER, "")
     app = create_app(settings_in(tmp_path))
-    accounts = app.state.services.accounts
+    accounts = app.state.services[Accounts]
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]
         token = call(lambda: accounts.create_token("t", role, bus=bus, **BY))
@@ -347,7 +349,7 @@ def test_a_token_that_the_command_line_revokes_stops_soon(
 def test_control_of_a_line_ends_with_a_token_that_the_command_line_revokes(tmp_path: Path) -> None:
     """It was kept for ten minutes."""
     app = create_app(settings_in(tmp_path, control=True))
-    accounts, safeguards = app.state.services.accounts, app.state.services.buses["dry-end"].safeguards
+    accounts, safeguards = app.state.services[Accounts], app.state.services.buses["dry-end"][Safeguards]
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]
         token = call(lambda: accounts.create_token("t", Role.OPERATOR, **BY))

@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 
 from app.audit.entry import new_entry
+from app.audit.log import EventLog
+from app.database import Database
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 
@@ -75,7 +77,7 @@ async def put(house: House, *rows: dict[str, Any]) -> list[int]:
             )
         return numbers
 
-    return await house.services.database.write(work)
+    return await house.services[Database].write(work)
 
 
 async def look(house: House) -> dict[int, dict[str, Any]]:
@@ -129,7 +131,7 @@ async def test_the_server_starts_on_such_rows(tmp_path: Path) -> None:
 
 async def test_what_the_server_itself_records_stays_readable(house: House) -> None:
     """A time that a worker gave, or half a character that JSON can carry."""
-    events = house.services.events
+    events = house.services[EventLog]
     numbers = [
         await events.record(kind="unit", what="unit offline", at=at, message="\ud800")
         for at in (float("inf"), float("-inf"), float("nan"), -1.0, 1e18)

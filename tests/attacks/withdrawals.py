@@ -8,6 +8,8 @@ from collections.abc import Awaitable, Callable
 from contextlib import closing
 from pathlib import Path
 
+from app.auth.accounts import Accounts
+from app.auth.rights import Rights
 from app.web.access import Role
 from tests.app.complete_app import PASSWORD, House
 
@@ -16,19 +18,19 @@ Withdraw = Callable[[House, Path], Awaitable[None]]
 
 
 async def disabled(house: House, _: Path) -> None:
-    await house.services.accounts.set_disabled(ENGINEER, True, by="boss", origin="test")
+    await house.services[Accounts].set_disabled(ENGINEER, True, by="boss", origin="test")
 
 
 async def removed(house: House, _: Path) -> None:
-    await house.services.accounts.remove_user(ENGINEER, by="boss", origin="test")
+    await house.services[Accounts].remove_user(ENGINEER, by="boss", origin="test")
 
 
 async def demoted(house: House, _: Path) -> None:
-    await house.services.accounts.set_role(ENGINEER, Role.OPERATOR, by="boss", origin="test")
+    await house.services[Accounts].set_role(ENGINEER, Role.OPERATOR, by="boss", origin="test")
 
 
 async def given_another_password(house: House, _: Path) -> None:
-    await house.services.accounts.set_password(ENGINEER, "x" + PASSWORD, by="boss", origin="test")
+    await house.services[Accounts].set_password(ENGINEER, "x" + PASSWORD, by="boss", origin="test")
 
 
 async def replaced_by_a_namesake(house: House, _: Path) -> None:
@@ -60,6 +62,6 @@ async def noticed(house: House) -> None:
     async def notice(_: str) -> None:
         event.set()
 
-    house.services.rights.on_withdrawn(notice)
+    house.services[Rights].on_withdrawn(notice)
     async with asyncio.timeout(60):
         await event.wait()

@@ -11,6 +11,7 @@ from app.database.private import make_file, make_folder
 from app.database.reserve import KEPT_FREE, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
+from app.history.settings import HistorySettings
 from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
@@ -54,8 +55,8 @@ _VACUUM = "PRAGMA incremental_vacuum(2000)"
 class Retention:
     """How long readings and their rollups are stored, and how much of the disk stays free."""
 
-    raw_days: int = 30
-    years: int = 10
+    raw_days: int = HistorySettings().raw_days
+    years: int = HistorySettings().years
     reserve: DiskReserve = field(default_factory=DiskReserve)
 
 

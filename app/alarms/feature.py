@@ -1,0 +1,95 @@
+"""What needs a response: the alarms of each bus and of the site, their journal and its figures."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from app.alarms import api, occurrences_api, own_api, pages, performance_api
+from app.alarms.banner import AlarmBanner
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.control_watch import ControlWatch, HeldControl
+from app.alarms.expiry_watch import ExpiryWatch, certificates_of
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.notification.service import Notification
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarmStore
+from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
+from app.alarms.store import AlarmStore
+from app.audit.anchoring import Anchoring
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.commands.safeguards.service import Safeguards
+from app.database import Database
+from app.feature import Feature, Services
+from app.history.service import History
+from app.live.browsers.hub import Hub
+from app.live.screen.fields import Fields, Translator
+from app.live.state.bus_live import BusLive
+from app.messages import Language
+from app.sets.drift import BusDrift
+from app.web.page_head import PageHead
+from app.web.services import Registry
+from app.web.templating import Templates
+from bus.instants import unix_now
+
+
+def make(services: Services) -> None:
+    settings, database, events = services.settings, services[Database], services[EventLog]
+    store = AlarmStore(database)
+    for name, bus in services.buses.items():
+        _make_of_bus(services, name, bus, store)
+    of_site = services.add(_alarms_of_site(services, store))
+    of_buses = services.of_buses(BusAlarms)
+    alarms = services.add(LineAlarms(of_buses, of_site, store, events))
+    own_alarms = services.add(OwnAlarmBook(settings, alarms, OwnAlarmStore(database), events))
+    # The site's own alarms first: the state of each is loaded after its definition.
+    services.lifespan.add("own alarms", start=own_alarms.load)
+    services.lifespan.add("alarms", of_site.follow, start=alarms.load, end=alarms.write)
+    held = {name: partial(_held_control, guards) for name, guards in services.of_buses(Safeguards).items()}
+    control = ControlWatch(of_buses, held, lambda: services[Hub].people())
+    services.lifespan.add("control", control.follow)
+    _add_banner(services, AlarmBanner(alarms))
+
+
+def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore) -> None:
+    settings, drift = services.settings, bus[BusDrift]
+    own = [alarm for alarm in settings.alarm if alarm.bus == name]
+    alarms = BusAlarms(
+        bus[BusLive], own, store, lambda unit: bool(drift.of(unit)), tuned=settings.built_in_alarm
+    )
+    bus.add(alarms)
+    services.lifespan.add(f"alarms of {name}", alarms.follow)
+
+
+def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
+    settings, history, anchoring = services.settings, services[History], services[Anchoring]
+    expiry = ExpiryWatch(services[Accounts].tokens, certificates_of(settings.notify))
+    services.lifespan.add("expiry", expiry.follow)
+    conditions = site_conditions(
+        lambda: history.status,
+        lambda: anchoring.status,
+        lambda: services[Notification].dispatcher.is_failing(),
+        expiry,
+    )
+    return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)
+
+
+def _held_control(guards: Safeguards) -> HeldControl | None:
+    holding = guards.holding()
+    return None if holding is None else (holding.holder, holding.used_at)
+
+
+def _add_banner(services: Services, banner: AlarmBanner) -> None:
+    templates = services[Templates]
+
+    def alarms_in(language: Language) -> Fields:
+        return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
+
+    services.add(banner)
+    services.add(PageHead(alarms_in))
+
+
+FEATURE = Feature(
+    make,
+    (performance_api.router, occurrences_api.router, own_api.router, api.router, pages.router),
+)

@@ -1,0 +1,29 @@
+"""Notification of people about alarms."""
+
+from __future__ import annotations
+
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.notification import api, pages
+from app.alarms.notification.service import Notification
+from app.alarms.site_alarms import SiteAlarms
+from app.audit.log import EventLog
+from app.database import Database
+from app.feature import Feature, Services
+from app.web.templating import Templates
+
+
+def make(services: Services) -> None:
+    database, events, languages = services[Database], services[EventLog], services[Templates].languages
+    notification = services.add(
+        Notification(services.settings, database, events, languages, services.local_time)
+    )
+    for name, bus in services.buses.items():
+        alarms = bus[BusAlarms]
+        notifier = bus.add(notification.notifier(name, alarms.list, alarms.place))
+        services.lifespan.add(f"notification of {name}", notifier.follow)
+    of_site = notification.notifier(None, services[SiteAlarms].list, lambda _: "")
+    works = (of_site.follow, notification.dispatcher.follow)
+    services.lifespan.add("notification", *works, start=notification.load)
+
+
+FEATURE = Feature(make, (api.router, pages.router))

@@ -1,0 +1,56 @@
+"""Commands to units: checked, recorded, sent, and read back."""
+
+from __future__ import annotations
+
+from app.audit.log import EventLog
+from app.auth.accounts import Accounts
+from app.auth.rights import Rights
+from app.auth.signin import SignIn
+from app.commands.api import commands, trace
+from app.commands.api import safeguards as safeguards_api
+from app.commands.pages import bus, outputs, parameters, safeguards, setpoints, speed, unit, zero
+from app.commands.safeguards.service import Safeguards
+from app.commands.service.command_service import CommandService
+from app.commands.service.idempotency import IdempotencyCache
+from app.commands.service.record import CommandRecord
+from app.database import Database
+from app.feature import Feature, Services
+from app.feed.channel import Channel
+from app.live.state.bus_live import BusLive
+from bus.instants import unix_now
+
+
+def make(services: Services) -> None:
+    database, events, rights = services[Database], services[EventLog], services[Rights]
+    record, idempotency = CommandRecord(events, database, unix_now), IdempotencyCache()
+    for name, of_bus in services.buses.items():
+        guards = Safeguards(
+            name,
+            database,
+            events,
+            control_required=services.settings.site.control,
+            find=services[Accounts].find,
+            rights=rights,
+            sessions=services[SignIn],
+        )
+        services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
+        live, channel = of_bus[BusLive], of_bus[Channel]
+        of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
+
+
+FEATURE = Feature(
+    make,
+    (
+        commands.router,
+        safeguards_api.router,
+        trace.router,
+        setpoints.router,
+        zero.router,
+        speed.router,
+        outputs.router,
+        parameters.router,
+        safeguards.router,
+        bus.router,
+        unit.router,
+    ),
+)

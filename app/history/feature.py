@@ -1,0 +1,28 @@
+"""What was: readings stored, queried and exported."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+
+from app.feature import Feature, Services
+from app.history import pages
+from app.history.api import routes
+from app.history.service import History
+from app.web.assets import Assets
+from app.web.templating import Templates
+
+
+def make(services: Services) -> None:
+    lifespan, language = services.lifespan, services.settings.site.language
+    history = services.add(History(services.settings))
+
+    async def start() -> None:
+        history.start()
+
+    lifespan.add("history", history.inspect_daily, start=start, end=partial(asyncio.to_thread, history.close))
+    warm = partial(pages.warm, history, services[Templates], services[Assets], language)
+    lifespan.add("warming", once=warm)
+
+
+FEATURE = Feature(make, (routes.router, pages.router))

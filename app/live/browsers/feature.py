@@ -1,0 +1,78 @@
+"""Everything that browsers and programs are sent as it changes."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from app.alarms.alarm import Alarm
+from app.alarms.banner import AlarmBanner
+from app.alarms.line_alarms import LineAlarms
+from app.alarms.shown import alarm_json
+from app.audit.anchoring import Anchoring, anchor_notice
+from app.commands.safeguards.service import Safeguards
+from app.database.reserve import Reserve
+from app.feature import Feature, Services
+from app.feed.bus_feed import BusFeed
+from app.history.service import History, status_words
+from app.history.status import store_notice
+from app.live import pages
+from app.live.api import stream_route
+from app.live.api.line_stream import LineStream
+from app.live.browsers import socket
+from app.live.browsers.hub import Hub
+from app.live.screen.fields import Translator
+from app.live.screen.sources import Sources
+from app.live.state.bus_live import LiveState
+from app.live.state.onset_lookup import OnsetLookup
+from app.messages import DEFAULT
+from app.recipes.book import RecipeBook
+from app.sets.drift import BusDrift
+from app.web.templating import Templates
+from bus.instants import UnixTime, unix_now
+
+
+def make(services: Services) -> None:
+    live, history, templates = services[LiveState], services[History], services[Templates]
+    lifespan = services.lifespan
+    sources = services.add(_make_sources(services))
+    english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
+    stream = services.add(LineStream(services.settings.site.name, live, sources, english, unix_now))
+    lifespan.add("stream", stream.follow)
+    alarms = services[LineAlarms]
+    alarms.subscribe(partial(_stream_alarm, stream, alarms))
+    watchers = {name: feed.watch for name, feed in services.of_buses(BusFeed).items()}
+    hub = services.add(Hub(live, sources, templates, watchers, unix_now))
+    lifespan.add("browsers", hub.beat)
+    onsets = services.add(OnsetLookup(live, partial(status_words, history), hub.refresh_unit, unix_now))
+    lifespan.add("onsets", onsets.follow)
+
+
+def _make_sources(services: Services) -> Sources:
+    history = services[History]
+    return Sources(
+        guards=services.of_buses(Safeguards),
+        drift=services.of_buses(BusDrift),
+        recipes=services[RecipeBook],
+        alarms=services[AlarmBanner],
+        notices=partial(_notices, history, services[Anchoring], services[Reserve]),
+        history_fault=lambda: history.status.message,
+    )
+
+
+def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
+    stream.add("alarm", alarm.definition.bus, partial(alarm_json, alarms, alarm))
+
+
+def _notices(
+    history: History, anchoring: Anchoring, reserve: Reserve, translator: Translator, now: UnixTime
+) -> str:
+    """Faults of the records, in the reader's language; mostly none."""
+    found = (
+        store_notice(history.status, translator.formats, now),
+        anchor_notice(anchoring.status, translator.formats, now),
+        reserve.notice,
+    )
+    return " ".join(translator.t(notice) for notice in found if notice is not None)
+
+
+FEATURE = Feature(make, (stream_route.router, socket.router, pages.router))

@@ -1,0 +1,21 @@
+"""Setpoint recipes."""
+
+from __future__ import annotations
+
+from app.audit.log import EventLog
+from app.commands.service.command_service import CommandService
+from app.database import Database
+from app.feature import Feature, Services
+from app.live.state.bus_live import LiveState
+from app.recipes import api, pages
+from app.recipes.book import RecipeBook
+from app.recipes.store import RecipeStore
+
+
+def make(services: Services) -> None:
+    commands, store = services.of_buses(CommandService), RecipeStore(services[Database])
+    recipes = services.add(RecipeBook(services[LiveState], commands, store, services[EventLog]))
+    services.lifespan.add("recipes", start=recipes.load_marks)
+
+
+FEATURE = Feature(make, (api.router, pages.router))

@@ -1,0 +1,52 @@
+"""Parameter sets: taken, scheduled, compared, restored."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from app.audit.log import EventLog
+from app.auth.rights import Rights
+from app.commands.service.command_service import CommandService
+from app.database import Database
+from app.feature import Feature, Services
+from app.live.state.bus_live import BusLive
+from app.sets import api, batch_pages, pages, restore_api, restore_pages
+from app.sets.drift import BusDrift
+from app.sets.first_write import FirstWrites
+from app.sets.keeper import SetKeeper
+from app.sets.reading import ParameterReader
+from app.sets.restore import RestoreService
+from app.sets.restore_store import RestoreStore
+from app.sets.schedule import SERVER, SetSchedule
+from app.sets.store import SetStore
+from app.sets.taking import Takings
+from app.web.services import Registry
+
+
+def make(services: Services) -> None:
+    services.add(SetStore(services[Database]))
+    for name, bus in services.buses.items():
+        _make_of_bus(services, name, bus)
+    takings = services.add(Takings())
+    services.lifespan.add("readings of sets", end=takings.background.close)
+    readers, commands = services.of_buses(ParameterReader), services.of_buses(CommandService)
+    store = RestoreStore(services[Database])
+    restores = services.add(RestoreService(readers, commands, services[EventLog], store))
+    services.lifespan.add("restores", start=restores.load, end=restores.background.close)
+
+
+def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
+    live, commands, events, store = bus[BusLive], bus[CommandService], services[EventLog], services[SetStore]
+    reader = bus.add(ParameterReader(live, commands))
+    drift = bus.add(BusDrift(live, store, events))
+    services.lifespan.add(f"golden sets of {name}", start=drift.load, end=drift.background.close)
+    keeper = bus.add(SetKeeper(live, reader, drift, store, events, services[Rights]))
+    schedule = bus.add(SetSchedule(live, keeper, events, services.local_time))
+    first_writes = bus.add(FirstWrites(live, commands, keeper, services.local_time))
+    works = (partial(schedule.follow, SERVER), partial(keeper.learn_marked, SERVER))
+    services.lifespan.add(f"sets of {name}", *works, end=first_writes.background.close)
+
+
+FEATURE = Feature(
+    make, (api.router, restore_api.router, pages.router, restore_pages.router, batch_pages.router)
+)

@@ -1,0 +1,21 @@
+"""Replacement of a unit."""
+
+from __future__ import annotations
+
+from app.audit.log import EventLog
+from app.database import Database
+from app.feature import Feature, Services
+from app.sets.restore import RestoreService
+from app.swap import pages
+from app.swap.service import SwapService
+from app.swap.store import SwapStore
+from bus.instants import unix_now
+
+
+def make(services: Services) -> None:
+    store, restores = SwapStore(services[Database]), services[RestoreService]
+    swaps = services.add(SwapService(services[EventLog], store, restores, unix_now))
+    services.lifespan.add("swaps", start=swaps.load)
+
+
+FEATURE = Feature(make, (pages.router,))

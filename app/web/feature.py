@@ -1,0 +1,29 @@
+"""Templates, static files, and the description of the API."""
+
+from __future__ import annotations
+
+from app.commands.catalogue import ROLES_BY_COMMAND
+from app.feature import Feature, Services
+from app.web import pages, schema
+from app.web.assets import Assets, static_dir, templates_dir
+from app.web.templating import Templates
+from app.web.turns import Turns
+
+
+def make(services: Services) -> None:
+    settings = services.settings
+    services.add(Turns())
+    assets = services.add(Assets(static_dir()))
+    services.add(
+        Templates(
+            templates_dir(),
+            assets,
+            settings.site,
+            demo=services.demo,
+            kept_in=settings.server.data / "compiled",
+            command_roles=ROLES_BY_COMMAND,
+        )
+    )
+
+
+FEATURE = Feature(make, (pages.router, schema.router))
