@@ -13,14 +13,8 @@ from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.audit.anchoring import AnchorStatus
 from app.built_in_settings import BuiltInAlarmSettings, tuning_of
+from app.conditions import of_server
 from app.conditions.catalogue import SERVER_ALARMS
-from app.conditions.of_server import (
-    AUDIT_DEGRADED,
-    CLOCK_STEPPED,
-    DISK_LOW,
-    HISTORY_DEGRADED,
-    NOTIFICATION_FAILED,
-)
 from app.history.intake.clock_watch import ClockWatch
 from app.history.status import Status
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -38,10 +32,12 @@ def site_conditions(
 ) -> dict[str, SiteCondition]:
     """Whether the condition of each alarm of the site holds; None: not known."""
     return {
-        "history_degraded": lambda: HISTORY_DEGRADED.holds(history().state),
-        "disk_low": lambda: DISK_LOW.holds(history().state),
-        "audit_degraded": lambda: AUDIT_DEGRADED.holds(anchor() != AnchorStatus(since=anchor().since)),
-        "notification_failed": lambda: NOTIFICATION_FAILED.holds(notification_failed()),
+        "history_degraded": lambda: of_server.HISTORY_DEGRADED.holds(history().state),
+        "disk_low": lambda: of_server.DISK_LOW.holds(history().state),
+        "audit_degraded": lambda: of_server.AUDIT_DEGRADED.holds(
+            anchor() != AnchorStatus(since=anchor().since)
+        ),
+        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(notification_failed()),
         "certificate_expiring": lambda: expiry.certificate is not None if expiry.is_known else None,
         "token_expiring": lambda: expiry.token is not None if expiry.is_known else None,
     }
@@ -72,7 +68,7 @@ class SiteAlarms:
         self.list = AlarmList(
             (built_in(code, None, None, tuning_of(tuned, code, None, None)) for code in SERVER_ALARMS), store
         )
-        self._clock_stepped = self.list.alarms[key_of(None, None, CLOCK_STEPPED.code)]
+        self._clock_stepped = self.list.alarms[key_of(None, None, of_server.CLOCK_STEPPED.code)]
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""
@@ -102,4 +98,4 @@ class SiteAlarms:
         if step_s:
             self.list.clock_stepped(step_s)
             self._step = Message.of("alarm_clock_step", seconds=number(Decimal(f"{step_s:.1f}")))
-        self.list.observe(self._clock_stepped, CLOCK_STEPPED.holds(step_s), now)
+        self.list.observe(self._clock_stepped, of_server.CLOCK_STEPPED.holds(step_s), now)

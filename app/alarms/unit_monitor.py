@@ -9,16 +9,9 @@ from app.alarms.alarm import Alarm
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.limits import limits_of
+from app.conditions import of_unit
 from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
-from app.conditions.of_unit import (
-    BY_PARAMETER,
-    BY_READING,
-    BY_VALUE,
-    LINK_DEGRADED,
-    PARAMETER_DRIFT,
-    UNIT_OFFLINE,
-)
 from app.live.diagnosis.links import link_facts, unit_facts
 from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
@@ -51,14 +44,14 @@ class UnitMonitor:
         self.observe_own(own)
         self._observe = observe
         self._has_drift = has_drift
-        self._by_reading = [(alarms[row.code], row.holds) for row in BY_READING if row.is_alarm]
+        self._by_reading = [(alarms[row.code], row.holds) for row in of_unit.BY_READING if row.is_alarm]
         self._by_value = [
             (alarm, row.holds, _limit_check(alarm, tuning(row.code)))
-            for row in BY_VALUE
+            for row in of_unit.BY_VALUE
             for alarm in (alarms[row.code],)
         ]
         self._offline, self._degraded, self._drift = (
-            alarms[row.code] for row in (UNIT_OFFLINE, LINK_DEGRADED, PARAMETER_DRIFT)
+            alarms[row.code] for row in (of_unit.UNIT_OFFLINE, of_unit.LINK_DEGRADED, of_unit.PARAMETER_DRIFT)
         )
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
@@ -115,7 +108,7 @@ class UnitMonitor:
 
     def see_link(self, now: UnixTime) -> None:
         """Time has passed, or the state of the link has changed."""
-        self._observe(self._offline, UNIT_OFFLINE.holds(link_facts(self._bus, self._unit, now)), now)
+        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link_facts(self._bus, self._unit, now)), now)
         if self._status is None or unit_link_now(self._bus, self._unit, now) == "online":
             return
         self._status = None
@@ -128,16 +121,16 @@ class UnitMonitor:
 
     def see_parameters(self, now: UnixTime) -> None:
         """Parameters were read, or a setpoint was staged or executed."""
-        for row in BY_PARAMETER:
+        for row in of_unit.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
         drifted = self._has_drift(self._unit.settings.id)
-        self._observe(self._drift, PARAMETER_DRIFT.holds(drifted), now)
+        self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
 
     def see_figures(self, figures: UnitFigures, now: UnixTime) -> None:
         """The counters of the unit."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:
-            self._observe(self._degraded, self._window.judged(LINK_DEGRADED.holds), now)
+            self._observe(self._degraded, self._window.judged(of_unit.LINK_DEGRADED.holds), now)
 
 
 def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.status import StatusBits
@@ -13,8 +12,7 @@ from bus.contract import BusFigures, Reading
 from bus.settings import BusSettings, UnitSettings
 
 
-@dataclass(frozen=True, slots=True)
-class UnitFacts:
+class UnitFacts(NamedTuple):
     """A unit by a reading. ``motion``: a MotionState; ``is_late``: a response is really overdue."""
 
     bits: StatusBits
@@ -24,8 +22,7 @@ class UnitFacts:
     is_late: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LinkFacts:
+class LinkFacts(NamedTuple):
     """The link of a unit. ``is_alone``: no other unit has responded since it was lost."""
 
     bus_is_readable: bool
@@ -34,8 +31,7 @@ class LinkFacts:
     is_alone: bool
 
 
-@dataclass(frozen=True, slots=True)
-class BusFacts:
+class BusFacts(NamedTuple):
     """A bus. ``has_no_response``: no unit of several has responded since one was lost; ``scan_s``: of a scan,
     None while it is not measured; ``longest_scan_s``: of one in which each unit takes its full turnaround."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
@@ -25,7 +24,7 @@ NOW = UnixTime(1000 * DAY)
 
 def unit(outputs: int = AT_SPEED | REMOTE, inputs: int = RUN | HEALTHY, **more: Any) -> UnitFacts:
     facts = UnitFacts(status_bits(outputs, inputs), "at_speed", commanded=1200, actual=1200)
-    return replace(facts, **more)
+    return facts._replace(**more)
 
 
 def live(**raw: int) -> BusLive:
@@ -78,7 +77,7 @@ def addresses(*own: int) -> BusLive:
 
 LINK = LinkFacts(bus_is_readable=True, is_lost=False, is_online=True, is_alone=False)
 BUS = BusFacts(False, False, has_no_response=False, scan_s=1.0, longest_scan_s=1.0)
-CLOSED, GONE = replace(BUS, port_is_closed=True), replace(BUS, worker_is_lost=True)
+CLOSED, GONE = BUS._replace(port_is_closed=True), BUS._replace(worker_is_lost=True)
 NEVER: list[tuple[Any, ...]] = []
 
 EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tuple[Any, ...]]]] = {
@@ -106,12 +105,12 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     "duplicate_address": ([of(addresses(9, 2, 3))], [of(addresses(1, 2, 3)), of(addresses(9, 8, 7))], NEVER),
     "staged_left": ([of(staged())], [of(live())], NEVER),
     "unit_offline": (
-        [(replace(LINK, is_lost=True),)],
+        [(LINK._replace(is_lost=True),)],
         [(LINK,)],
         [
-            (replace(LINK, bus_is_readable=False),),
-            (replace(LINK, is_online=False),),
-            (replace(LINK, is_lost=True, is_alone=True),),
+            (LINK._replace(bus_is_readable=False),),
+            (LINK._replace(is_online=False),),
+            (LINK._replace(is_lost=True, is_alone=True),),
         ],
     ),
     "unit_unknown": ([(False,)], [(True,)], NEVER),
@@ -120,11 +119,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     "blocked": ([("belt off",)], [(None,)], NEVER),
     "worker_lost": ([(GONE,)], [(BUS,), (CLOSED,)], NEVER),
     "port_lost": ([(CLOSED,)], [(BUS,)], [(GONE,)]),
-    "no_unit_responds": ([(replace(BUS, has_no_response=True),)], [(BUS,)], [(GONE,), (CLOSED,)]),
+    "no_unit_responds": ([(BUS._replace(has_no_response=True),)], [(BUS,)], [(GONE,), (CLOSED,)]),
     "wire_overloaded": (
-        [(replace(BUS, scan_s=1.51),)],
-        [(replace(BUS, scan_s=1.5),)],
-        [(CLOSED,), (replace(BUS, scan_s=None),)],
+        [(BUS._replace(scan_s=1.51),)],
+        [(BUS._replace(scan_s=1.5),)],
+        [(CLOSED,), (BUS._replace(scan_s=None),)],
     ),
     "second_master": ([(0, 3)], [(0, 2)], NEVER),
     "control_left": ([(121.0, False)], [(121.0, True), (120.0, False)], NEVER),
@@ -188,7 +187,7 @@ def test_a_rung_is_broken_while_the_motor_coasts_though_that_is_not_abnormal() -
     coasting = unit(inputs=HEALTHY, commanded=0)
     assert row.broken is not None
     assert (row.broken(coasting), row.holds(coasting)) == (True, False)
-    assert not row.broken(replace(coasting, actual=0))
+    assert not row.broken(coasting._replace(actual=0))
 
 
 @pytest.mark.parametrize(
