@@ -1,50 +1,29 @@
-"""The built-in alarms by code, and their limits and delays (``[[built_in_alarm]]`` of lineside.toml)."""
+"""Limits and delays of the built-in alarms that a site sets (``[[built_in_alarm]]`` of lineside.toml)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from decimal import Decimal
-from types import MappingProxyType
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
-from pydantic import Field
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from app.alarm_settings import Delay
+from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, UNIT_ALARMS
+from app.conditions.condition import Tuning
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 
-UnitAlarm = Literal[
-    "unit_offline",
-    "link_degraded",
-    "estop_active",
-    "not_at_speed",
-    "running_without_run",
-    "ratio_out_of_limits",
-    "not_in_remote",
-    "parameter_drift",
-    "duplicate_address",
-    "staged_left",
-    "deviation",
-    "analog_out_of_limits",
-]
-BusAlarm = Literal[
-    "port_lost", "no_unit_responds", "worker_lost", "second_master", "wire_overloaded", "control_left"
-]
-SiteAlarm = Literal[
-    "history_degraded",
-    "audit_degraded",
-    "disk_low",
-    "notification_failed",
-    "clock_stepped",
-    "certificate_expiring",
-    "token_expiring",
-]
-BuiltIn = UnitAlarm | BusAlarm | SiteAlarm
-UNIT_ALARMS: tuple[UnitAlarm, ...] = get_args(UnitAlarm)
-BUS_ALARMS: tuple[BusAlarm, ...] = get_args(BusAlarm)
-SITE_ALARMS: tuple[SiteAlarm, ...] = get_args(SiteAlarm)
+_CODES = (*UNIT_ALARMS, *BUS_ALARMS, *SERVER_ALARMS)
+
+
+def _known(code: str) -> str:
+    if code not in _CODES:
+        raise PydanticKnownError("literal_error", {"expected": ", ".join(map(repr, _CODES))})
+    return code
+
 
 Percent = Annotated[Decimal, Field(ge=0, le=100, max_digits=6, decimal_places=3)]
 _LIMITS = ("above_percent", "below_percent", "deadband_percent")
@@ -54,7 +33,7 @@ _DELAYS = ("on_delay_s", "off_delay_s")
 class BuiltInAlarmSettings(StrictModel):
     """Changes a built-in alarm: everywhere, on one bus, or of one unit."""
 
-    code: BuiltIn
+    code: Annotated[str, AfterValidator(_known)]
     bus: str | None = None
     unit: Annotated[int, Field(strict=True, ge=1, le=255)] | None = None
     above_percent: Percent | None = None
@@ -75,42 +54,11 @@ class BuiltInAlarmSettings(StrictModel):
         return self.code == code and self.bus in (None, bus) and self.unit in (None, unit)
 
 
-@dataclass(frozen=True, slots=True)
-class BuiltInTuning:
-    """The limits of an alarm, in percent, and its delays where they are other than the usual ones."""
-
-    above_percent: Decimal | None = None
-    below_percent: Decimal | None = None
-    deadband_percent: Decimal = Decimal(0)
-    on_delay_s: float | None = None
-    off_delay_s: float | None = None
-
-    @property
-    def fault(self) -> str:
-        """The code of what is wrong with its limits; empty where nothing is."""
-        above, below = self.above_percent, self.below_percent
-        if above is None:
-            return ""
-        if below is not None and below >= above:
-            return "setting_alarm_limits_reversed"
-        room = above if below is None else (above - below) / 2
-        return "setting_alarm_deadband_wide" if self.deadband_percent >= room else ""
-
-
-USUAL: Mapping[str, BuiltInTuning] = MappingProxyType(
-    {
-        "deviation": BuiltInTuning(above_percent=Decimal(5), deadband_percent=Decimal(1)),
-        "analog_out_of_limits": BuiltInTuning(Decimal("99.6"), Decimal("0.4"), Decimal("1.2")),
-    }
-)
-"""Limits; the analog input is at an end of its range of 8 bits, where no transducer measures."""
-
-
 def tuning_of(
-    entries: Iterable[BuiltInAlarmSettings], code: BuiltIn, bus: str | None, unit: int | None
-) -> BuiltInTuning:
+    entries: Iterable[BuiltInAlarmSettings], code: str, bus: str | None, unit: int | None
+) -> Tuning:
     """What holds for an alarm: what is set for its unit before its bus, and that before everywhere."""
-    found = USUAL.get(code, BuiltInTuning())
+    found = CONDITIONS[code].tuning
     covering = [each for each in entries if each.covers(code, bus, unit)]
     for each in sorted(covering, key=lambda each: (each.bus is not None, each.unit is not None)):
         found = replace(found, **each.changed)  # type: ignore[arg-type]
@@ -134,7 +82,7 @@ def refuse_built_in(entries: Sequence[BuiltInAlarmSettings], buses: Iterable[Bus
 
 
 def _misplaced(each: BuiltInAlarmSettings, units: Mapping[str, set[int]]) -> Iterator[SettingFault]:
-    if each.bus is not None and each.code in SITE_ALARMS:
+    if each.bus is not None and each.code in SERVER_ALARMS:
         yield "setting_built_in_of_server", "bus", {}
     elif each.unit is not None and each.code not in UNIT_ALARMS:
         yield "setting_built_in_of_bus", "unit", {}
@@ -147,8 +95,8 @@ def _misplaced(each: BuiltInAlarmSettings, units: Mapping[str, set[int]]) -> Ite
 
 
 def _misset(each: BuiltInAlarmSettings) -> Iterator[SettingFault]:
-    usual = USUAL.get(each.code)
-    limits = _LIMITS if usual else ()
+    usual = CONDITIONS[each.code].tuning
+    limits = _LIMITS if usual.above_percent is not None else ()
     known = (*(key for key in limits if getattr(usual, key) is not None), *_DELAYS)
     keys = ", ".join(known)
     for key in each.changed:

@@ -8,15 +8,18 @@ from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
-from app.alarms.conditions import bus_conditions, has_foreign
 from app.alarms.definition import AlarmDefinition, key_of, own_key
 from app.alarms.own import OwnCondition, own_definition
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
-from app.built_in_settings import BUS_ALARMS, UNIT_ALARMS, BuiltInAlarmSettings, tuning_of
+from app.built_in_settings import BuiltInAlarmSettings, tuning_of
+from app.conditions.catalogue import BUS_ALARMS, UNIT_ALARMS
+from app.conditions.of_bus import BY_BUS, SECOND_MASTER
+from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
+from app.live.diagnosis.links import bus_facts
 from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import Audience, BusLive
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
@@ -121,7 +124,7 @@ class BusAlarms:
         self._estops |= {
             unit
             for unit in self._by_unit
-            if self.list.alarms[key_of(self.bus, unit, "estop_active")].facts.active
+            if self.list.alarms[key_of(self.bus, unit, ESTOP_ACTIVE.code)].facts.active
         }
         self._suppressors = self._suppressing()
         self._suppress(self.list.alarms.values(), now)
@@ -195,8 +198,9 @@ class BusAlarms:
         self.list.observe(alarm, holds, now)
 
     def _see_bus(self, now: UnixTime) -> None:
-        for code, holds in bus_conditions(self._live, now).items():
-            self._observe(self.list.alarms[key_of(self.bus, None, code)], holds, now)
+        facts = bus_facts(self._live, now)
+        for row in BY_BUS:
+            self._observe(self.list.alarms[key_of(self.bus, None, row.code)], row.holds(facts), now)
 
     def _see_links(self, now: UnixTime) -> None:
         self._see_bus(now)
@@ -208,7 +212,7 @@ class BusAlarms:
             if unit.unit in self._monitors:
                 self._monitors[unit.unit].see_figures(unit, now)
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
-        self._observe(self._second_master, has_foreign(self._foreign), now)
+        self._observe(self._second_master, self._foreign.judged(SECOND_MASTER.holds), now)
 
     def see_control(self, left_by: Message | None) -> None:
         """Who has left control without releasing it; None: no one."""
@@ -221,7 +225,7 @@ class BusAlarms:
         code, unit = alarm.definition.code, alarm.definition.unit
         if code in _OF_BUS:
             self._suppress_again(self._clock())
-        elif code == "estop_active" and unit is not None and alarm.facts.active != (unit in self._estops):
+        elif code == ESTOP_ACTIVE.code and unit is not None and alarm.facts.active != (unit in self._estops):
             self._estops ^= {unit}
             self._suppress(self._by_unit[unit], self._clock())
 

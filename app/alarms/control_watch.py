@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Collection, Mapping
 
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.conditions import control_is_left
+from app.conditions.of_bus import CONTROL_LEFT
 from app.web.access import account_shown
 from bus.instants import Monotonic, MonotonicClock, monotonic_now
 from bus.messages import Message
@@ -48,6 +48,6 @@ class ControlWatch:
         if held is None:
             return None
         account, used_at = held
-        if not control_is_left(used_at, self._clock(), has_page=account in present):
+        if not CONTROL_LEFT.holds(self._clock() - used_at, account in present):
             return None
         return Message.of("alarm_control_left_by", who=account_shown(account))

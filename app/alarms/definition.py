@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from hashlib import blake2b
 
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
-from app.alarms.rules.suppression import SuppressionGroup
+from app.conditions.condition import SuppressionGroup
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 

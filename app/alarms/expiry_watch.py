@@ -9,8 +9,8 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from app.alarms.rules.expiry import certificate_expires, token_expires
 from app.auth.store import Token
+from app.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
 from app.errors import StoreError
 from app.notify_settings import NotifySettings
 from bus.instants import Clock, UnixTime, unix_now
@@ -52,10 +52,12 @@ class ExpiryWatch:
             (token.expires_at, token.name)
             for token in await self._tokens()
             if token.expires_at is not None
-            and token_expires(token.created_at, token.expires_at, token.used_at, now)
+            and TOKEN_EXPIRING.holds(token.created_at, token.expires_at, token.used_at, now)
         )
         endings = await asyncio.to_thread(lambda: [_ending(path) for path in self._certificates])
-        self.certificate = _first(each for each in endings if each and certificate_expires(each[0], now))
+        self.certificate = _first(
+            each for each in endings if each and CERTIFICATE_EXPIRING.holds(each[0], now)
+        )
         self.is_known = True
 
 

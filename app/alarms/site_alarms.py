@@ -12,7 +12,9 @@ from app.alarms.definition import key_of
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.audit.anchoring import AnchorStatus
-from app.built_in_settings import SITE_ALARMS, BuiltInAlarmSettings, SiteAlarm, tuning_of
+from app.built_in_settings import BuiltInAlarmSettings, tuning_of
+from app.conditions import of_server
+from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch
 from app.history.status import Status
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
@@ -20,8 +22,6 @@ from bus.messages import Message, number
 
 SiteCondition = Callable[[], bool | None]
 SiteValue = Callable[[], Message | None]
-_DEGRADED = frozenset(("paused", "failed"))
-_LOW = frozenset(("low", "scarce", "paused"))
 
 
 def site_conditions(
@@ -29,19 +29,21 @@ def site_conditions(
     anchor: Callable[[], AnchorStatus],
     notification_failed: SiteCondition,
     expiry: ExpiryWatch,
-) -> dict[SiteAlarm, SiteCondition]:
+) -> dict[str, SiteCondition]:
     """Whether the condition of each alarm of the site holds; None: not known."""
     return {
-        "history_degraded": lambda: history().state in _DEGRADED,
-        "disk_low": lambda: history().state in _LOW,
-        "audit_degraded": lambda: anchor() != AnchorStatus(since=anchor().since),
-        "notification_failed": notification_failed,
+        "history_degraded": lambda: of_server.HISTORY_DEGRADED.holds(history().state),
+        "disk_low": lambda: of_server.DISK_LOW.holds(history().state),
+        "audit_degraded": lambda: of_server.AUDIT_DEGRADED.holds(
+            anchor() != AnchorStatus(since=anchor().since)
+        ),
+        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(notification_failed()),
         "certificate_expiring": lambda: expiry.certificate is not None if expiry.is_known else None,
         "token_expiring": lambda: expiry.token is not None if expiry.is_known else None,
     }
 
 
-def site_values(expiry: ExpiryWatch) -> dict[SiteAlarm, SiteValue]:
+def site_values(expiry: ExpiryWatch) -> dict[str, SiteValue]:
     """What those that are about one thing name."""
     return {"certificate_expiring": lambda: expiry.certificate, "token_expiring": lambda: expiry.token}
 
@@ -51,8 +53,8 @@ class SiteAlarms:
 
     def __init__(
         self,
-        conditions: Mapping[SiteAlarm, SiteCondition],
-        values: Mapping[SiteAlarm, SiteValue],
+        conditions: Mapping[str, SiteCondition],
+        values: Mapping[str, SiteValue],
         store: AlarmStore,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
@@ -64,9 +66,9 @@ class SiteAlarms:
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._step: Message | None = None
         self.list = AlarmList(
-            (built_in(code, None, None, tuning_of(tuned, code, None, None)) for code in SITE_ALARMS), store
+            (built_in(code, None, None, tuning_of(tuned, code, None, None)) for code in SERVER_ALARMS), store
         )
-        self._clock_stepped = self.list.alarms[key_of(None, None, "clock_stepped")]
+        self._clock_stepped = self.list.alarms[key_of(None, None, of_server.CLOCK_STEPPED.code)]
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""
@@ -96,4 +98,4 @@ class SiteAlarms:
         if step_s:
             self.list.clock_stepped(step_s)
             self._step = Message.of("alarm_clock_step", seconds=number(Decimal(f"{step_s:.1f}")))
-        self.list.observe(self._clock_stepped, bool(step_s), now)
+        self.list.observe(self._clock_stepped, of_server.CLOCK_STEPPED.holds(step_s), now)

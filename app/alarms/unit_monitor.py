@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 from app.alarms.alarm import Alarm
-from app.alarms.conditions import BY_PARAMETER, BY_READING, BY_VALUE, is_degraded, unit_offline
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
-from app.built_in_settings import BuiltInTuning, UnitAlarm
+from app.alarms.rules.limits import limits_of
+from app.conditions import of_unit
+from app.conditions.condition import Tuning
+from app.conditions.evidence import LimitCheck
+from app.live.diagnosis.links import link_facts, unit_facts
 from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.contract import Reading, UnitFigures
@@ -28,8 +32,8 @@ class UnitMonitor:
         self,
         bus: BusLive,
         unit: UnitLive,
-        alarms: dict[UnitAlarm, Alarm],
-        tuning: Callable[[UnitAlarm], BuiltInTuning],
+        alarms: dict[str, Alarm],
+        tuning: Callable[[str], Tuning],
         own: OwnAlarms,
         observe: Observe,
         has_drift: Callable[[int], bool],
@@ -40,8 +44,15 @@ class UnitMonitor:
         self.observe_own(own)
         self._observe = observe
         self._has_drift = has_drift
-        self._by_reading = [(alarms[code], holds) for code, holds in BY_READING.items()]
-        self._by_value = [(alarms[code], limited(tuning(code))) for code, limited in BY_VALUE.items()]
+        self._by_reading = [(alarms[row.code], row.holds) for row in of_unit.BY_READING if row.is_alarm]
+        self._by_value = [
+            (alarm, row.holds, _limit_check(alarm, tuning(row.code)))
+            for row in of_unit.BY_VALUE
+            for alarm in (alarms[row.code],)
+        ]
+        self._offline, self._degraded, self._drift = (
+            alarms[row.code] for row in (of_unit.UNIT_OFFLINE, of_unit.LINK_DEGRADED, of_unit.PARAMETER_DRIFT)
+        )
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
@@ -75,13 +86,14 @@ class UnitMonitor:
         if status != self._status or self._own_are_new:
             self._own_are_new = False
             if self._status is None:
-                self._observe(self._alarms["unit_offline"], False, now)
+                self._observe(self._offline, False, now)
             self._status = status
+            facts = unit_facts(bus, unit, reading)
             for alarm, condition in self._by_reading:
-                self._observe(alarm, condition(bus, unit), now)
+                self._observe(alarm, condition(facts), now)
             self._see_own(self._own_states, reading, None, now)
-        for alarm, holds in self._by_value:
-            found = holds(bus, unit, reading, alarm.facts.active)
+        for alarm, holds, passes in self._by_value:
+            found = holds(bus, unit, reading, passes)
             if found is not alarm.holds:
                 self._observe(alarm, found, now)
         if self._own_values:
@@ -96,12 +108,12 @@ class UnitMonitor:
 
     def see_link(self, now: UnixTime) -> None:
         """Time has passed, or the state of the link has changed."""
-        self._observe(self._alarms["unit_offline"], unit_offline(self._bus, self._unit, now), now)
+        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link_facts(self._bus, self._unit, now)), now)
         if self._status is None or unit_link_now(self._bus, self._unit, now) == "online":
             return
         self._status = None
-        self._observe(self._alarms["link_degraded"], None, now)
-        for alarm in (*(each for each, _ in self._by_reading), *(each for each, _ in self._by_value)):
+        self._observe(self._degraded, None, now)
+        for alarm in (*(each for each, _ in self._by_reading), *(each for each, *_ in self._by_value)):
             self._observe(alarm, None, now)
         for alarm, own in self._own:
             own.forget()
@@ -109,13 +121,19 @@ class UnitMonitor:
 
     def see_parameters(self, now: UnixTime) -> None:
         """Parameters were read, or a setpoint was staged or executed."""
-        for code, condition in BY_PARAMETER.items():
-            self._observe(self._alarms[code], condition(self._bus, self._unit), now)
+        for row in of_unit.BY_PARAMETER:
+            self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
         drifted = self._has_drift(self._unit.settings.id)
-        self._observe(self._alarms["parameter_drift"], drifted, now)
+        self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
 
     def see_figures(self, figures: UnitFigures, now: UnixTime) -> None:
         """The counters of the unit."""
         self._window.see(figures.polls, figures.timeouts + figures.checksum_errors, now)
         if self.is_known:
-            self._observe(self._alarms["link_degraded"], is_degraded(self._window), now)
+            self._observe(self._degraded, self._window.judged(of_unit.LINK_DEGRADED.holds), now)
+
+
+def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:
+    """By the limits of the site; those of each full scale are computed once."""
+    rule = cache(partial(limits_of, tuning))
+    return lambda value, full_scale: rule(full_scale).holds(value, alarm.facts.active)

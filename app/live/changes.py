@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from app.audit.kinds import EventKind
-from app.live.state.conditions import StatusCondition, status_conditions
+from app.conditions.condition import Condition
+from app.conditions.of_bus import PORT_LOST
+from app.conditions.of_unit import BY_READING, UNIT_OFFLINE
+from app.live.state.conditions import status_conditions
 from bus.catalogue.status import status_bits
 from bus.contract import BusLink, BusLinkState, Reading, UnitLink, UnitLinkState, Update
 from bus.instants import UnixTime
-from bus.messages import Message, term
+from bus.messages import Message
 from bus.settings import BusSettings
 
 
@@ -30,17 +34,9 @@ class LineEvent:
     """How many it stands for, of what is summed up from the first on: it becomes `new`."""
 
 
-_RECORDED: dict[StatusCondition, tuple[EventKind, Message, tuple[Message, Message]]] = {
-    "not_in_remote": ("mode", Message("event_mode"), (term("REMOTE"), term("LOCAL"))),
-    "estop_active": ("estop", Message("event_estop_input"), (term("healthy"), term("active"))),
-    "run_off": ("run", Message("event_run_input"), (term("on"), term("off"))),
-}
-"""The conditions whose changes are events: kind, what, and the words for not holding and holding."""
-
-
 @dataclass(slots=True)
 class _UnitMemory:
-    conditions: frozenset[StatusCondition] | None = None
+    conditions: frozenset[str] | None = None
     link: UnitLinkState = "unknown"
 
 
@@ -73,11 +69,8 @@ class Changes:
         memory.conditions = now
         if before is None or before == now:
             return []
-        return [
-            LineEvent(kind, reading.unit, reading.at, what, words[name in before], words[name in now])
-            for name, (kind, what, words) in _RECORDED.items()
-            if (name in before) != (name in now)
-        ]
+        changed = [row for row in BY_READING if row.event and (row.code in before) != (row.code in now)]
+        return [_event(row, reading.unit, reading.at, row.code in now) for row in changed]
 
     def _see_unit_link(self, update: UnitLink) -> list[LineEvent]:
         memory = self._memory(update.unit)
@@ -89,18 +82,21 @@ class Changes:
         memory.link = update.link
         if before == "unknown":
             return []
-        is_back = update.link == "online"
-        what = Message("event_unit_back") if is_back else _because("event_unit_lost", update.cause)
-        return [LineEvent("unit", update.unit, update.at, what, term(before), term(update.link))]
+        return [_event(UNIT_OFFLINE, update.unit, update.at, update.link == "offline", update.cause)]
 
     def _see_port(self, update: BusLink) -> list[LineEvent]:
         before, self._port = self._port, update.link
         if before is None or before == update.link:
             return []
-        is_open = update.link == "open"
-        what = Message("event_port_opened") if is_open else _because("event_port_closed", update.cause)
-        return [LineEvent("bus", None, update.at, what, term(before), term(update.link))]
+        return [_event(PORT_LOST, None, update.at, update.link == "closed", update.cause)]
 
 
-def _because(code: str, cause: Message | None) -> Message:
-    return Message.of(f"{code}_because", cause=cause) if cause else Message(code)
+def _event(
+    row: Condition[Any], unit: int | None, at: UnixTime, holds: bool, cause: Message | None = None
+) -> LineEvent:
+    """That a condition began or ended."""
+    event = row.event
+    assert event is not None
+    code, words = (event.began, (event.off, event.on)) if holds else (event.ended, (event.on, event.off))
+    what = Message.of(f"{code}_because", cause=cause) if holds and cause else Message(code)
+    return LineEvent(event.kind, unit, at, what, *words)

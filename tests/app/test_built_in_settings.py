@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
-from app.alarms.catalogue import BUILT_IN
-from app.built_in_settings import BuiltInAlarmSettings, BusAlarm, SiteAlarm, UnitAlarm
+from app.alarms.catalogue import built_in
+from app.built_in_settings import BuiltInAlarmSettings, tuning_of
+from app.conditions.catalogue import CONDITIONS
 from app.database import Database
 from bus.contract import ParameterValue
 from tests.app.alarm_bus import BUS, AlarmBus
@@ -28,8 +31,19 @@ def tuned_bus(database: Database, *entries: dict[str, Any]) -> AlarmBus:
     return bus
 
 
-def test_every_built_in_alarm_can_be_set() -> None:
-    assert {*get_args(UnitAlarm), *get_args(BusAlarm), *get_args(SiteAlarm)} == set(BUILT_IN)
+@pytest.mark.parametrize("code", [row.code for row in CONDITIONS.values() if row.is_alarm])
+def test_the_delays_of_every_built_in_alarm_can_be_set(code: str) -> None:
+    row = CONDITIONS[code]
+    entry = BuiltInAlarmSettings(code=code, on_delay_s=7.0)
+    tuning = tuning_of([entry], row.code, BUS, 1)
+    assert tuning == replace(row.tuning, on_delay_s=7.0)
+    assert built_in(row.code, BUS, 1, tuning).attributes.on_delay_s == 7
+
+
+@pytest.mark.parametrize("code", [row.code for row in CONDITIONS.values() if not row.is_alarm])
+def test_a_condition_without_an_alarm_cannot_be_set(code: str) -> None:
+    with pytest.raises(ValidationError):
+        BuiltInAlarmSettings(code=code, on_delay_s=7.0)
 
 
 def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.screen.cause_text import CAUSE_TEXTS, CHECK_TEXTS, cause_line, cause_text, check_text
+from app.live.screen.cause_text import cause_line, cause_text, check_text
 from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
@@ -224,10 +224,6 @@ def test_the_text_of_the_strip_has_no_time() -> None:
     assert cause_text(found, translator()) == "Stopped: run input off"
     assert check_text(found, translator()) == "Check the run contact at the drive"
     assert check_text(None, translator()) == ""
-
-
-def test_every_text_that_is_checked_has_a_cause() -> None:
-    assert set(CHECK_TEXTS) - set(CAUSE_TEXTS) == {"not_at_speed"}
 
 
 def test_keylock_is_named_where_19_reports_it() -> None:

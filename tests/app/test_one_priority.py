@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import get_args
+from typing import Any
 
 import pytest
 
 from app.alarms.catalogue import built_in
-from app.alarms.conditions import BY_READING
-from app.built_in_settings import BuiltIn
-from app.conditions.catalogue import CONDITIONS, UnalarmedCondition
+from app.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
+from app.conditions.condition import Condition
+from app.conditions.of_unit import BY_READING
 from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.diagnosis.abnormal import shown_cause
 from app.live.diagnosis.cause import Cause, abnormal, bus_cause
-from app.live.screen.cause_text import CAUSE_TEXTS
+from app.live.diagnosis.links import unit_facts
+from app.live.screen.cause_text import cause_text, check_text
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, UnitLink
-from bus.messages import Message
-from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, screen
+from bus.messages import TEXTS, Message
+from docs.alarm_table import DOCUMENT, alarm_table, with_table
+from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, screen, translator
 
 NOW = 100.0
 DRAWN = {"urgent", "high", "low"}
 """What a tile, the strip and the verdict have a shape for."""
 
 
-def of_alarm(code: BuiltIn) -> AlarmPriority:
+def of_alarm(code: str) -> AlarmPriority:
     return built_in(code, "dry").priority
 
 
@@ -57,7 +59,10 @@ def test_the_tile_has_the_priority_of_the_alarms_of_the_condition_that_it_names(
 ) -> None:
     live = after(inputs=inputs, outputs=outputs, actual=actual, commanded=commanded)
     bus, cause = live.buses["dry"], cause_of(live)
-    held = [code for code, holds in BY_READING.items() if holds(bus, bus.units[1])]
+    unit = bus.units[1]
+    assert unit.reading is not None
+    facts = unit_facts(bus, unit, unit.reading)
+    held = [row.code for row in BY_READING if row.is_alarm and row.holds(facts)]
     if cause is None or cause.code not in held:
         # A run input that is off comes before the mode, and has no alarm.
         assert held == [] or (cause is not None and cause.code == "run_off")
@@ -74,7 +79,7 @@ def test_every_condition_of_a_reading_is_named_by_some_tile() -> None:
         for inputs, outputs, actual in product((RUN | HEALTHY, HEALTHY, RUN), (REMOTE, 0), (900, 0))
         if (cause := cause_of(after(inputs=inputs, outputs=outputs, actual=actual))) is not None
     }
-    assert set(BY_READING) <= named
+    assert {row.code for row in BY_READING if row.is_alarm} <= named
 
 
 def test_a_lost_unit_bus_or_worker_has_the_priority_of_its_alarm() -> None:
@@ -102,23 +107,68 @@ def test_a_condition_of_parameters_has_the_priority_of_its_alarm() -> None:
     assert (found.code, found.level) == ("address_suspect", of_alarm("duplicate_address"))
 
 
-@pytest.mark.parametrize(
-    ("code", "condition"),
-    [
-        *((code, code) for code in get_args(UnalarmedCondition)),
-        ("no_unit_responds", "no_unit_responds"),
-        ("worker_silent", "worker_lost"),
-        ("address_suspect", "duplicate_address"),
-        ("drift", "parameter_drift"),
-    ],
+EVERY_ROW = pytest.mark.parametrize("row", CONDITIONS.values(), ids=lambda row: row.code)
+EVERY_ALARM = pytest.mark.parametrize(
+    "row", [row for row in CONDITIONS.values() if row.is_alarm], ids=lambda row: row.code
 )
-def test_a_cause_reads_the_row_of_its_condition(code: str, condition: BuiltIn) -> None:
-    assert abnormal(code).level == CONDITIONS[condition].priority
 
 
-@pytest.mark.parametrize("code", CAUSE_TEXTS)
-def test_every_cause_has_a_condition_and_a_shape(code: str) -> None:
-    assert abnormal(code).level in DRAWN
+@EVERY_ALARM
+def test_the_alarm_of_a_condition_is_its_row_in_words(row: Condition[Any]) -> None:
+    alarm = built_in(row.code, "dry", 1)
+    record, how = alarm.record, alarm.attributes
+    words = (alarm.name, record.cause, record.consequence, record.response)
+    assert tuple(text.code for text in words if isinstance(text, Message)) == row.texts
+    assert all(TEXTS[code] for code in row.texts)
+    assert (alarm.priority, record.priority) == (row.priority, row.priority)
+    assert (how.on_delay_s, how.off_delay_s, how.latching, alarm.group) == (
+        *(row.tuning.on_delay_s, row.tuning.off_delay_s),
+        *(row.latching, row.group),
+    )
+
+
+@EVERY_ALARM
+def test_the_documentation_of_a_condition_is_its_row(row: Condition[Any]) -> None:
+    (line,) = [line for line in DOCUMENT.read_text().splitlines() if line.startswith(f"| `{row.code}` |")]
+    code, place, means, delays, priority = (cell.strip() for cell in line.strip("| ").split(" | "))
+    assert row in PLACES[place]  # type: ignore[index]
+    assert (code, means, priority) == (f"`{row.code}`", row.means, row.priority)
+    assert delays == f"{row.tuning.on_delay_s:g}, {row.tuning.off_delay_s:g}"
+
+
+def test_the_table_of_the_documentation_is_generated() -> None:
+    """After a change of a row: ``python -m docs.alarm_table``."""
+    text = DOCUMENT.read_text()
+    assert alarm_table() in text
+    assert with_table(text) == text
+
+
+@EVERY_ROW
+def test_every_tile_of_a_condition_has_its_priority_and_words(row: Condition[Any]) -> None:
+    assert row.tiles or row.is_alarm, "no surface shows it"
+    for tile in row.tiles:
+        code = tile.cause or row.code
+        assert TILES[code] == (row, tile)
+        found = abnormal(code, params={"why": Message("worker_not_connected"), "mode": "LOCAL"})
+        assert found.level == row.priority
+        assert found.level in DRAWN
+        assert cause_text(found, translator())
+        assert check_text(found, translator()) == tile.check
+
+
+@EVERY_ROW
+def test_every_rung_and_event_of_a_condition_has_what_it_needs(row: Condition[Any]) -> None:
+    assert (row.rung is not None) == (row in BY_READING)
+    assert {*row.since} <= {*STATUS, "turning"}
+    assert row.broken is None or row.rung
+    if row.event is not None:
+        assert {row.event.began, row.event.ended} <= set(TEXTS)
+        assert row.event.off != row.event.on
+
+
+def test_the_rungs_are_in_the_order_in_which_each_needs_the_one_before() -> None:
+    rungs = [row.rung for row in BY_READING]
+    assert list(dict.fromkeys(rungs)) == ["e-stop", "run", "mode", "link", "ramp"]
 
 
 def test_all_units_lost_are_one_cause_with_the_priority_of_its_alarm() -> None:

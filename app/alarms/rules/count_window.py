@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from app.conditions.evidence import CountPredicate
 from bus.instants import UnixTime
 
 WINDOW_S = 60.0
@@ -17,6 +18,10 @@ class CountWindow:
     faults: int | None = None
     _at: UnixTime | None = None
     _from: tuple[int, int] = (0, 0)
+
+    def judged(self, holds: CountPredicate) -> bool | None:
+        """Whether a condition holds by the last window; None until one is over."""
+        return None if self.total is None or self.faults is None else holds(self.total, self.faults)
 
     def see(self, total: int, faults: int, at: UnixTime) -> None:
         """Take in the counters. A worker that was started again counts from zero."""

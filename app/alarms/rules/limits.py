@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
+
+from app.conditions.condition import Tuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +22,16 @@ class LimitRule:
         if self.above is not None and value > self.above - deadband:
             return True
         return self.below is not None and value < self.below + deadband
+
+
+def limits_of(tuning: Tuning, full_scale: int) -> LimitRule:
+    """The limits of an alarm, in the counts of its value."""
+
+    def raw(percent: Decimal | None) -> int | None:
+        return None if percent is None else round(percent * full_scale / 100)
+
+    above, below = raw(tuning.above_percent), raw(tuning.below_percent)
+    return LimitRule(max(1, above or 0), below, raw(tuning.deadband_percent) or 0)
 
 
 @dataclass(slots=True)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Literal
 
-SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
-"""``bus``: follows from a lost worker; ``cable``: also from a lost port; ``unit``: also from a bus on which
-no unit responds; ``speed``: also from an e-stop of the unit, and means nothing on a line at rest."""
+from app.conditions.condition import SuppressionGroup
 
 
 @dataclass(frozen=True, slots=True)

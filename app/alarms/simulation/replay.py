@@ -16,12 +16,13 @@ from app.alarms.rules.suppression import Suppressors
 from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.rest import AtRest
+from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, SECOND, Run, micros
 from app.history.series.scaling import ParameterStep
+from app.live.diagnosis.links import unit_facts
 from app.live.state.age import scan_s_of, stale_after_s
 from app.live.state.bus_live import never_seen
-from app.live.state.conditions import bits_of
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
 from bus.settings import BusSettings
@@ -164,7 +165,7 @@ class Replay:
         return self._definition.group == "speed" and commanded == 0 and at_rest(at)
 
     def _has_estop(self, reading: Reading) -> bool:
-        return bits_of(self._live, reading).estop_active
+        return ESTOP_ACTIVE.holds(unit_facts(self._live, self._unit, reading))
 
     def _is_gap(self, at: UnixTime) -> bool:
         return self._read_at is None or at - self._read_at > self._stale_s

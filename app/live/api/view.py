@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from app.live.diagnosis.abnormal import suspicion
+from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import cause_line
 from app.live.screen.fields import Translator

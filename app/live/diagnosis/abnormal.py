@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from app.conditions.of_bus import NO_UNIT_YET
+from app.conditions.of_unit import BLOCKED, PARAMETER_DRIFT, suspicion
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.onset import Onset
-from bus.catalogue.numbers import OWN_ADDRESS
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -67,9 +68,9 @@ def _others(
         yield abnormal("address_suspect", params={"why": suspected})
     if cause is not None and cause.level:
         yield cause
-    if blocked:
+    if BLOCKED.holds(blocked):
         yield abnormal("blocked", params={"why": blocked})
-    if drifted:
+    if PARAMETER_DRIFT.holds(drifted):
         yield abnormal("drift", params={"why": drifted})
 
 
@@ -81,30 +82,6 @@ def all_offline(views: list[UnitView]) -> Cause | None:
     if len(views) < 2 or len(unresponsive) < len(views):
         return None
     lost = [cause.onset.at for cause in unresponsive if cause.onset is not None]
-    if not lost:
+    if NO_UNIT_YET.holds(len(lost)):
         return abnormal("no_unit_yet")
     return abnormal("no_unit_responds", Onset(max(lost)))
-
-
-def suspicion(bus: BusLive, unit: UnitLive) -> Message | None:
-    """Why the values shown for ``unit`` may be another's; None where there is no sign of it.
-
-    A response carries only the address that was requested: one that comes from a unit with a broken address
-    decoder looks like the right one. Two signs show it: the address that the responding unit reads in its own
-    #17, and that every response but its own comes twice. It warns and forbids nothing: an address changed
-    at the panel (#17) may apply from the next power-up only.
-    """
-    own = unit.parameter_raw(OWN_ADDRESS)
-    if own not in (None, unit.settings.id) and _most_read_their_own_address(bus):
-        return Message.of("suspect_by_address", unit=own or 0)
-    responder = bus.figures.responds_for_all if bus.figures is not None else 0
-    if responder not in (0, unit.settings.id):
-        return Message.of("suspect_by_duplicates", unit=responder)
-    return None
-
-
-def _most_read_their_own_address(bus: BusLive) -> bool:
-    """Where they do not, #17 of these units has another meaning, and no address can be checked."""
-    read = [(unit.parameter_raw(OWN_ADDRESS), unit.settings.id) for unit in bus.units.values()]
-    matches = [own == address for own, address in read if own is not None]
-    return 2 * sum(matches) > len(matches)

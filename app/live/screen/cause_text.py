@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from app.conditions.catalogue import TILES
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
 from bus.instants import UnixTime
@@ -12,24 +13,6 @@ from bus.messages import Message
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
-CAUSE_TEXTS = {
-    "estop_active": "emergency stop active",
-    "run_off": "run input off",
-    "running_without_run": "turning without run",
-    "not_in_remote": "in {mode}",
-    "link_stale": "response overdue",
-    "unit_offline": "offline",
-    "unit_unknown": "no response yet",
-    "no_unit_yet": "no unit has responded yet",
-    "no_unit_responds": "no unit responds",
-    "port_lost": "port closed",
-    "worker_lost": "bus worker not connected",
-    "worker_silent": "bus worker does not respond",
-    "address_suspect": "address uncertain",
-    "blocked": "commands blocked",
-}
-"""By code. The motion of the unit precedes it (:data:`MOTION_TEXTS`), the reason follows; a drift has
-only the reason."""
 MOTION_TEXTS = {
     "stopped": "stopped",
     "stopping": "still turning",
@@ -37,21 +20,6 @@ MOTION_TEXTS = {
     "off_speed": "off speed",
 }
 STOPPED_WITH_RUN = "stopped with run input on"
-CHECK_TEXTS = {
-    "estop_active": "Check the emergency stop chain of this unit",
-    "run_off": "Check the run contact at the drive",
-    "running_without_run": "Check what drives this section, and keep clear of it",
-    "not_in_remote": "The unit rejects commands from here; set it to REMOTE at its panel",
-    "link_stale": "Check its power and the cable",
-    "unit_offline": "Check its power and the cable",
-    "unit_unknown": "Check its power, its address and the cable",
-    "port_lost": "Check the adapter and its cable",
-    "worker_lost": "Check that the bus worker runs and reaches this server",
-    "worker_silent": "Check that the bus worker runs and reaches this server",
-    "address_suspect": "Check that every unit has a unique address (#17)",
-    "not_at_speed": "Check the load and the speed feedback",
-}
-"""What a person does about it, by code; nothing where only time or a decision helps."""
 
 
 def cause_text(cause: Cause, translator: Translator) -> str:
@@ -80,7 +48,7 @@ def since_text(cause: Cause, translator: Translator, now: UnixTime) -> str:
 
 def check_text(cause: Cause | None, translator: Translator) -> str:
     """What to check; empty where nothing is to be done."""
-    text = CHECK_TEXTS.get(cause.code, "") if cause is not None else ""
+    text = TILES[cause.code][1].check if cause is not None and cause.code in TILES else ""
     return translator.t(text) if text else ""
 
 
@@ -102,7 +70,7 @@ def _what(cause: Cause, translator: Translator) -> str:
         )
     if cause.code == "ramping":
         return _ramp(cause.params, translator)
-    text = CAUSE_TEXTS.get(cause.code, "")
+    text = TILES[cause.code][1].text
     return translator.t(text, **_named(cause)) if text else ""
 
 

@@ -14,12 +14,14 @@ from operator import itemgetter
 
 import structlog
 
+from app.conditions.evidence import follower as follower
+from app.conditions.evidence import reads_ratio
 from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
-from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS, is_follower
+from bus.catalogue.numbers import DECIMALS
+from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
     BusFigures,
     BusLink,
@@ -177,17 +179,6 @@ def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool
         return sorted(bus.units), True
     units = {unit for update in updates if (unit := getattr(update, "unit", None)) in bus.units}
     return sorted(units), any(type(update) is BusFigures for update in updates)
-
-
-def follower(unit: UnitLive) -> bool | None:
-    """Whether #8 makes the unit follow a master by a ratio; None while it was not read."""
-    mode = unit.parameter_raw(FOLLOWER_MODE)
-    return None if mode is None else is_follower(mode)
-
-
-def reads_ratio(bus: BusLive, unit: UnitLive) -> bool:
-    """Whether commanded and actual speed of a unit are ratios to its master, in the dialect of its bus."""
-    return bus.settings.follower_speed == "ratio" and bool(follower(unit))
 
 
 def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:

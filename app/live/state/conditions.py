@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
+from app.conditions.catalogue import STATUS
 from bus.catalogue.numbers import CONTROL_MODE
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import Reading
@@ -13,19 +13,9 @@ from bus.contract import Reading
 if TYPE_CHECKING:
     from app.live.state.bus_live import BusLive, UnitLive
 
-StatusCondition = Literal["estop_active", "run_off", "not_in_remote", "not_at_speed", "turning"]
 KEYLOCK = 2
 """#19 of a unit whose keypad is locked (manual, 4.0)."""
-
-
-STATUS_CONDITIONS: dict[StatusCondition, Callable[[StatusBits], bool]] = {
-    "estop_active": lambda bits: bits.estop_active,
-    "run_off": lambda bits: not bits.run,
-    "not_in_remote": lambda bits: not bits.remote,
-    "not_at_speed": lambda bits: not bits.at_speed,
-}
-"""The conditions of single bits of ST1 or ST2 (manual, 81h)."""
-_TURNING: frozenset[StatusCondition] = frozenset(("turning",))
+_TURNING = frozenset(("turning",))
 
 
 def bits_of(bus: BusLive, reading: Reading) -> StatusBits:
@@ -46,11 +36,12 @@ def mode_of(unit: UnitLive, bits: StatusBits) -> str:
 
 
 @lru_cache(maxsize=4096)
-def status_conditions(bits: StatusBits) -> frozenset[StatusCondition]:
-    return frozenset(name for name, holds in STATUS_CONDITIONS.items() if holds(bits))
+def status_conditions(bits: StatusBits) -> frozenset[str]:
+    """The codes of the conditions whose bit is set so."""
+    return frozenset(code for code, holds in STATUS.items() if holds(bits))
 
 
-def conditions_of(bits: StatusBits, reading: Reading) -> frozenset[StatusCondition]:
-    """All conditions that hold by a reading."""
+def conditions_of(bits: StatusBits, reading: Reading) -> frozenset[str]:
+    """The same by a reading, and ``turning`` while its actual speed is not 0."""
     found = status_conditions(bits)
     return found | _TURNING if reading.actual else found

@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from app.live.state.conditions import StatusCondition
 from bus.instants import UnixTime
 
 UNSEEN_S = 60.0
 """A condition before and after a gap of at most this, such as a restart, counts as uninterrupted."""
-_NOTHING: frozenset[StatusCondition] = frozenset()
+_NOTHING: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +29,11 @@ WordSpan = tuple[UnixTime, UnixTime, int]
 class Onsets:
     """The conditions of one unit that hold now, each with its onset."""
 
-    of: dict[StatusCondition, Onset] = field(default_factory=dict)
-    _held: frozenset[StatusCondition] = _NOTHING
+    of: dict[str, Onset] = field(default_factory=dict)
+    _held: frozenset[str] = _NOTHING
     _seen_at: UnixTime = UnixTime(-math.inf)
 
-    def see(self, at: UnixTime, holding: frozenset[StatusCondition], change_seen_s: float) -> None:
+    def see(self, at: UnixTime, holding: frozenset[str], change_seen_s: float) -> None:
         """Take in a reading. ``change_seen_s``: a change between two readings that are at most so far apart,
         the time after which a unit counts as offline, has its time from the later one; else it has none."""
         gap, self._seen_at = at - self._seen_at, at
@@ -45,7 +44,7 @@ class Onsets:
         self.of = {name: onset for name, onset in self.of.items() if name in holding & held} | begun
         self._held = holding
 
-    def correct(self, name: StatusCondition, seen: Onset, found: Onset) -> bool:
+    def correct(self, name: str, seen: Onset, found: Onset) -> bool:
         """Replace the onset ``seen`` by what was ``found`` elsewhere; gives whether that is news."""
         if self.of.get(name) != seen or seen == found:
             return False

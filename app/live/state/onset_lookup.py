@@ -6,10 +6,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 
+from app.conditions.catalogue import STATUS
 from app.errors import StoreError
 from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import BusLive, LiveState
-from app.live.state.conditions import STATUS_CONDITIONS, StatusCondition
 from app.live.state.onset import Onset, WordSpan, onset_in
 from bus.catalogue.status import status_bits
 from bus.instants import Clock, UnixTime
@@ -24,7 +24,7 @@ BACK_S = (HOUR_S, DAY_S, 7 * DAY_S, 31 * DAY_S, 366 * DAY_S)
 
 StatusWords = Callable[[str, int, UnixTime, UnixTime], Awaitable[Sequence[WordSpan]]]
 """The stored status bits of a unit of a bus from one time to another, in order of time. Raises StoreError."""
-OnsetKey = tuple[str, int, StatusCondition, Onset]
+OnsetKey = tuple[str, int, str, Onset]
 
 
 @dataclass(eq=False)
@@ -77,10 +77,10 @@ class OnsetLookup:
             for bus in self._live.buses.values()
             for number, unit in bus.units.items()
             for name, onset in unit.onsets.of.items()
-            if name in STATUS_CONDITIONS and not onset.exact
+            if name in STATUS and not onset.exact
         ]
 
-    async def _look_up(self, bus_name: str, number: int, name: StatusCondition, seen: Onset) -> None:
+    async def _look_up(self, bus_name: str, number: int, name: str, seen: Onset) -> None:
         bus = self._live.buses[bus_name]
         try:
             found = await self._find(bus, number, name, seen)
@@ -96,7 +96,7 @@ class OnsetLookup:
                 return spans[-1][1]
         return None
 
-    async def _find(self, bus: BusLive, number: int, name: StatusCondition, seen: Onset) -> Onset:
+    async def _find(self, bus: BusLive, number: int, name: str, seen: Onset) -> Onset:
         found = seen
         for back_s in BACK_S:
             spans = await self._words(bus.settings.name, number, seen.at - back_s, seen.at)
@@ -106,6 +106,6 @@ class OnsetLookup:
         return found
 
 
-def _holds(bus: BusLive, name: StatusCondition) -> Callable[[int], bool]:
-    holds, healthy = STATUS_CONDITIONS[name], bus.settings.estop_healthy
+def _holds(bus: BusLive, name: str) -> Callable[[int], bool]:
+    holds, healthy = STATUS[name], bus.settings.estop_healthy
     return lambda word: holds(status_bits(word >> 8, word & 0xFF, healthy))

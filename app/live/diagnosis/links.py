@@ -1,0 +1,68 @@
+"""The facts by which conditions are judged: of a bus, of the link of a unit, and of its reading. Pure."""
+
+from __future__ import annotations
+
+from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
+from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_timed_out
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.conditions import bits_of
+from bus.contract import Reading
+from bus.contract.durations import POLL_BYTES
+from bus.instants import UnixTime
+from bus.settings import wire_seconds
+
+
+def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
+    """Of a bus."""
+    is_readable = _is_readable(bus, now)
+    turnaround_s = wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s
+    return BusFacts(
+        worker_is_lost=bus.worker_lost is not None or worker_timed_out(bus, now),
+        port_is_closed=bus.link.link == "closed",
+        has_no_response=is_readable and has_no_response(bus, now),
+        scan_s=None if bus.figures is None else bus.figures.scan_s,
+        longest_scan_s=len(bus.units) * turnaround_s,
+    )
+
+
+def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime) -> LinkFacts:
+    """Of a unit."""
+    lost_at = _lost_at(bus, unit, now)
+    return LinkFacts(
+        bus_is_readable=_is_readable(bus, now),
+        is_lost=lost_at is not None,
+        is_online=unit_link_now(bus, unit, now) == "online",
+        is_alone=lost_at is not None and len(bus.units) > 1 and not _has_response_after(bus, lost_at),
+    )
+
+
+def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool = False) -> UnitFacts:
+    """Of a unit by its newest reading."""
+    bits = bits_of(bus, reading)
+    return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
+
+
+def _is_readable(bus: BusLive, now: UnixTime) -> bool:
+    return bus.worker_lost is None and not worker_timed_out(bus, now) and bus.link.link != "closed"
+
+
+def has_no_response(bus: BusLive, now: UnixTime) -> bool:
+    """Whether no unit of several has responded since one was found lost. Where only that one is lost, the
+    next response of another ends it."""
+    if len(bus.units) == 1:
+        return False
+    lost = (_lost_at(bus, unit, now) for unit in bus.units.values())
+    return any(at is not None and not _has_response_after(bus, at) for at in lost)
+
+
+def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:
+    """When a unit was found not to respond; None: it was not."""
+    if unit.reading is not None and unit.link.link == "offline":
+        return unit.link.at
+    seen_at = bus.link_onset.at if unit.reading is None else unit.reading.at
+    lost_at = seen_at + offline_after_s(scan_s_of(bus))
+    return lost_at if now > lost_at else None
+
+
+def _has_response_after(bus: BusLive, at: UnixTime) -> bool:
+    return any(unit.reading is not None and unit.reading.at > at for unit in bus.units.values())
