@@ -14,7 +14,7 @@ from app.errors import system_error
 from bus.errors import LinesideError
 from bus.messages import Message
 
-AGAIN_AFTER_S = 1.0
+RESTART_AFTER_S = 1.0
 MAX_FINISH_S = 1.0
 """How long the end waits for backlogs to be written, all of them together."""
 Step = Callable[[], Awaitable[None]]
@@ -117,7 +117,7 @@ async def _restarted(name: str, work: Step) -> None:
     """Run ``work``; a failure is logged, and it starts again."""
     while True:
         await _run_once(name, work)
-        await asyncio.sleep(AGAIN_AFTER_S)
+        await asyncio.sleep(RESTART_AFTER_S)
 
 
 async def _run_once(name: str, work: Step) -> None:

@@ -32,7 +32,7 @@ from bus.contract import (
     encode,
 )
 
-MOST_MESSAGES_S = 100
+MAX_MESSAGES_S = 100
 TOP = 20_000
 SHOWN = {1: 1750, 2: TOP, 3: 1, 8: 0, 12: 50, 22: 0, 23: 100, 28: 1, 29: 0, 30: 0}
 """The parameters that a speed needs to be shown right: span, one decimal, window."""
@@ -110,7 +110,7 @@ async def _listen(socket: ClientConnection) -> None:
 
 
 async def _speak(socket: ClientConnection, units: int, rate: float, flood: EstopFlood, last_seq: int) -> None:
-    at_once = max(1, round(units * rate / MOST_MESSAGES_S))
+    at_once = max(1, round(units * rate / MAX_MESSAGES_S))
     pause, due, sent = at_once / (units * rate), time.monotonic(), 0
     for seq in range(last_seq + 1, sys.maxsize):
         due += pause

@@ -37,7 +37,7 @@ ENTRY_POINTS: dict[Program, tuple[str, str]] = {
 """Module that has ``main``, and the program's name in ``sys.argv``."""
 IMPORTED = ("app.cli.hosting", "app.cli.server", "app.cli.simulate", "app.cli.accounts", "bus.worker.process")
 """Before the first fork. None of them starts a thread."""
-MOST_BYTES = 200_000
+MAX_BYTES = 200_000
 """Of a request: mostly the environment."""
 REPORT = struct.Struct("i")
 """The process id, then the exit code."""
@@ -179,7 +179,7 @@ def serve(requests: socket.socket) -> Program | None:
                 selector.unregister(key.fileobj)
                 _report_end(key.fileobj, *key.data)
                 continue
-            message, descriptors, *_ = socket.recv_fds(requests, MOST_BYTES, 4)
+            message, descriptors, *_ = socket.recv_fds(requests, MAX_BYTES, 4)
             if not message:
                 return None
             *streams, status = descriptors

@@ -38,7 +38,7 @@ from tests.test_architecture import ROOT, text_of
 PAGE = text_of(ROOT / "docs" / "architecture.md")
 READING, CLICK = "## A reading becomes a pixel", "## A click becomes a byte"
 BUS, UNIT = "dry-end", 1
-MOST_STATIONS = 15
+MAX_STATIONS = 15
 
 
 def section(heading: str) -> str:
@@ -205,7 +205,7 @@ async def test_the_walk_of_a_click_names_the_middleware_it_passes(tmp_path: Path
 def test_a_walk_has_at_most_fifteen_stations(heading: str) -> None:
     walk = stations(heading)
     assert len(walk) == len(set(walk)) == len(re.findall(r"^\| \d+ \|", section(heading), re.M))
-    assert 5 < len(walk) <= MOST_STATIONS
+    assert 5 < len(walk) <= MAX_STATIONS
 
 
 async def test_a_reading_takes_the_walk(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ TICK_S = 1.0
 OBSERVED_EVERY_S = 60.0
 """How often the store learns that the alarms are still observed."""
 
-MOST_WITHDRAWN = 500
+MAX_WITHDRAWN = 500
 """Alarms whose definition ended, as long as what follows the journal may still need them."""
 
 AlarmSubscriber = Callable[[Alarm], None]
@@ -87,7 +87,7 @@ class AlarmList:
         """Its definition has ended, and it is normal."""
         self._due.pop(key, None)
         self._withdrawn[key] = self.alarms.pop(key)
-        if len(self._withdrawn) > MOST_WITHDRAWN:
+        if len(self._withdrawn) > MAX_WITHDRAWN:
             del self._withdrawn[next(iter(self._withdrawn))]
 
     # --- what happens to an alarm ---------------------------------------------------------------------

@@ -28,9 +28,9 @@ from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
-MOST_MINUTES = 720
+MAX_MINUTES = 720
 """A shift: what is to be hidden longer goes out of service."""
-MOST_ENTRIES = 1000
+MAX_ENTRIES = 1000
 Alarms = Annotated[LineAlarms, service(LineAlarms)]
 ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 Comment = Annotated[OneLine, Field(max_length=200)]
@@ -52,7 +52,7 @@ class AlarmShelveRequest(ActBody):
     """Why, and for how long."""
 
     reason: ActReason
-    minutes: Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a shift, 720.")]
+    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a shift, 720.")]
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
 
 
@@ -117,7 +117,7 @@ async def get_alarms(
 async def get_alarm_journal(
     _: Viewer,
     alarms: Alarms,
-    limit: Annotated[int, Query(ge=1, le=MOST_ENTRIES)] = 100,
+    limit: Annotated[int, Query(ge=1, le=MAX_ENTRIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> AlarmJournal:
     """Every transition, also of what was shelved, suppressed or out of service."""

@@ -11,7 +11,7 @@ from itertools import islice
 from app.alarms.store import AlarmStore, RecordedAlarm
 from bus.instants import UnixTime
 
-MOST_OCCURRENCES = 500
+MAX_OCCURRENCES = 500
 _ACTIVE = ("unack_active", "ack_active")
 _LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY at DESC LIMIT 1000)"
 """Of the transitions before a time. Those of several buses are in order but for moments."""
@@ -44,7 +44,7 @@ _FEW, _MANY = 2, 100
 async def occurrences(
     store: AlarmStore, alarms: Iterable[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
-    """Those of a span, also where they began before it; of more than MOST_OCCURRENCES the newest and one
+    """Those of a span, also where they began before it; of more than MAX_OCCURRENCES the newest and one
     more, oldest first. ``alarms``: their keys."""
     keys = list(alarms)
     return await store.read_costly(lambda connection: _found(connection, keys, start, end))
@@ -56,7 +56,7 @@ def _found(
     last: int = connection.execute(_LAST, (end,)).fetchone()[0] or 0
     each_alarm = (_of_alarm(connection, alarm, last, start, end) for alarm in alarms)
     newest_first = merge(*each_alarm, key=lambda each: each.start, reverse=True)
-    return sorted(islice(newest_first, MOST_OCCURRENCES + 1), key=lambda each: each.start)
+    return sorted(islice(newest_first, MAX_OCCURRENCES + 1), key=lambda each: each.start)
 
 
 def _of_alarm(

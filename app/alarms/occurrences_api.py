@@ -11,7 +11,7 @@ from typing_extensions import TypedDict
 
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.occurrences import MOST_OCCURRENCES, Occurrence, occurrences
+from app.alarms.occurrences import MAX_OCCURRENCES, Occurrence, occurrences
 from app.alarms.shown import AlarmPriorityShown, BusName, UnitNumber, recorded_name
 from app.history.api.spans import SpanOf
 from app.history.service import seconds
@@ -23,7 +23,7 @@ from app.web.turns import SEARCH
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
-MOST_UNITS = 255
+MAX_UNITS = 255
 
 
 class AlarmOccurrenceText(TypedDict):
@@ -62,7 +62,7 @@ async def get_alarm_occurrences(
     _: Viewer,
     alarms: Alarms,
     span: SpanOf,
-    unit: Annotated[list[str] | None, Query(max_length=MOST_UNITS)] = None,
+    unit: Annotated[list[str] | None, Query(max_length=MAX_UNITS)] = None,
 ) -> AlarmOccurrences:
     """When alarms were annunciated and active in a span: those of each ``bus/unit`` named and of its bus, or
     all. At most the newest 500. What was hidden all the time is in the journal alone."""
@@ -84,7 +84,7 @@ async def get_alarm_occurrences(
             "shown": {"name": language.t(name), "place": alarms.place(each.bus, each.unit)},
         }
 
-    newest = found[-MOST_OCCURRENCES:]
+    newest = found[-MAX_OCCURRENCES:]
     return {"occurrences": [shown(each) for each in newest], "more": len(found) > len(newest)}
 
 

@@ -14,7 +14,7 @@ from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRe
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
 from app.live.state.conditions import bits_of
 from bus.catalogue.numbers import ANALOG_IN_HIGH, ANALOG_IN_LOW
-from bus.catalogue.values import MOST_DECIMALS, analog_input_value
+from bus.catalogue.values import MAX_DECIMALS, analog_input_value
 from bus.contract import Reading
 from bus.messages import Message, number, term
 
@@ -141,7 +141,7 @@ class OwnCondition:
 def known_decimals(bus: BusLive, unit: UnitLive) -> int | None:
     """The decimals of the speeds of a unit; None while they are not known."""
     decimals = speed_decimals(bus, unit)
-    return None if decimals is None or decimals > MOST_DECIMALS else decimals
+    return None if decimals is None or decimals > MAX_DECIMALS else decimals
 
 
 def _rule_of(settings: AlarmSettings, decimals: int) -> LimitRule:

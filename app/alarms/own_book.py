@@ -28,7 +28,7 @@ from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
-MOST_OWN = 500
+MAX_OWN = 500
 """Alarms that are added on the page."""
 log = structlog.get_logger()
 
@@ -122,8 +122,8 @@ class OwnAlarmBook:
                 return self._repeated(earlier, written)
             settings = self._fitting(written)
             key = own_key(settings.bus, settings.unit, settings.name)
-            if len(self.added) + len(self.left_aside) >= MOST_OWN:
-                raise Problem(409, "too_many", Message.of("own_alarms_full", n=MOST_OWN))
+            if len(self.added) + len(self.left_aside) >= MAX_OWN:
+                raise Problem(409, "too_many", Message.of("own_alarms_full", n=MAX_OWN))
             bus, alarm = self._bus(settings), Alarm(own_definition(settings))
             stored = await self._alarms.store.find(key)
             row = self._row(person, settings, request)

@@ -12,7 +12,7 @@ from pydantic import StringConstraints
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.api import MOST_MINUTES, Alarms
+from app.alarms.api import MAX_MINUTES, Alarms
 from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
@@ -20,7 +20,7 @@ from app.alarms.rules.performance import DAY_S, Figure
 from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
-from app.alarms.summary import MOST_ROWS, listed, places_of, query_of, row_of, state_text
+from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of, state_text
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
@@ -90,7 +90,7 @@ async def alarms_page(
     _: Viewer,
     alarms: Alarms,
     chosen: ChosenFilters,
-    left_out: Annotated[int, Query(ge=0, le=MOST_ROWS)] = 0,
+    left_out: Annotated[int, Query(ge=0, le=MAX_ROWS)] = 0,
 ) -> Response:
     """The present alarms, filtered; the list draws itself again when one changes."""
     screen = service_of(request, Hub).screen(templates_of(request).language_of(request).tag)
@@ -113,7 +113,7 @@ async def alarms_list(
     _: Viewer,
     alarms: Alarms,
     chosen: ChosenFilters,
-    shown: Annotated[ShownKeys, Query(max_length=MOST_ROWS)] = (),
+    shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """The rows alone; those that are shown stay in their places."""
     return _list(request, alarms, chosen, shown)
@@ -192,8 +192,8 @@ async def acknowledge_shown(
     person: Operator,
     alarms: Alarms,
     chosen: ChosenFilters,
-    id: Annotated[list[str], Form(max_length=MOST_ROWS)],
-    shown: Annotated[ShownKeys, Form(max_length=MOST_ROWS)] = (),
+    id: Annotated[list[str], Form(max_length=MAX_ROWS)],
+    shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Those that the person saw. One that has changed since is left as it is, and the page reports it. The
     list that they are acknowledged in keeps the places of its rows."""
@@ -239,7 +239,7 @@ async def shelve(
     person: Operator,
     alarms: Alarms,
     alarm_id: str,
-    minutes: Annotated[int, Form(ge=1, le=MOST_MINUTES)],
+    minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
     reason: TypedReason = "",
 ) -> Response:
     """Hide it for a time."""

@@ -20,7 +20,7 @@ from app.alarms.rules.performance import (
 )
 from bus.instants import UnixTime
 
-MOST_FREQUENT = 10
+MAX_FREQUENT = 10
 _ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
 _IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
 _OBSERVED = "SELECT starts, ends FROM alarm_observed WHERE ends > :start AND starts < :end"
@@ -28,7 +28,7 @@ _WINDOWS = f"SELECT CAST(at / {WINDOW_S} AS INTEGER), COUNT(*) FROM alarm_journa
 _PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _FREQUENT = (
     "SELECT alarm, code, name, bus, unit, COUNT(*) AS times FROM alarm_journal"
-    f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MOST_FREQUENT}"
+    f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MAX_FREQUENT}"
 )
 # Entries are in order by their ids. The time between two is not known where the clock was set back meanwhile.
 _CHATTERING = (

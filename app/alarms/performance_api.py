@@ -25,7 +25,7 @@ from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
-MOST_DAYS = 31
+MAX_DAYS = 31
 USUAL_DAYS = 7
 COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observed_s")
 AlarmFigureCode = TypeAliasType("AlarmFigureCode", FigureCode)
@@ -83,8 +83,8 @@ async def wanted_performance(
     start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
     if start >= end:
         raise Problem(422, "invalid", Message("span_reversed"))
-    if end - start > MOST_DAYS * DAY_S:
-        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
+    if end - start > MAX_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
     return await measure(alarms, start, end)
 
 

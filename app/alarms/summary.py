@@ -14,7 +14,7 @@ from app.alarms.shown import present_value
 from bus.instants import UnixTime
 from bus.messages import Message
 
-MOST_ROWS = 100
+MAX_ROWS = 100
 """In the summary: as many as are acknowledged together at most."""
 
 
@@ -53,11 +53,11 @@ def listed(alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str] = ()
     kept = dict.fromkeys(alarm for key in shown if (alarm := alarms.known(key)) is not None)
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
-    rows = [row_of(alarms, alarm) for alarm in found[:MOST_ROWS]]
+    rows = [row_of(alarms, alarm) for alarm in found[:MAX_ROWS]]
     return {
         "rows": rows,
         "waiting": [row.id for row in rows if row.waiting],
-        "more": max(0, len(found) - MOST_ROWS),
+        "more": max(0, len(found) - MAX_ROWS),
         "query": query_of(chosen),
         "is_filtered": any(chosen.values()),
     }

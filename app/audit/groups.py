@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
 
-MOST_PARTS = 1000
+MAX_PARTS = 1000
 """Parts that one page holds; with more there are fewer rows on it. A change has at most 255."""
 
 
@@ -40,7 +40,7 @@ async def page(events: EventLog, wanted: Filter, limit: int) -> tuple[list[Event
     row where the filter leaves its group out."""
     found, after = await events.page(replace(wanted, folded=True), limit)
     groups = sorted(event["id"] for event in found)
-    parts, more = await events.page(Filter(parts_of=tuple(groups)), MOST_PARTS)
+    parts, more = await events.page(Filter(parts_of=tuple(groups)), MAX_PARTS)
     by_group: dict[int, list[Event]] = {}
     for part in reversed(parts):
         by_group.setdefault(_group_of(part, groups), []).append(part)

@@ -87,7 +87,7 @@ def _made(paths: Sequence[Path], origin: KeyOrigin) -> Path:
     return last
 
 
-_MOST_BYTES = 65_536
+_MAX_BYTES = 65_536
 _Hex = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
@@ -118,7 +118,7 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
         raise KeyFileError(Message.of("audit_key_unreadable", path=str(path), reason=reason)) from error
     with os.fdopen(descriptor, "rb") as file:
         _check_access(path, os.fstat(descriptor), owners)
-        return _ring(path, file.read(_MOST_BYTES))
+        return _ring(path, file.read(_MAX_BYTES))
 
 
 def make_key_file(path: Path, origin: KeyOrigin) -> None:

@@ -13,7 +13,7 @@ from bus.instants import Clock, UnixTime
 from bus.messages import Message
 
 WINDOW_S = 60.0
-MOST_KEYS = 20
+MAX_KEYS = 20
 """How many of a group have separate events in a minute."""
 
 Item = TypeVar("Item", bound=Hashable)
@@ -39,7 +39,7 @@ class Counted(Generic[Item]):
 
 
 class Tally(Generic[Item]):
-    """Counts items by group. Beyond `MOST_KEYS` different ones all others of a group are one."""
+    """Counts items by group. Beyond `MAX_KEYS` different ones all others of a group are one."""
 
     def __init__(self) -> None:
         self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
@@ -47,7 +47,7 @@ class Tally(Generic[Item]):
     def note(self, group: str, item: Item, now: UnixTime) -> Counted[Item] | None:
         """Count an item; return it where it must be recorded at once, else None."""
         windows = self._groups.setdefault(group, {})
-        key = item if item in windows or len(windows) < MOST_KEYS else None
+        key = item if item in windows or len(windows) < MAX_KEYS else None
         if key not in windows:
             windows[key] = _Window(item, now)
             return Counted(item, 1, now, key is None)

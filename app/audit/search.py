@@ -11,7 +11,7 @@ import sqlite3
 
 SHORTEST = 3
 """Characters of a trigram."""
-AT_ONCE = 200
+MAX_AT_ONCE = 200
 """Rows that are indexed in one transaction: some milliseconds, for which commands wait."""
 _COLUMNS = "what, who, old, new, message"
 _NEW_COLUMNS = "NEW.what, NEW.who, NEW.old, NEW.new, NEW.message"
@@ -52,7 +52,7 @@ def index_more(connection: sqlite3.Connection) -> bool:
     lowest = lowest_indexed(connection)
     if lowest is None:
         return False
-    step = max(lowest - AT_ONCE, 1)
+    step = max(lowest - MAX_AT_ONCE, 1)
     query = f"SELECT id, {_COLUMNS} FROM events WHERE id >= ? AND id < ?"
     connection.execute(f"INSERT INTO events_text (rowid, {_COLUMNS}) {query}", (step, lowest))
     connection.execute("UPDATE events_text_extent SET lowest = ?", (step,))

@@ -50,7 +50,7 @@ class Lifetimes:
         return cls(person, Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY))
 
 
-MOST_TOKEN_DAYS = 3650
+MAX_TOKEN_DAYS = 3650
 USE_NOTED_EVERY_S = 60.0
 """A session's last use is written this seldom; every request would wear the disk."""
 
@@ -99,8 +99,8 @@ def token_expiry(now: UnixTime, days: int | None) -> UnixTime | None:
     """When a token made at ``now`` expires; None where it does not. Raises CallerError."""
     if days is None:
         return None
-    if not 1 <= days <= MOST_TOKEN_DAYS:
-        raise CallerError(Message.of("token_days_out_of_range", most=MOST_TOKEN_DAYS, days=days))
+    if not 1 <= days <= MAX_TOKEN_DAYS:
+        raise CallerError(Message.of("token_days_out_of_range", most=MAX_TOKEN_DAYS, days=days))
     return now + days * DAY
 
 

@@ -27,10 +27,10 @@ from bus.messages import Message, term
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """The error for a person, and for a panel."""
-HASHED_AT_ONCE = 2
+MAX_HASHED_AT_ONCE = 2
 """As many as there are threads for it; each takes 20 ms of a core."""
-MOST_WAITING_OF_PLACE = 5
-MOST_WAITING = 200
+MAX_WAITING_OF_PLACE = 5
+MAX_WAITING = 200
 """Two seconds' worth; half of them at most from places that never signed in."""
 
 
@@ -64,7 +64,7 @@ class SignIn:
     _has_users: bool = False
     """Once true it stays so: the last admin cannot be removed."""
     _hashing: FairQueue[str] = field(
-        default_factory=lambda: FairQueue(HASHED_AT_ONCE, 1, MOST_WAITING_OF_PLACE, MOST_WAITING)
+        default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
     )
     _signed_out: list[AccountSubscriber] = field(default_factory=list)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from app.web.access import Role
 from bus.instants import UnixTime
 
-MOST_PLACES = 50
+MAX_PLACES = 50
 """Networks and browsers of one user."""
 
 
@@ -185,7 +185,7 @@ def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str]
         "DELETE FROM known_places WHERE name = ?1 AND place NOT IN "
         "(SELECT place FROM known_places WHERE name = ?1 ORDER BY seen_at DESC LIMIT ?2)"
     )
-    connection.execute(forget, (name, MOST_PLACES))
+    connection.execute(forget, (name, MAX_PLACES))
 
 
 def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:

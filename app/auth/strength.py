@@ -18,7 +18,7 @@ SHORTEST_PASSWORD, LONGEST_PASSWORD = 12, 256
 FEWEST_PIECES = 7
 FEWEST_SIGNS = 5
 FEWEST_PIECES_OF_PIN = 4
-LEAST_NAME = 4
+MIN_NAME = 4
 """Of a name that a password may not contain; a shorter one is in too many words."""
 _PIN = re.compile(r"\d{6,12}")
 
@@ -54,7 +54,7 @@ _SWAPPED = str.maketrans("yz", "zy")
 _PAD = {
     digit: (float(x), float(y)) for y, row in enumerate(("123", "456", "789")) for x, digit in enumerate(row)
 }
-LEAST_RUN = 3
+MIN_RUN = 3
 LONGEST_EASY_BLOCK = 7
 """Of a text that is one block again and again."""
 
@@ -106,7 +106,7 @@ def is_easy_pin(pin: str) -> bool:
 def _contains(password: str, name: str) -> bool:
     """Whether the letters and digits of a name are in those of a password, next to one another."""
     wanted = _plain(name)
-    return len(wanted) >= LEAST_NAME and wanted in _plain(password)
+    return len(wanted) >= MIN_NAME and wanted in _plain(password)
 
 
 def _plain(text: str) -> str:
@@ -160,7 +160,7 @@ def _run(text: str, place: int) -> int:
     end = place + 1
     while end < len(text) and ord(text[end]) - ord(text[end - 1]) == step:
         end += 1
-    return end - place if end - place >= LEAST_RUN else 0
+    return end - place if end - place >= MIN_RUN else 0
 
 
 def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
@@ -168,7 +168,7 @@ def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
     end = place + 1
     while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
         end += 1
-    return end - place if end - place >= LEAST_RUN else 0
+    return end - place if end - place >= MIN_RUN else 0
 
 
 def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] | None) -> bool:
@@ -179,7 +179,7 @@ def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] |
 
 def _repeated(text: str, place: int) -> int:
     """Repeats an earlier piece."""
-    length = LEAST_RUN
+    length = MIN_RUN
     while place + length <= len(text) and text[place : place + length] in text[:place]:
         length += 1
-    return length - 1 if length > LEAST_RUN else 0
+    return length - 1 if length > MIN_RUN else 0

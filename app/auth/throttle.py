@@ -32,7 +32,7 @@ OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
 OF_NAME = 10
 """Tries of one name from networks where no one ever signed in, all together, before they are slowed down."""
 OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
-MOST_KEPT = 10_000
+MAX_KEPT = 10_000
 """Of names, addresses and pairs each; what was used longest ago goes first."""
 
 
@@ -101,7 +101,7 @@ class Attempt:
 class Throttle:
     """What failed in the last quarter of an hour."""
 
-    def __init__(self, most: int = MOST_KEPT) -> None:
+    def __init__(self, most: int = MAX_KEPT) -> None:
         self._pairs: _Bounded[tuple[str, str], _Failures] = _Bounded(most, _Failures)
         self._places: _Bounded[str, Bucket] = _Bounded(
             most, lambda: Bucket(OF_ADDRESS / OF_ADDRESS_WINDOW_S, OF_ADDRESS)

@@ -22,7 +22,7 @@ from bus.errors import CallerError
 from bus.instants import unix_now
 from bus.messages import Message
 
-AT_ONCE = 4
+MAX_AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
 
 Url = Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
@@ -69,7 +69,7 @@ def _read(there: Dashboard, bus: str, wanted: list[int]) -> tuple[list[UnitRows]
         except DashboardError as error:
             return error.message
 
-    with ThreadPoolExecutor(AT_ONCE) as together:
+    with ThreadPoolExecutor(MAX_AT_ONCE) as together:
         found = dict(zip(wanted, together.map(read, wanted), strict=True))
     rows = [given for given in found.values() if isinstance(given, UnitRows)]
     return rows, {unit: why for unit, why in found.items() if isinstance(why, Message)}

@@ -19,7 +19,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 TOKEN_VARIABLE = "LINESIDE_TOKEN"
-MOST_BYTES = 4096
+MAX_BYTES = 4096
 
 TokenOption = Annotated[
     str,
@@ -61,7 +61,7 @@ def _token_in(file: Path) -> str:
     try:
         with file.open("rb") as opened:
             _warn_if_shared(file, os.fstat(opened.fileno()).st_mode)
-            text = opened.read(MOST_BYTES).decode("ascii", errors="replace")
+            text = opened.read(MAX_BYTES).decode("ascii", errors="replace")
     except OSError as error:
         raise CallerError(
             Message.of("token_file_unreadable", file=str(file), error=system_error(error))

@@ -28,7 +28,7 @@ from app.settings import Settings
 GRACEFUL_S = 1
 """What requests in flight get when the server ends."""
 TICK_S = 1.0
-MOST_MESSAGE_BYTES = 4 * 1024 * 1024
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
 class Server(uvicorn.Server):
@@ -113,7 +113,7 @@ def _config(app: Any, watch: LoopWatch, connections: Connections, refusals: Refu
         http=cast(type[asyncio.Protocol], protocol),
         ws=WebSocketProtocol,
         ws_per_message_deflate=False,
-        ws_max_size=MOST_MESSAGE_BYTES,
+        ws_max_size=MAX_MESSAGE_BYTES,
         access_log=False,
         proxy_headers=False,  # app.server.forwarded does it, for the proxies that are named
         log_config=None,

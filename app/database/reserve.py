@@ -1,7 +1,7 @@
 """Disk space that is kept for commands: on a full disk they are still recorded, before they are sent.
 
 A file takes the space while there is enough. Before each transaction of the main store it gives up what that
-may need; all other stores stop earlier, at `KEPT_FREE`.
+may need; all other stores stop earlier, at `MIN_FREE_OF_OTHERS`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SIZE = 64_000_000
 """A day with a command each 4 s: one with its result takes 2.6 kB."""
 MIN_FREE = 2_000_000
 """Free bytes before a transaction: its rows, the store's write-ahead log and the checkpoint of both."""
-KEPT_FREE = 100_000_000
+MIN_FREE_OF_OTHERS = 100_000_000
 """Free bytes below which only the main store is written: neither readings nor pictures."""
 
 log = structlog.get_logger()
@@ -52,7 +52,7 @@ class Reserve:
             free, held = free_bytes(self._path.parent), self._held()
             if free < MIN_FREE and held:
                 os.truncate(self._path, max(0, held - MIN_FREE + free))
-            elif free >= KEPT_FREE + self._size - held:
+            elif free >= MIN_FREE_OF_OTHERS + self._size - held:
                 self._make(held, self._size)
             self._note(free)
 
@@ -66,7 +66,7 @@ class Reserve:
     def close(self) -> None:
         """Give the space back, unless the disk is short: then the next start needs it."""
         with suppress(OSError):
-            if free_bytes(self._path.parent) >= KEPT_FREE:
+            if free_bytes(self._path.parent) >= MIN_FREE_OF_OTHERS:
                 self._path.unlink(missing_ok=True)
 
     def _make(self, held: int, size: int) -> None:
@@ -90,6 +90,6 @@ class Reserve:
             return 0
 
     def _note(self, free: int) -> None:
-        self._is_short = free < KEPT_FREE
+        self._is_short = free < MIN_FREE_OF_OTHERS
         self.left = self._held() / self._size
         """The part of the space that is still there, 0 to 1."""

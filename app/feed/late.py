@@ -12,7 +12,7 @@ from math import inf
 from app.feed.plausibility import LIVE_S
 from app.pipeline import KEPT
 from bus.contract import Batch, Reading, Update
-from bus.contract.bounds import MOST_UPDATES
+from bus.contract.bounds import MAX_UPDATES
 from bus.instants import UnixTime
 
 FIRST_S = 900.0
@@ -77,7 +77,7 @@ class Coverage:
         """Note what was taken in of a batch, its times by the app's clock. A live one that is not full holds
         everything until it was sent."""
         reached = [update.at for update in taken if isinstance(update, Reading)]
-        if batch.live and len(batch.updates) < MOST_UPDATES:
+        if batch.live and len(batch.updates) < MAX_UPDATES:
             reached.append(batch.sent_at)
         if reached:
             self.until = max(self.until or UnixTime(0.0), min(max(reached), now))

@@ -26,7 +26,7 @@ from bus.instants import Monotonic
 
 PER_S = 2_000.0
 """Updates of the live state, each of which goes to every open page."""
-AT_ONCE = 10_000.0
+MAX_AT_ONCE = 10_000.0
 """A complete snapshot, or the backlog of a quarter of an hour."""
 LATE_COST = 0.25
 """Of an update that goes to history only."""
@@ -36,14 +36,14 @@ MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
 """Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
 MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
 """Stored readings and parameters: twice what a worker polls at 9600 baud, and all that it keeps at once."""
-HELLOS_PER_S, HELLOS_AT_ONCE = 0.5, 20.0
+HELLOS_PER_S, MAX_HELLOS_AT_ONCE = 0.5, 20.0
 
 
 @dataclass(slots=True)
 class FeedQuota:
     """What comes for one bus, over all connections of its workers."""
 
-    _updates: Bucket = field(default_factory=partial(Bucket, PER_S, AT_ONCE))
+    _updates: Bucket = field(default_factory=partial(Bucket, PER_S, MAX_AT_ONCE))
     _bytes: Bucket = field(default_factory=partial(Bucket, MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE))
     _values: Bucket = field(default_factory=partial(Bucket, MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE))
 
@@ -63,7 +63,7 @@ class FeedQuota:
 
 def hello_bucket() -> Bucket:
     """What the connections by one token are measured by."""
-    return Bucket(HELLOS_PER_S, HELLOS_AT_ONCE)
+    return Bucket(HELLOS_PER_S, MAX_HELLOS_AT_ONCE)
 
 
 def cost_of(message: WorkerMessage) -> float:

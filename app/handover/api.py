@@ -15,7 +15,7 @@ from typing_extensions import TypedDict
 from app.auth.pages import address_of
 from app.errors import Problem
 from app.handover.document import APART, SheetDocuments
-from app.handover.pictures import MOST_OF_NOTE
+from app.handover.pictures import MAX_OF_NOTE
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
@@ -33,7 +33,7 @@ from app.handover.signatures import SignedPart
 from app.handover.signing import Signing, SignRequest
 from app.web.access import Operator, Viewer
 from app.web.api_route import ApiRoute, RequestKey
-from app.web.bounds import MOST_BODY_BYTES
+from app.web.bounds import MAX_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Instant, StrictBody, iso
@@ -45,7 +45,7 @@ from bus.text import Lines, OneLine
 router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRoute)
 
 LONGEST_NOTE = 2000
-MOST_SHIFTS = 100
+MAX_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
 Documents = Annotated[SheetDocuments, service(SheetDocuments)]
@@ -82,7 +82,7 @@ class ShiftNoteRequest(StrictBody):
     ] = None
     pictures: Annotated[
         tuple[str, ...],
-        Field(strict=False, max_length=MOST_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
+        Field(strict=False, max_length=MAX_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
     ] = ()
 
 
@@ -121,7 +121,7 @@ async def get_shifts(
     _: Viewer,
     shifts: Shifts,
     before: AwareDatetime | None = None,
-    limit: Annotated[int, Query(ge=1, le=MOST_SHIFTS)] = 30,
+    limit: Annotated[int, Query(ge=1, le=MAX_SHIFTS)] = 30,
 ) -> ShiftsShown:
     """The shift under way and those before it."""
     found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, limit)
@@ -177,7 +177,7 @@ async def sign_shift_sheet(
     return signed
 
 
-@router.post("/{start}/notes", status_code=201, max_body_size=MOST_BODY_BYTES)
+@router.post("/{start}/notes", status_code=201, max_body_size=MAX_BODY_BYTES)
 async def write_shift_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteRequest, key: RequestKey = None
 ) -> ShiftNote:

@@ -11,9 +11,9 @@ from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 from bus.messages import Message
 
-MOST_NOTES = 500
+MAX_NOTES = 500
 """Of a shift: a sheet is read by people."""
-MOST_PICTURES = 20
+MAX_PICTURES = 20
 MAX_OF_SITE = 200_000
 """Of all shifts: five years with 100 a day."""
 
@@ -96,11 +96,11 @@ def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
         occurrence(connection, note.alarm)
     if (connection.execute("SELECT max(id) FROM shift_note").fetchone()[0] or 0) >= MAX_OF_SITE:
         raise Problem(409, "too_many", Message.of("shift_notes_of_site_full", n=MAX_OF_SITE))
-    if counts_of(connection, [shift])[0] >= MOST_NOTES:
-        raise Problem(409, "too_many", Message.of("shift_notes_full", n=MOST_NOTES))
+    if counts_of(connection, [shift])[0] >= MAX_NOTES:
+        raise Problem(409, "too_many", Message.of("shift_notes_full", n=MAX_NOTES))
     there = sum(len(each.pictures.split()) for each in notes_of(connection, shift)) if note.pictures else 0
-    if there + len(note.pictures.split()) > MOST_PICTURES:
-        raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MOST_PICTURES))
+    if there + len(note.pictures.split()) > MAX_PICTURES:
+        raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MAX_PICTURES))
 
 
 def occurrence(connection: sqlite3.Connection, alarm_id: str) -> JournalEntry:

@@ -18,7 +18,7 @@ from app.alarms.shown import transition_json
 from app.auth.pages import address_of
 from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
-from app.handover.pictures import MOST_OF_NOTE, PictureStore
+from app.handover.pictures import MAX_OF_NOTE, PictureStore
 from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
 from app.handover.sheet import notes_json
@@ -26,7 +26,7 @@ from app.handover.sheet_view import readable_notes, readable_sheet, readable_tra
 from app.handover.signatures import SignedPart
 from app.handover.signing import SignRequest
 from app.web.access import Operator, Viewer
-from app.web.bounds import MOST_BODY_BYTES
+from app.web.bounds import MAX_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render
 from app.web.turns import SEARCH
@@ -38,7 +38,7 @@ router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 30
 SEE_OTHER = 303
 Pictures = Annotated[PictureStore, service(PictureStore)]
-FORM_LIMITS: Any = {"max_files": MOST_OF_NOTE, "max_fields": 20}
+FORM_LIMITS: Any = {"max_files": MAX_OF_NOTE, "max_fields": 20}
 FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
 PinnedPlace = Annotated[OneLine, Query(max_length=100)]
 PinnedAlarm = Annotated[OneLine, Query(max_length=300)]
@@ -145,7 +145,7 @@ async def _new_note(
     )
 
 
-@router.post("/shifts/{start}/notes", max_body_size=MOST_BODY_BYTES, form_limits=FORM_LIMITS)
+@router.post("/shifts/{start}/notes", max_body_size=MAX_BODY_BYTES, form_limits=FORM_LIMITS)
 async def write_note(
     person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
 ) -> Response:

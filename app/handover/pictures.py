@@ -19,7 +19,7 @@ log = structlog.get_logger()
 
 FILE = "pictures.db"
 MIGRATIONS = Path(__file__).parent / "migrations"
-MOST_OF_NOTE = 3
+MAX_OF_NOTE = 3
 LARGEST = 1024**2
 """Bytes of one."""
 MB = 1_000_000
@@ -27,8 +27,8 @@ MB = 1_000_000
 
 def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
     """The pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
-    if len(contents) > MOST_OF_NOTE:
-        raise Problem(422, "invalid", Message.of("pictures_too_many", n=MOST_OF_NOTE))
+    if len(contents) > MAX_OF_NOTE:
+        raise Problem(422, "invalid", Message.of("pictures_too_many", n=MAX_OF_NOTE))
     if any(len(content) > LARGEST for content in contents):
         raise Problem(413, "too_large", Message.of("picture_too_long", n=LARGEST // 1024**2))
     plain = [plain_picture(content) for content in contents]

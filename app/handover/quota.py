@@ -6,7 +6,7 @@ from collections import defaultdict
 from functools import partial
 from pathlib import Path
 
-from app.database.reserve import KEPT_FREE, free_bytes
+from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift
 from bus.bucket import Bucket
@@ -41,7 +41,7 @@ class Quota:
         """Raises Problem 409 for a shift of long ago, 503 where the disk is kept for commands."""
         if not self.is_recent(shift):
             raise Problem(409, "not_in_state", Message.of("shift_too_old", n=MAX_AGE_DAYS))
-        if free_bytes(self._folder) < KEPT_FREE:
+        if free_bytes(self._folder) < MIN_FREE_OF_OTHERS:
             raise Problem(503, "store", Message("shift_disk_full"))
 
     def take(self, sender: str, parts: int) -> None:

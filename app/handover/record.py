@@ -14,7 +14,7 @@ from app.audit.store import Filter
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 
-MOST_EVENTS = 200
+MAX_EVENTS = 200
 """Of one kind on a sheet, the newest; the events page has all."""
 STARTING_S = 60.0
 """An event so shortly before a start of the server belongs to that start."""
@@ -69,7 +69,7 @@ class ShiftEvents:
         outcomes: Counter[str] = Counter()
         for kind in kinds:
             outcomes += self._counted.get(kind, Counter())
-        return EventsOfShift(found[:MOST_EVENTS][::-1], dict(sorted(outcomes.items())))
+        return EventsOfShift(found[:MAX_EVENTS][::-1], dict(sorted(outcomes.items())))
 
     def _newest(self, kind: str) -> list[dict[str, Any]]:
         if kind not in self._counted:
@@ -82,7 +82,7 @@ class ShiftEvents:
             until=self._shift.end,
             folded=True,
         )
-        return store.select(self._connection, wanted, MOST_EVENTS)
+        return store.select(self._connection, wanted, MAX_EVENTS)
 
     def _count(self) -> dict[str, Counter[str]]:
         bounds = (self._first or 0, self._last or 0, self._shift.start, self._shift.end)

@@ -17,7 +17,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem, StoreError
-from app.history.api.spans import MOST_SERIES, HistoryOf, Span, moment, series_queries
+from app.history.api.spans import MAX_SERIES, HistoryOf, Span, moment, series_queries
 from app.history.export import parquet_file
 from app.history.series import values
 from app.history.series.runs import DAY, SECOND, micros
@@ -74,7 +74,7 @@ def preload_address(history: History, params: QueryParams, now: int) -> str:
         span = _span(params, now)
     except (Problem, ValueError, OverflowError):
         return ""
-    names = _names(history, params)[:MOST_SERIES]
+    names = _names(history, params)[:MAX_SERIES]
     if not names or span.start >= span.end:
         return ""
     query = [("from", iso(seconds(span.start))), ("to", iso(seconds(span.end))), ("format", "epoch")]

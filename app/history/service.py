@@ -141,7 +141,7 @@ def seconds(at: int) -> UnixTime:
     return UnixTime(at / SECOND)
 
 
-MOST_SPANS = 50_000
+MAX_SPANS = 50_000
 """Bits that change more often than this over a span are not read."""
 StatusSpan = tuple[UnixTime, UnixTime, int]
 
@@ -157,7 +157,7 @@ async def status_words(
         if key is None:
             return []
         recent = [Interval(run.at, run.until, run.word) for run in tail.runs(key, *wanted)]
-        if tables.count_bits(connection, key, *wanted) > MOST_SPANS:
+        if tables.count_bits(connection, key, *wanted) > MAX_SPANS:
             return recent
         return tables.bits_around(connection, key, *wanted) + recent
 

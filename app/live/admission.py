@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections import Counter
 
-MOST_OF_ACCOUNT = 256
+MAX_OF_ACCOUNT = 256
 """A browser opens no more WebSockets to one server than 255."""
-MOST_OF_ADDRESS = 512
+MAX_OF_ADDRESS = 512
 """The browsers of a plant may share one address."""
 
 
 class Admission:
     """Those that are open, counted."""
 
-    def __init__(self, of_account: int = MOST_OF_ACCOUNT, of_address: int = MOST_OF_ADDRESS) -> None:
+    def __init__(self, of_account: int = MAX_OF_ACCOUNT, of_address: int = MAX_OF_ADDRESS) -> None:
         self._of_account = of_account
         self._of_address = of_address
         self._by_account: Counter[str] = Counter()

@@ -19,7 +19,7 @@ from bus.contract import Result, SetLine, SetSpeed
 from bus.instants import Monotonic, unix_now
 from bus.messages import Message
 
-MOST_RECIPES = 1000
+MAX_RECIPES = 1000
 """In use on one bus; a list of them is not paged."""
 
 
@@ -60,8 +60,8 @@ class RecipeBook:
     ) -> Recipe:
         """A new version. ``setpoints``: unit → raw. Raises Problem 422 or 404 in words."""
         live = self._state.buses[bus]
-        if await self.store.is_full(bus, name, MOST_RECIPES):
-            raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MOST_RECIPES))
+        if await self.store.is_full(bus, name, MAX_RECIPES):
+            raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MAX_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, unix_now(), rows))
         await self._record(person, recipe, "event_recipe_saved")

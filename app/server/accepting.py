@@ -14,7 +14,7 @@ from contextlib import suppress
 from itertools import count
 from ssl import SSLContext
 
-AT_ONCE = 8
+MAX_AT_ONCE = 8
 """To accept one takes the event loop a tenth of a millisecond; its request then waits for its turn."""
 RECEIVE_BUFFER_BYTES = 64 * 1024
 """What the system takes of a connection before this process reads it. A protocol gets it in one call: it is
@@ -41,7 +41,7 @@ async def accept_connections(
         try:
             await _begin(connection, make_protocol, tls)
         finally:
-            if not number % AT_ONCE:  # uvloop returns from sock_accept at once where a connection waits
+            if not number % MAX_AT_ONCE:  # uvloop returns from sock_accept at once where a connection waits
                 await asyncio.sleep(0)
 
 

@@ -11,7 +11,7 @@ Network = IPv4Network | IPv6Network
 
 SUBNET_BITS = 64
 """Of IPv6, what one subscriber or one machine has at least (RFC 6177, 2)."""
-MOST_REMEMBERED = 1024
+MAX_REMEMBERED = 1024
 
 
 def parse_address(text: str) -> Address | None:
@@ -28,7 +28,7 @@ def canonical(text: str) -> str:
     return str(parse_address(text) or text)
 
 
-@lru_cache(maxsize=MOST_REMEMBERED)
+@lru_cache(maxsize=MAX_REMEMBERED)
 def source_of(text: str) -> str:
     """The key by which a client is counted: an IPv4 address, the /64 of an IPv6 one, else ``address``."""
     address = parse_address(text)

@@ -17,11 +17,11 @@ from starlette.types import Scope
 from app.server.addresses import Network, is_within, source_of
 
 EXTENSION = "lineside.connection"
-MOST_OF_ADDRESS = 256
+MAX_OF_ADDRESS = 256
 """Of strangers; all browsers of a plant may share an address until they have sent their cookie."""
-MOST_STRANGERS = 512
-MOST_OF_ACCOUNT = 400
-MOST_IN_ALL = 2000
+MAX_STRANGERS = 512
+MAX_OF_ACCOUNT = 400
+MAX_IN_ALL = 2000
 
 
 class ConnectionHolder(Protocol):
@@ -56,9 +56,9 @@ class Connection:
 class Connections:
     """Those that are open now; ``most``: how many the system allows."""
 
-    def __init__(self, trusted_proxies: Collection[Network] = (), most: int = MOST_IN_ALL) -> None:
+    def __init__(self, trusted_proxies: Collection[Network] = (), most: int = MAX_IN_ALL) -> None:
         self._trusted = trusted_proxies
-        self._most = min(most, MOST_IN_ALL)
+        self._most = min(most, MAX_IN_ALL)
         self._strangers: defaultdict[str, dict[Connection, None]] = defaultdict(dict)
         self._known: defaultdict[str, dict[Connection, None]] = defaultdict(dict)
         self._count = {True: 0, False: 0}
@@ -91,9 +91,9 @@ class Connections:
         group = groups[self._key(connection)]
         group[connection] = None
         self._count[is_known] += 1
-        if len(group) > (MOST_OF_ACCOUNT if is_known else MOST_OF_ADDRESS):
+        if len(group) > (MAX_OF_ACCOUNT if is_known else MAX_OF_ADDRESS):
             self._drop_one(group)
-        elif not is_known and self._count[False] > MOST_STRANGERS:
+        elif not is_known and self._count[False] > MAX_STRANGERS:
             self._drop_one(max(self._strangers.values(), key=len))
         elif sum(self._count.values()) > self._most:
             self._drop_one(max((*self._strangers.values(), *self._known.values()), key=len))

@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 K = TypeVar("K")
 
-MOST_REST_S = 0.05
+MAX_REST_S = 0.05
 
 
 class TooManyWaitingError(Exception):
@@ -60,7 +60,7 @@ class FairQueue(Generic[K]):
 
     ``at_once``: turns at a time, and ``at_once_of_key`` of one key. ``most_waiting_of_key`` may wait of one
     key, ``most_waiting`` of all together, half of them known and half not. ``rest``: how many times as long
-    as a turn took its place then stays free, but at most MOST_REST_S.
+    as a turn took its place then stays free, but at most MAX_REST_S.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class FairQueue(Generic[K]):
             yield
         finally:
             if self._rest:
-                loop.call_later(min(self._rest * (loop.time() - begun), MOST_REST_S), self._end, key)
+                loop.call_later(min(self._rest * (loop.time() - begun), MAX_REST_S), self._end, key)
             else:
                 self._end(key)
 

@@ -16,8 +16,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.server.addresses import Network, canonical, is_within, parse_address, source_of
 from app.server.refusal import TOO_MANY_REQUESTS
 
-MOST_HOPS = 20
-MOST_UNDER_WAY = 200
+MAX_HOPS = 20
+MAX_UNDER_WAY = 200
 """Requests of one address behind a proxy; all browsers of a plant may have one."""
 _PORT = re.compile(r"(?:\[(?P<v6>[^\]]*)\]|(?P<v4>[^:]*))(?::\d{1,5})?")
 _HOST = re.compile(r"[A-Za-z0-9.-]{1,253}(?::\d{1,5})?|\[[0-9A-Fa-f:.]{2,45}\](?::\d{1,5})?")
@@ -52,7 +52,7 @@ def origin_of(peer: str, headers: Headers, trusted: Collection[Network]) -> Orig
 
 def _client(peer: str, forwarded_for: str, trusted: Collection[Network]) -> str:
     client = peer
-    for hop in reversed(forwarded_for.rsplit(",", MOST_HOPS)[-MOST_HOPS:]):
+    for hop in reversed(forwarded_for.rsplit(",", MAX_HOPS)[-MAX_HOPS:]):
         address = parse_address(_without_port(hop.strip()))
         if address is None:
             break
@@ -101,7 +101,7 @@ class Forwarded:
             await self._app(scope, receive, send)
 
     async def _count(self, source: str, scope: Scope, receive: Receive, send: Send) -> None:
-        if self._under_way[source] >= MOST_UNDER_WAY:
+        if self._under_way[source] >= MAX_UNDER_WAY:
             await TOO_MANY_REQUESTS(scope, receive, send)
             return
         self._under_way[source] += 1

@@ -23,9 +23,9 @@ from app.server.refusal import (
     Refusal,
 )
 
-MOST_HEAD_BYTES = 32 * 1024
-MOST_HEADERS = 100
-MOST_PIPELINED = 8
+MAX_HEAD_BYTES = 32 * 1024
+MAX_HEADERS = 100
+MAX_PIPELINED = 8
 """Requests that wait for the response to one before them."""
 MAX_FRAMING_SHARE = 16
 """Bytes of chunk sizes and line ends for each byte of a body, beyond those of a head: a chunk of one byte has
@@ -89,7 +89,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         HttpToolsProtocol.data_received(self, data)
         if self.scope is not scope or self._pace.awaited is not awaited:
             self._framing_bytes = 0
-        elif self._framing_bytes > MOST_HEAD_BYTES + MAX_FRAMING_SHARE * self._pace.received:
+        elif self._framing_bytes > MAX_HEAD_BYTES + MAX_FRAMING_SHARE * self._pace.received:
             self._refuse(MALFORMED if awaited is Awaited.BODY else TOO_LONG)
 
     def _takes_input(self, size: int) -> bool:
@@ -131,7 +131,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def on_message_begin(self) -> None:
         """A request starts, perhaps before the response to the previous one."""
-        if len(self.pipeline) >= MOST_PIPELINED:
+        if len(self.pipeline) >= MAX_PIPELINED:
             raise BeyondBoundsError("too many requests wait for a response")
         super().on_message_begin()
         self._pieces += 1
@@ -202,7 +202,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
     def _count_head(self, size: int) -> None:
         self._head_bytes += size
-        if self._head_bytes > MOST_HEAD_BYTES or len(self.headers) >= MOST_HEADERS:
+        if self._head_bytes > MAX_HEAD_BYTES or len(self.headers) >= MAX_HEADERS:
             self._give_up(TOO_LONG)
 
     def _give_up(self, refusal: Refusal) -> NoReturn:

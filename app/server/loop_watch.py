@@ -8,7 +8,7 @@ from collections.abc import Callable
 from math import inf
 
 TICK_S = 0.05
-AGAIN_S = 0.001
+SOON_S = 0.001
 """After a stall: separates what arrives after it from what arrived during it."""
 
 
@@ -41,4 +41,4 @@ class LoopWatch:
         now = self.now()
         stood_still = now - self._last > 2 * TICK_S
         self._before_last, self._last = self._last, now
-        self._timer = asyncio.get_running_loop().call_later(AGAIN_S if stood_still else TICK_S, self._tick)
+        self._timer = asyncio.get_running_loop().call_later(SOON_S if stood_still else TICK_S, self._tick)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, auto
 
-LEAST_RATE = 1000.0
+MIN_RATE = 1000.0
 """Bytes a second, of a body that arrives and of a response that is read. A modem makes three times that."""
 STALL_S = 20.0
 """Over which the rate of a reader is measured."""
@@ -52,7 +52,7 @@ class Pace:
         """Whether the client has taken too long."""
         if self.awaited is Awaited.NOTHING:
             return False
-        earned_s = self.received / LEAST_RATE if self.awaited is Awaited.BODY else 0.0
+        earned_s = self.received / MIN_RATE if self.awaited is Awaited.BODY else 0.0
         return now - self.since > min(WITHIN_S[self.awaited] + earned_s, LONGEST_BODY_S)
 
 
@@ -73,4 +73,4 @@ class Backlog:
             return False
         was_read = self.size - size
         self.size, self.since = size, now
-        return was_read < LEAST_RATE * STALL_S
+        return was_read < MIN_RATE * STALL_S

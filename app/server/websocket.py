@@ -18,13 +18,13 @@ from app.server.trust import EXTENSION as TRUST
 from bus.bucket import Bucket
 from bus.instants import Monotonic
 
-MOST_MESSAGE_BYTES = 8 * 1024
+MAX_MESSAGE_BYTES = 8 * 1024
 """Until its sender is trusted: a page names the units that it shows, a worker itself."""
 FRAMES_A_SECOND = 10.0
-MOST_FRAMES_AT_ONCE = 60
-MOST_UNREAD_BYTES = 64 * 1024
+MAX_FRAMES_AT_ONCE = 60
+MAX_UNREAD_BYTES = 64 * 1024
 """Of responses to pings."""
-MOST_AFTER_CLOSE_BYTES = 4096
+MAX_AFTER_CLOSE_BYTES = 4096
 """Of what a page sent before it saw the server's Close frame, its own Close frame included."""
 
 
@@ -37,9 +37,9 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         super().__init__(*args, **options)
         self.connection = connection
         self._is_trusted = False
-        self._most_bytes, self.conn.max_message_size = self.conn.max_message_size, MOST_MESSAGE_BYTES
+        self._most_bytes, self.conn.max_message_size = self.conn.max_message_size, MAX_MESSAGE_BYTES
         self._after_close_bytes = 0
-        self._bucket = Bucket(FRAMES_A_SECOND, MOST_FRAMES_AT_ONCE)
+        self._bucket = Bucket(FRAMES_A_SECOND, MAX_FRAMES_AT_ONCE)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client that does not read is waited for after one message, not after 64 KiB of them."""
@@ -124,7 +124,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
 
     def handle_ping(self) -> None:
         """A frame of the client; its response waits for the client to read."""
-        if self.transport.get_write_buffer_size() > MOST_UNREAD_BYTES:
+        if self.transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
             self.transport.abort()
         elif self._is_allowed():
             super().handle_ping()
@@ -153,7 +153,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     def _is_closing_in_bounds(self, size: int) -> bool:
         """Whether ``size`` more bytes may be parsed for the Close frame that ends the connection at once."""
         self._after_close_bytes += size
-        return self._after_close_bytes <= MOST_AFTER_CLOSE_BYTES
+        return self._after_close_bytes <= MAX_AFTER_CLOSE_BYTES
 
     def _is_allowed(self, message: Frame | None = None) -> bool:
         """Count a frame. The complete messages of a trusted sender wait for the app to read them."""

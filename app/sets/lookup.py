@@ -14,7 +14,7 @@ from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
-from app.web.bounds import MOST_BODY_BYTES, parse_apart
+from app.web.bounds import MAX_BODY_BYTES, parse_apart
 from bus.messages import Message, term
 
 
@@ -100,4 +100,4 @@ Chosen = Annotated[FormSource, Depends(form_source)]
 
 def post_source(router: APIRouter, path: str) -> Callable[[Endpoint], Endpoint]:
     """Decorates the endpoint that takes such a form, with room for one file."""
-    return router.post(path, max_body_size=MOST_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100})
+    return router.post(path, max_body_size=MAX_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100})

@@ -30,7 +30,7 @@ router = APIRouter(include_in_schema=False)
 
 Readings = Annotated[Takings, service(Takings)]
 
-MOST_LISTED = 100
+MAX_LISTED = 100
 """Sets on one page of the list; each day of a line with a schedule adds some."""
 
 
@@ -45,13 +45,13 @@ async def list_page(
     before: int | None = None,
 ) -> Response:
     """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
-    found = await sets.summaries(bus or None, unit, before=before, most=MOST_LISTED + 1)
+    found = await sets.summaries(bus or None, unit, before=before, most=MAX_LISTED + 1)
     return render(
         request,
         "sets/page.html",
         buses=live.buses,
-        sets=found[:MOST_LISTED],
-        older=found[MOST_LISTED - 1].id if len(found) > MOST_LISTED else None,
+        sets=found[:MAX_LISTED],
+        older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,
         schedule=await sets.schedule(),
         overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
         bus=bus,

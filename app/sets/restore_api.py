@@ -17,7 +17,7 @@ from app.sets.restore import RestoreService
 from app.sets.restore_view import RestoreShown, restore_json
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.bounds import MOST_BODY_BYTES
+from app.web.bounds import MAX_BODY_BYTES
 from app.web.schema_problem import problems
 from app.web.services import service
 from app.web.shape import Numbers, StrictBody
@@ -54,7 +54,7 @@ class StartRestoreRequest(StrictBody):
     "/buses/{bus}/units/{unit}/restores",
     status_code=201,
     responses=problems(504),
-    max_body_size=MOST_BODY_BYTES,
+    max_body_size=MAX_BODY_BYTES,
 )
 async def plan_restore(
     person: ParameterWriter,

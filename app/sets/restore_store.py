@@ -17,7 +17,7 @@ from bus.messages import Message
 NOT_KEPT = -1
 """Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
 ENDED_MEANWHILE = Message("row_in_doubt")
-MOST_OF_UNIT = 20
+MAX_OF_UNIT = 20
 _SIDES = ("wanted", "before", "proven")
 
 
@@ -96,7 +96,7 @@ class RestoreStore(Tables):
     def of_unit(self, connection: sqlite3.Connection, bus: str, unit: int) -> list[Restore]:
         """The last restores of a unit, newest first."""
         newest = "bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?"
-        return list(_select(connection, newest, bus, unit, MOST_OF_UNIT))
+        return list(_select(connection, newest, bus, unit, MAX_OF_UNIT))
 
 
 def _insert_values(

@@ -16,7 +16,7 @@ from app.web.access import Person
 from bus.messages import Message
 
 _KEEP = 20
-AT_ONCE = 4
+MAX_AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
 
 
@@ -85,7 +85,7 @@ async def read_together(
 ) -> tuple[list[UnitRows], dict[int, Message]]:
     """Read units completely, a few at once. Returns those that responded, and why the others did not;
     ``read`` and ``missing`` are filled on the way for a progress display."""
-    at_once = asyncio.Semaphore(AT_ONCE)
+    at_once = asyncio.Semaphore(MAX_AT_ONCE)
     read = [] if read is None else read
     missing = {} if missing is None else missing
 

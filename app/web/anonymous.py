@@ -11,12 +11,12 @@ from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.server.starting import HEALTH
 from app.web.access import person_of
-from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
+from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.web.security import refuse
 from bus.messages import Message
 
-AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
-MOST_WAITING, MOST_WAITING_OF_ADDRESS = 512, 64
+MAX_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
+MAX_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
 REST = 4.0
 """To render the login page takes the event loop milliseconds, and a command needs the loop some twenty times:
 without the rest it would wait for another page each time."""
@@ -30,10 +30,10 @@ class AnonymousInTurn:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
-        self._bounded = BoundedBody(self._serve, MOST_PLAIN_BODY_BYTES)
+        self._bounded = BoundedBody(self._serve, MAX_PLAIN_BODY_BYTES)
         # Half of what may wait is for known keys, and no address is known.
         self._turns: FairQueue[str] = FairQueue(
-            AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, 2 * MOST_WAITING, REST
+            MAX_AT_ONCE, AT_ONCE_OF_ADDRESS, MAX_WAITING_OF_ADDRESS, 2 * MAX_WAITING, REST
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -14,11 +14,11 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem
-from app.web.bounds import MOST_PLAIN_BODY_BYTES, parse_apart
+from app.web.bounds import MAX_PLAIN_BODY_BYTES, parse_apart
 from app.web.schema_problem import usual_problems
 from bus.messages import Message
 
-MOST_MEMBERS = 1000
+MAX_MEMBERS = 1000
 """Of a JSON object; the largest has one for each of 255 units. Each unknown one is a separate fault."""
 RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 RequestKey = Annotated[
@@ -69,7 +69,7 @@ class _OfOneMeaning(Request):
     async def json(self) -> Any:
         """Raises Problem 422 for a key given twice."""
         body = await self.body()
-        if len(body) <= MOST_PLAIN_BODY_BYTES:
+        if len(body) <= MAX_PLAIN_BODY_BYTES:
             return _loads(body)
         return await parse_apart(lambda: _loads(body))
 
@@ -79,8 +79,8 @@ def _loads(body: bytes) -> Any:
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    if len(pairs) > MOST_MEMBERS:
-        raise Problem(422, "invalid", Message.of("too_many_members", n=MOST_MEMBERS))
+    if len(pairs) > MAX_MEMBERS:
+        raise Problem(422, "invalid", Message.of("too_many_members", n=MAX_MEMBERS))
     made: dict[str, Any] = {}
     for name, value in pairs:
         if name in made:

@@ -26,7 +26,7 @@ SENT_AT = "lineside-sent-at"
 _CLICKED_AT = ("lineside-clicked-at", "lineside-asked-at")
 _CLICKED_AT_IN_QUERY = ("clicked_at", "asked_at")
 """The second of each is of a page that was opened before version 0.2 and is open still."""
-MOST_AHEAD_S = 5.0
+MAX_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 
@@ -85,7 +85,7 @@ def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
             Message("sent_at_malformed"),
         )
     ahead_s = at - unix_now()
-    if ahead_s > MOST_AHEAD_S:
+    if ahead_s > MAX_AHEAD_S:
         raise Problem(
             422,
             "invalid",

@@ -22,14 +22,14 @@ from app.web.security import foreign_problem, header_problem, host_problem, refu
 from app.web.shape import parse_integer
 from bus.messages import Message
 
-MOST_BODY_BYTES = 2 * 1024 * 1024
+MAX_BODY_BYTES = 2 * 1024 * 1024
 """Of a request that carries a file of parameter sets: 255 units take 0.7 MB."""
-MOST_PLAIN_BODY_BYTES = 64 * 1024
+MAX_PLAIN_BODY_BYTES = 64 * 1024
 """Of any other: the largest are the setpoints of 255 units."""
 LONGEST_PATH = 1000
 LONGEST_QUERY = 20_000
 """Bytes; the longest that a page makes names a value of each of 255 units."""
-MOST_PARAMETERS = 600
+MAX_PARAMETERS = 600
 LONGEST_CONTENT_TYPE = 200
 """A boundary of a multipart body has at most 70 characters (RFC 2046, 5.1.1)."""
 
@@ -39,7 +39,7 @@ class RequestRules:
     address, a header or a body larger than anything that the app needs."""
 
     def __init__(self, app: ASGIApp, allowed_hosts: Collection[str]) -> None:
-        self._app = BoundedBody(app, MOST_BODY_BYTES)
+        self._app = BoundedBody(app, MAX_BODY_BYTES)
         self._allowed_hosts = frozenset(canonical(name) for name in allowed_hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -93,7 +93,7 @@ class BoundedBody:
 def _out_of_bounds(scope: Scope) -> Problem | None:
     query = scope["query_string"]
     long = len(scope["path"]) > LONGEST_PATH or len(query) > LONGEST_QUERY
-    if long or query.count(b"&") > MOST_PARAMETERS:
+    if long or query.count(b"&") > MAX_PARAMETERS:
         return Problem(414, "too_long", Message("address_too_long"))
     content_type = Headers(scope=scope).get("content-type", "")
     if len(content_type) > LONGEST_CONTENT_TYPE:

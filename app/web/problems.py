@@ -36,7 +36,7 @@ _CODES: dict[int, ProblemCode] = {
     422: "invalid",
 }
 
-MOST_FAULTS = 20
+MAX_FAULTS = 20
 """Of a body that are named."""
 
 
@@ -115,7 +115,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
     """Malformed input, each fault named; its place may be a key of the request. Nothing was done."""
     if any(error["type"] == "json_invalid" for error in errors):
         return Problem(422, "invalid", Message("body_not_json"))
-    found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MOST_FAULTS]]
+    found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MAX_FAULTS]]
     faults = [Message.of("fault_at", where=where, fault=fault) for where, fault in found]
     named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
     return Problem(422, "invalid", Message.of("fields_malformed", errors=faults), errors=named)

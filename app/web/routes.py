@@ -12,7 +12,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.web.access import Requires, Role, public
-from app.web.bounds import MOST_PLAIN_BODY_BYTES, BoundedBody
+from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
 
 
@@ -82,7 +82,7 @@ def guard(app: FastAPI, turns: Turns) -> None:
     """
     for route in app.routes:
         if isinstance(route, APIRoute):
-            guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MOST_PLAIN_BODY_BYTES)
+            guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MAX_PLAIN_BODY_BYTES)
             if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
                 guarded = ReadInTurn(guarded, turns.reads)
             route.app = RolesFirst(guarded, list(_requirements(route.dependant)))

@@ -19,11 +19,11 @@ from app.web.access import Viewer, person_of
 from app.web.services import service_of
 from bus.messages import Message
 
-AT_ONCE = 2
-MOST_WAITING = 30
+MAX_AT_ONCE = 2
+MAX_WAITING = 30
 """Of searches, and of downloads."""
-READS_AT_ONCE = 6
-MOST_READS_WAITING = 200
+MAX_READS = 6
+MAX_WAITING_READS = 200
 """Of everything else that is read."""
 
 
@@ -44,9 +44,9 @@ async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
 class Turns:
     """The queues of one app, each by account."""
 
-    searches: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, AT_ONCE, MOST_WAITING))
-    downloads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, AT_ONCE, MOST_WAITING))
-    reads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, READS_AT_ONCE, MOST_READS_WAITING))
+    searches: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
+    downloads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_AT_ONCE, MAX_WAITING))
+    reads: FairQueue[str] = field(default_factory=lambda: FairQueue(inf, MAX_READS, MAX_WAITING_READS))
     """Everything else that is read."""
 
 

@@ -14,7 +14,7 @@ from bus.messages import Message, number, term
 RATIO_DECIMALS = 4
 _FOLLOWER_MODES = (1, 2)
 """#8 of a follower and of an inverse follower (manual, 4.0)."""
-MOST_DECIMALS = 9
+MAX_DECIMALS = 9
 HIGHEST_ATD = 255
 _FULL_VOLTS = 10
 _NUMBER = re.compile(r"([0-9]{1,9})(?:[.,]([0-9]{1,9}))?")
@@ -29,10 +29,10 @@ def is_follower(mode: int | None) -> bool:
 def speed_text(raw: int, decimals: int) -> str:
     """Return ``raw`` display units with ``decimals`` (#3) places: 12345 with 1 is "1234.5".
 
-    Marked as raw where a unit reports more than :data:`MOST_DECIMALS`, because ten to the power of a
+    Marked as raw where a unit reports more than :data:`MAX_DECIMALS`, because ten to the power of a
     four-byte number does not finish.
     """
-    if decimals > MOST_DECIMALS:
+    if decimals > MAX_DECIMALS:
         return str(bare(raw))
     integer_part, part = divmod(raw, 10**decimals)
     return f"{integer_part}.{part:0{decimals}d}" if decimals else str(integer_part)
@@ -44,7 +44,7 @@ def speed_raw(text: str, decimals: int) -> int:
     More places than ``decimals`` are refused even when they are zeros: in "1.000" for a display with
     one decimal the point was most likely meant to group thousands. Raises CallerError.
     """
-    if decimals > MOST_DECIMALS:
+    if decimals > MAX_DECIMALS:
         raise CallerError(Message("decimals_too_many"))
     text = text.strip()
     found = _NUMBER.fullmatch(text)
@@ -59,7 +59,7 @@ def speed_raw(text: str, decimals: int) -> int:
 
 def speed_message(raw: int, decimals: int | None) -> Message:
     """The same for people; marked as raw also while the decimals are not known (None)."""
-    if decimals is None or decimals > MOST_DECIMALS:
+    if decimals is None or decimals > MAX_DECIMALS:
         return bare(raw)
     return number(speed_text(raw, decimals))
 

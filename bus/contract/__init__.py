@@ -26,8 +26,8 @@ from bus.contract.bounds import BUFFER_AGE_S as BUFFER_AGE_S
 from bus.contract.bounds import CONTRACT_VERSION as CONTRACT_VERSION
 from bus.contract.bounds import LONGEST_FRAME as LONGEST_FRAME
 from bus.contract.bounds import LONGEST_MEANING as LONGEST_MEANING
-from bus.contract.bounds import MOST_MEANINGS as MOST_MEANINGS
-from bus.contract.bounds import MOST_UPDATES as MOST_UPDATES
+from bus.contract.bounds import MAX_MEANINGS as MAX_MEANINGS
+from bus.contract.bounds import MAX_UPDATES as MAX_UPDATES
 from bus.contract.bounds import BusLinkState as BusLinkState
 from bus.contract.bounds import Direction as Direction
 from bus.contract.bounds import Outcome as Outcome

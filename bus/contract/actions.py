@@ -11,8 +11,8 @@ from typing import Annotated, ClassVar
 from msgspec import Meta, field
 
 from bus.contract.bounds import (
-    MOST_FRAMES,
-    MOST_UNITS,
+    MAX_FRAMES,
+    MAX_UNITS,
     BaudRate,
     FourBytes,
     OutputNumber,
@@ -77,7 +77,7 @@ class ExecuteAll(BusAction, frozen=True, tag="execute_all"):
 class SetLine(BusAction, frozen=True, tag="set_line"):
     """Stage each (82h), require every ACK, one 83h to UID 0, read each back. ``setpoints``: unit → raw."""
 
-    setpoints: Annotated[dict[UnitId, Speed], Meta(max_length=MOST_UNITS)]
+    setpoints: Annotated[dict[UnitId, Speed], Meta(max_length=MAX_UNITS)]
 
     @property
     def units(self) -> tuple[int, ...]:
@@ -134,9 +134,9 @@ class ReadTrace(BusAction, frozen=True, tag="read_trace"):
     """
 
     writes: ClassVar[bool] = False
-    most_frames: ClassVar[int] = MOST_FRAMES
+    most_frames: ClassVar[int] = MAX_FRAMES
     since: Stamp
-    limit: Annotated[int, Meta(ge=1, le=MOST_FRAMES)] = MOST_FRAMES
+    limit: Annotated[int, Meta(ge=1, le=MAX_FRAMES)] = MAX_FRAMES
 
 
 WireAction = (

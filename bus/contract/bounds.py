@@ -31,12 +31,12 @@ class TaggedStruct(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=Tr
     """Base of every message and part of a message: immutable, with its type in the field ``is``."""
 
 
-MOST_UNITS = 255
-MOST_UPDATES = 500
+MAX_UNITS = 255
+MAX_UPDATES = 500
 """In a batch, so that no message takes the app's loop for long."""
-MOST_FRAMES = 2_000
-MOST_MEANINGS = 30
-MOST_REMARKS = 20
+MAX_FRAMES = 2_000
+MAX_MEANINGS = 30
+MAX_REMARKS = 20
 LONGEST_TEXT = 4_000
 LONGEST_MEANING = 1_000
 """Characters that are shown of what a frame means."""

@@ -9,8 +9,8 @@ from msgspec import Meta
 
 from bus.contract.actions import Action
 from bus.contract.bounds import (
-    MOST_UNITS,
-    MOST_UPDATES,
+    MAX_UNITS,
+    MAX_UPDATES,
     Id,
     LongText,
     ShortText,
@@ -40,7 +40,7 @@ class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
     seq: Total
     sent_at: Stamp
     bus: BusLink
-    units: Annotated[list[UnitState], Meta(max_length=MOST_UNITS)]
+    units: Annotated[list[UnitState], Meta(max_length=MAX_UNITS)]
     figures: BusFigures | None = None
 
 
@@ -49,7 +49,7 @@ class Batch(TaggedStruct, frozen=True, tag="batch"):
 
     seq: Total
     sent_at: Stamp
-    updates: Annotated[list[Update], Meta(max_length=MOST_UPDATES)]
+    updates: Annotated[list[Update], Meta(max_length=MAX_UPDATES)]
     live: bool = True
 
 
@@ -102,7 +102,7 @@ class ClockSync(TaggedStruct, frozen=True, tag="clock"):
 class Watch(TaggedStruct, frozen=True, tag="watch"):
     """The units on a page that someone has open, and whether someone follows the trace."""
 
-    units: Annotated[list[UnitId], Meta(max_length=MOST_UNITS)]
+    units: Annotated[list[UnitId], Meta(max_length=MAX_UNITS)]
     trace: bool = False
 
 

@@ -8,10 +8,10 @@ from msgspec import Meta, Struct, field
 
 from bus.contract.bounds import (
     LONGEST_MEANING,
-    MOST_FRAMES,
-    MOST_MEANINGS,
-    MOST_REMARKS,
-    MOST_UNITS,
+    MAX_FRAMES,
+    MAX_MEANINGS,
+    MAX_REMARKS,
+    MAX_UNITS,
     BaudRate,
     BusLinkState,
     Byte,
@@ -139,8 +139,8 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     scan_s_with_one_more: DurationSeconds
     noise_bytes: Total = 0
     echoes: Total = 0
-    diagnosis: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
-    units: Annotated[list[UnitFigures], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    diagnosis: Annotated[list[Message], Meta(max_length=MAX_REMARKS)] = field(default_factory=list)
+    units: Annotated[list[UnitFigures], Meta(max_length=MAX_UNITS)] = field(default_factory=list)
     updates_lost: Total = 0
     """Readings and news dropped because the app was away longer than the worker can keep them."""
     responds_for_all: Byte = 0
@@ -155,7 +155,7 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
     at: Stamp
     direction: Direction
     data: FrameBytes
-    meanings: Annotated[list[Message], Meta(max_length=MOST_MEANINGS)]
+    meanings: Annotated[list[Message], Meta(max_length=MAX_MEANINGS)]
     valid: bool = True
 
     @property
@@ -166,7 +166,7 @@ class Frame(TaggedStruct, frozen=True, tag="frame"):
 class Frames(TaggedStruct, frozen=True, tag="frames"):
     """Trace, sent only while someone follows it."""
 
-    frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)]
+    frames: Annotated[list[Frame], Meta(max_length=MAX_FRAMES)]
 
 
 class Progress(TaggedStruct, frozen=True, tag="progress"):
@@ -203,7 +203,7 @@ class FoundUnit(TaggedStruct, frozen=True, tag="found_unit"):
     baud: BaudRate
     kind: Literal["digimax", "garbled", "foreign", "late"]
     parameters: Annotated[list[Byte], Meta(max_length=256)] = field(default_factory=list)
-    remarks: Annotated[list[Message], Meta(max_length=MOST_REMARKS)] = field(default_factory=list)
+    remarks: Annotated[list[Message], Meta(max_length=MAX_REMARKS)] = field(default_factory=list)
 
 
 class Result(TaggedStruct, frozen=True, tag="result"):
@@ -217,11 +217,11 @@ class Result(TaggedStruct, frozen=True, tag="result"):
     message: Message | None = None
     unit_error: Byte | None = None
     read_back: FourBytes | None = None
-    units: Annotated[list[UnitOutcome], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    units: Annotated[list[UnitOutcome], Meta(max_length=MAX_UNITS)] = field(default_factory=list)
     values: Annotated[list[ParameterValue], Meta(max_length=40)] = field(default_factory=list)
-    found: Annotated[list[FoundUnit], Meta(max_length=MOST_UNITS)] = field(default_factory=list)
+    found: Annotated[list[FoundUnit], Meta(max_length=MAX_UNITS)] = field(default_factory=list)
     skew_s: DurationSeconds | None = None
-    frames: Annotated[list[Frame], Meta(max_length=MOST_FRAMES)] = field(default_factory=list)
+    frames: Annotated[list[Frame], Meta(max_length=MAX_FRAMES)] = field(default_factory=list)
 
 
 Update = Reading | ParameterValue | UnitLink | BusLink | Staged | BusFigures | Progress | Result | Frames

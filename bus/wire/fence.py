@@ -41,10 +41,10 @@ from bus.wire.lengths import acknowledged_lengths
 
 LONG_RUN = 3
 """Equal reads in a row beyond this are as good as any number of them."""
-MOST_OUTSTANDING = 32
+MAX_OUTSTANDING = 32
 """A response that is late by more requests to one unit than this is not expected."""
 
-MOST_FENCES_PLANNED = 4
+MAX_FENCES_PLANNED = 4
 """Ahead; each may double what is looked at."""
 
 _ILLEGAL_COMMAND = frozenset((UnitErrorCode.ILLEGAL_COMMAND, UnitErrorCode.ILLEGAL_COMMAND_DFS))
@@ -117,7 +117,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
             return self
         outstanding = self.outstanding
         if not self._is_a_long_run(len(outstanding) - LONG_RUN) or outstanding[-1] != request:
-            outstanding = (*outstanding, request)[-MOST_OUTSTANDING:]
+            outstanding = (*outstanding, request)[-MAX_OUTSTANDING:]
         was_copy = self.was_copy and self.last is not None
         return PendingResponses(self.unit, self.dialect, outstanding, None, self.last, was_copy)
 
@@ -180,7 +180,7 @@ class PendingResponses(msgspec.Struct, frozen=True):
         """Return the first of the fewest fences, each with a response, after which ``request`` may follow."""
         best_first = sorted(self._fences(), key=self._left_pending_by)
         reached = {self._after(fence): fence for fence in best_first}
-        for _ in range(MOST_FENCES_PLANNED):
+        for _ in range(MAX_FENCES_PLANNED):
             for pending, first in reached.items():
                 if not pending._may_mislead(request):
                     return first

@@ -13,7 +13,7 @@ from bus.wire.describe import is_secret
 from bus.wire.framing import encode_frame
 from bus.wire.lengths import least_reply_bytes, longest_reply_bytes
 
-MOST_KEPT = 4096
+MAX_KEPT = 4096
 """More than 40 parameters and the status of all the units that one bus commonly has."""
 
 
@@ -49,7 +49,7 @@ def _prepare(request: Request, dialect: Dialect) -> Prepared:
     )
 
 
-@lru_cache(MOST_KEPT)
+@lru_cache(MAX_KEPT)
 def _prepare_read(request: Request, checksum_10h: str, reply_bytes: int, numbers: str) -> Prepared:
     """Prepare a read; what the dialect decides of its bytes is plain values, which compare quickly."""
     how = {"checksum_10h": checksum_10h, "parameter_reply_bytes": reply_bytes, "parameter_numbers": numbers}

@@ -13,12 +13,12 @@ from itertools import chain
 
 from msgspec.structs import replace
 
-from bus.contract import MOST_UPDATES, Batch, BusFigures, Frames, Progress, Reading, Result, Update
+from bus.contract import MAX_UPDATES, Batch, BusFigures, Frames, Progress, Reading, Result, Update
 from bus.instants import UnixTime
 
-MOST_READINGS = 30_000
+MAX_READINGS = 30_000
 """13 minutes of one bus at 9600 baud (38.4 readings a second)."""
-MOST_OTHERS = 10_000
+MAX_OTHERS = 10_000
 FRAMES_OF_ONE = 10
 ENOUGH_WAITING = 1_000
 """With so much waiting, what is of the moment only is not queued as well."""
@@ -35,7 +35,7 @@ class Outbox:
     readings had to be dropped.
     """
 
-    def __init__(self, most_readings: int = MOST_READINGS, most_others: int = MOST_OTHERS) -> None:
+    def __init__(self, most_readings: int = MAX_READINGS, most_others: int = MAX_OTHERS) -> None:
         self._most_readings = most_readings
         self._most_others = most_others
         self._stripped: deque[Batch] = deque()
@@ -107,7 +107,7 @@ class Outbox:
                     self._count(update, -1)
 
     def _take(self) -> list[Update]:
-        wanted = min(MOST_UPDATES, self._backlog or MOST_UPDATES)
+        wanted = min(MAX_UPDATES, self._backlog or MAX_UPDATES)
         updates: list[Update] = []
         for queue in (self._old, self._waiting):
             while queue and len(updates) < wanted:

@@ -40,7 +40,7 @@ from bus.worker.trace_reports import TraceReports
 from bus.worker.uplink import Uplink
 
 RESULTS_KEPT = 2_000
-MOST_COMMANDS = 300
+MAX_COMMANDS = 300
 """At once, far more than people and programs request: a faulty app must not fill the memory."""
 FIGURES_S = 1.0
 FINISH_WITHIN_S = 1.4
@@ -151,7 +151,7 @@ class BusWorker:
         """Why nothing is sent for it, where that is plain at once."""
         if self._leaving:
             return "not_sent", Message("worker_stopping")
-        if len(self.line.commands) >= MOST_COMMANDS:
+        if len(self.line.commands) >= MAX_COMMANDS:
             return "not_sent", Message("too_many_commands")
         if not self.line.link.open:
             return "bus_closed", self.line.state.refusal

@@ -11,7 +11,7 @@ from bus.line.statistics.trace import Interpreter, Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect
 
-MOST_TRACES = 8
+MAX_TRACES = 8
 """Read at once, far more than people and programs request: a faulty app must not fill the memory."""
 FRAMES_AT_A_STRETCH = 25
 
@@ -36,7 +36,7 @@ class TraceReports:
 
     def read(self, command_id: str, action: ReadTrace) -> None:
         """Begin to read a piece; its result follows."""
-        if len(self._reading) >= MOST_TRACES:
+        if len(self._reading) >= MAX_TRACES:
             self._put([Result(command_id, self._epoch(), "not_sent", Message("too_many_commands"))])
             return
         task = asyncio.ensure_future(self._read(command_id, action))

@@ -43,14 +43,14 @@ LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
 """For this time after the start or a lost link the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
-MESSAGES_PER_S, MESSAGES_AT_ONCE = 500.0, 2_000.0
+MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
 """Limits what is taken from the app; more waits in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0
 WELCOME_WITHIN_S = 10.0
 PING_S = 5.0
-MOST_BYTES = 4_000_000
-MOST_DETAIL_BYTES = 4_000
-MOST_DETAIL = 300
+MAX_BYTES = 4_000_000
+MAX_DETAIL_BYTES = 4_000
+MAX_DETAIL = 300
 GOING_AWAY = 1001
 """Close code of a worker that leaves: its bus is free at once. After any other end it may come back."""
 
@@ -151,7 +151,7 @@ class Uplink:
             ping_interval=PING_S,
             ping_timeout=PING_S,
             close_timeout=0.5,
-            max_size=MOST_BYTES,
+            max_size=MAX_BYTES,
             proxy=None,
         ) as socket:
             self._accepted_at = asyncio.get_running_loop().time()
@@ -192,14 +192,14 @@ class Uplink:
         return welcome
 
     async def _receive(self, socket: ClientConnection) -> None:
-        loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MESSAGES_AT_ONCE), True
+        loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE), True
         async for data in socket:
             try:
                 self._take(_decoded(data))
             except MalformedMessageError as error:
                 if is_new:
                     _log.warning(
-                        "the dashboard sent a malformed message; ignored", error=str(error)[:MOST_DETAIL]
+                        "the dashboard sent a malformed message; ignored", error=str(error)[:MAX_DETAIL]
                     )
                 is_new = False
             await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
@@ -262,7 +262,7 @@ def _about_status(response: Response) -> str:
 def _problem_detail(body: bytes) -> str:
     """The detail of an ``application/problem+json``, for the log: one line of bounded length."""
     try:
-        detail = msgspec.json.decode(body[:MOST_DETAIL_BYTES], type=_Problem).detail
+        detail = msgspec.json.decode(body[:MAX_DETAIL_BYTES], type=_Problem).detail
     except (msgspec.DecodeError, ValueError):
         return ""
-    return "".join(sign for sign in detail[:MOST_DETAIL] if sign.isprintable())
+    return "".join(sign for sign in detail[:MAX_DETAIL] if sign.isprintable())

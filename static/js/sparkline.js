@@ -6,7 +6,7 @@ const MINUTES = 10;
 const EVERY_MS = 10_000;
 const [WIDTH, HEIGHT] = [240, 40];
 /** The height of the drawing, as a part of the value, at least. */
-const LEAST_REACH = 0.02;
+const MIN_REACH = 0.02;
 const SVG = "http://www.w3.org/2000/svg";
 /** @type {Set<TrendSpark>} */
 const visible = new Set();
@@ -45,7 +45,7 @@ function outline(t, values, from, to) {
   const known = values.filter((value) => value !== null);
   const [least, greatest] = [Math.min(...known), Math.max(...known)];
   const middle = (least + greatest) / 2;
-  const reach = Math.max(greatest - least, Math.abs(middle) * LEAST_REACH) || 1;
+  const reach = Math.max(greatest - least, Math.abs(middle) * MIN_REACH) || 1;
   let pen = "M";
   let path = "";
   for (let i = 0; i < t.length; i++) {

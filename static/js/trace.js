@@ -3,7 +3,7 @@ import { zone } from "./clock.js";
 import { follow } from "./live.js";
 import { language } from "./words.js";
 
-const MOST_LINES = 400;
+const MAX_LINES = 400;
 const time = new Intl.DateTimeFormat(language, {
   hour: "2-digit",
   minute: "2-digit",
@@ -38,7 +38,7 @@ function line(frame) {
 function write(box, frames) {
   const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 40;
   box.append(...frames.map(line));
-  while (box.childElementCount > MOST_LINES) box.firstElementChild?.remove();
+  while (box.childElementCount > MAX_LINES) box.firstElementChild?.remove();
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
 

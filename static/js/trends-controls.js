@@ -1,7 +1,7 @@
 // The controls around the picture: presses and fields change the view, and show what it is.
 import { exportAddress } from "./trends-data.js";
 import { fromField, toField } from "./trends-time.js";
-import { MOST_VALUES } from "./trends-view.js";
+import { MAX_VALUES } from "./trends-view.js";
 
 /** By what a button moves: data-move. @type {Record<string, (view: View) => void>} */
 const MOVES = {
@@ -29,7 +29,7 @@ export function bindControls(root, view, words, explain) {
   document.getElementById("trend-add").addEventListener("submit", (event) => {
     event.preventDefault();
     const { unit, value } = document.getElementById("trend-add").elements;
-    if (view.series.length >= MOST_VALUES) explain(words.full);
+    if (view.series.length >= MAX_VALUES) explain(words.full);
     else view.add(`${unit.value}/${value.value}`);
   });
 }

@@ -8,7 +8,7 @@ const CURVES = 8;
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const LANE = 30;
 const LANE_FILL = 0.7;
-const LEAST_HEIGHT = 260;
+const MIN_HEIGHT = 260;
 /** Widths left and right of the curves, so that the lanes below stand under them. */
 const GUTTER = 84;
 const GUTTER_WIDE = 168;
@@ -229,7 +229,7 @@ export class Picture {
   height(values, lanes) {
     if (lanes) return lanes * LANE + 54;
     if (!values) return LANE;
-    return Math.max(LEAST_HEIGHT, Math.min(560, Math.round(window.innerHeight * 0.5)));
+    return Math.max(MIN_HEIGHT, Math.min(560, Math.round(window.innerHeight * 0.5)));
   }
 
   resize() {

@@ -5,13 +5,13 @@ import { length, formatTime } from "./trends-time.js";
 
 const words = () => document.getElementById("trend-words").dataset;
 const UNKNOWN = "–";
-const MOST_DIGITS = 3;
+const MAX_DIGITS = 3;
 /** @type {Map<number | null, Intl.NumberFormat>} */
 const formats = new Map();
 
 /** @param {number} value @param {number | null} decimals */
 function number(value, decimals) {
-  const [minimumFractionDigits, maximumFractionDigits] = [decimals ?? 0, decimals ?? MOST_DIGITS];
+  const [minimumFractionDigits, maximumFractionDigits] = [decimals ?? 0, decimals ?? MAX_DIGITS];
   const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
   const found = formats.get(decimals) ?? new Intl.NumberFormat(words().language, shape);
   formats.set(decimals, found);

@@ -2,11 +2,11 @@
 import { now } from "./clock.js";
 import { lastShift, morning } from "./trends-time.js";
 
-const LEAST_SPAN = 1;
-const MOST_SPAN = 12 * 365 * 86400;
+const MIN_SPAN = 1;
+const MAX_SPAN = 12 * 365 * 86400;
 const DEFAULT_SPAN = 3600;
 const DEFAULT_VALUES = 8;
-export const MOST_VALUES = 32;
+export const MAX_VALUES = 32;
 /** @type {Record<string, (now: number) => { from: number, to: number | null }>} */
 const PRESETS = {
   morning: (now) => ({ from: morning(now), to: null }),
@@ -28,7 +28,7 @@ export class View extends EventTarget {
     this.series = query
       .getAll("s")
       .filter((name) => catalogue.has(name))
-      .slice(0, MOST_VALUES);
+      .slice(0, MAX_VALUES);
     if (!query.has("s")) this.series = [...catalogue.first(DEFAULT_VALUES)];
     this.scale = query.get("scale") === "own" ? "own" : "shared";
     this.marks = query.get("marks") !== "0";
@@ -102,7 +102,7 @@ export class View extends EventTarget {
 
   /** @param {string} name */
   add(name) {
-    if (!this.series.includes(name) && this.series.length < MOST_VALUES)
+    if (!this.series.includes(name) && this.series.length < MAX_VALUES)
       this.change({ series: [...this.series, name] });
   }
 
@@ -135,6 +135,6 @@ export class View extends EventTarget {
 /** @param {number} seconds */
 export const iso = (seconds) => new Date(Math.round(seconds * 1000)).toISOString();
 /** @param {number} span */
-const clamp = (span) => Math.min(MOST_SPAN, Math.max(LEAST_SPAN, span));
+const clamp = (span) => Math.min(MAX_SPAN, Math.max(MIN_SPAN, span));
 /** @template T @param {number} value @param {T} otherwise */
 const numberOr = (value, otherwise) => (Number.isFinite(value) ? value : otherwise);

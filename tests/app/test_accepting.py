@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from app.server.accepting import AT_ONCE, accept_connections
+from app.server.accepting import MAX_AT_ONCE, accept_connections
 
 COUNT = 50
 
@@ -57,7 +57,7 @@ async def test_a_burst_is_spread_over_iterations(listening: socket.socket) -> No
             Counted.iteration += 1
             await asyncio.sleep(0)
     accepting.cancel()
-    assert max(Counter(Counted.made).values()) <= AT_ONCE < COUNT
+    assert max(Counter(Counted.made).values()) <= MAX_AT_ONCE < COUNT
     for client in clients:
         assert client.recv(10) == b"hello"
         client.close()

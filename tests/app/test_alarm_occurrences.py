@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.alarms.occurrences import MOST_OCCURRENCES, occurrences
+from app.alarms.occurrences import MAX_OCCURRENCES, occurrences
 from app.alarms.store import AlarmStore
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
@@ -55,10 +55,10 @@ async def test_what_was_hidden_is_not_marked_until_it_is_annunciated(journal: Jo
 
 
 async def test_of_very_many_the_newest_are_marked(journal: Journal) -> None:
-    journal.rise("a", *range(2 * MOST_OCCURRENCES))
+    journal.rise("a", *range(2 * MAX_OCCURRENCES))
     found = await spans(journal, 0, 5000)
-    assert len(found) == MOST_OCCURRENCES + 1, "one more than fit shows that there are more"
-    assert found[-1][1] == 2 * MOST_OCCURRENCES - 1
+    assert len(found) == MAX_OCCURRENCES + 1, "one more than fit shows that there are more"
+    assert found[-1][1] == 2 * MAX_OCCURRENCES - 1
 
 
 class CountingStore:
@@ -99,5 +99,5 @@ async def test_of_many_alarms_that_came_often_only_the_newest_cost(journal: Jour
     for offset, alarm in enumerate(alarms):
         journal.rise(alarm, *(offset / 100 + at for at in range(400)))
     found, steps = await steps_for(journal, 400, *alarms)
-    assert found == MOST_OCCURRENCES + 1
+    assert found == MAX_OCCURRENCES + 1
     assert steps < 3000, "and 20,000 occurrences were not looked at"

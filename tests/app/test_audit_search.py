@@ -72,7 +72,7 @@ def test_with_and_without_the_index_the_same_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pieces: int
 ) -> None:
     monkeypatch.setattr(store, "SCANNED_ROWS", 10)
-    monkeypatch.setattr(search, "AT_ONCE", 20)
+    monkeypatch.setattr(search, "MAX_AT_ONCE", 20)
     with database(tmp_path) as plain:
         add(plain, 100, texts(4))
 

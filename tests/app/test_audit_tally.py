@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.audit.log import EventLog
-from app.audit.repeated import MANY, MOST_KEYS, WINDOW_S, Tally
+from app.audit.repeated import MANY, MAX_KEYS, WINDOW_S, Tally
 from app.audit.store import Filter
 from app.database import Database
 from tests.app.complete_app import complete_app
@@ -87,9 +87,9 @@ async def test_many_addresses_are_distinguished_only_so_far(scene: Scene) -> Non
     scene.now += WINDOW_S
     await scene.events.repeated.record_due()
     item = await scene.item()
-    assert len(item) == 2 * MOST_KEYS + 2
+    assert len(item) == 2 * MAX_KEYS + 2
     assert sum(count for _, count, _ in item) == 2000
-    assert (str(MANY), 2 * (1000 - MOST_KEYS) - 1) in [(origin, count) for origin, count, _ in item]
+    assert (str(MANY), 2 * (1000 - MAX_KEYS) - 1) in [(origin, count) for origin, count, _ in item]
 
 
 async def test_the_count_is_part_of_the_chain(scene: Scene) -> None:

@@ -4,7 +4,7 @@ import asyncio
 import json
 from typing import Any
 
-from app.live.browsers.browser import MOST_FRAMES, Browser, Diff
+from app.live.browsers.browser import MAX_FRAMES, Browser, Diff
 
 
 def diff(n: int, **fields: str) -> Diff:
@@ -62,9 +62,9 @@ async def test_a_snapshot_makes_what_was_pending_worthless() -> None:
 
 async def test_frames_are_bounded() -> None:
     browser = Browser("anna", "operator", "en")
-    browser.show_frames([{"hex": str(n)} for n in range(MOST_FRAMES + 50)])
+    browser.show_frames([{"hex": str(n)} for n in range(MAX_FRAMES + 50)])
     (message,) = await sent(browser)
-    assert len(message["frames"]) == MOST_FRAMES
+    assert len(message["frames"]) == MAX_FRAMES
     assert message["frames"][0] == {"hex": "50"}
 
 

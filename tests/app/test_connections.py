@@ -11,15 +11,15 @@ import pytest
 
 from app.server.connections import (
     EXTENSION,
-    MOST_IN_ALL,
-    MOST_OF_ACCOUNT,
-    MOST_OF_ADDRESS,
-    MOST_STRANGERS,
+    MAX_IN_ALL,
+    MAX_OF_ACCOUNT,
+    MAX_OF_ADDRESS,
+    MAX_STRANGERS,
     Connection,
     Connections,
     identify,
 )
-from app.server.pace import LEAST_RATE, LONGEST_BODY_S, STALL_S, WITHIN_S, Awaited, Backlog, Pace
+from app.server.pace import LONGEST_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def world() -> World:
 
 
 def test_the_oldest_of_an_address_gives_way(world: World) -> None:
-    world.open_many(MOST_OF_ADDRESS)
+    world.open_many(MAX_OF_ADDRESS)
     assert world.dropped == []
     world.open("new")
     world.open("newer")
@@ -65,34 +65,34 @@ def test_the_oldest_of_an_address_gives_way(world: World) -> None:
 
 
 def test_the_addresses_of_one_subnet_of_ipv6_are_one(world: World) -> None:
-    for number in range(MOST_OF_ADDRESS + 1):
+    for number in range(MAX_OF_ADDRESS + 1):
         world.open(str(number), f"2001:db8::{number:x}")
     assert world.dropped == ["0"]
 
 
 def test_among_many_addresses_the_one_with_the_most_gives_way(world: World) -> None:
     world.open("alone", "198.51.100.1")
-    addresses = [f"192.0.2.{n}" for n in range(1 + MOST_STRANGERS // (MOST_OF_ADDRESS - 1))]
+    addresses = [f"192.0.2.{n}" for n in range(1 + MAX_STRANGERS // (MAX_OF_ADDRESS - 1))]
     for address in addresses:
-        world.open_many(MOST_OF_ADDRESS - 1, address)
+        world.open_many(MAX_OF_ADDRESS - 1, address)
     assert world.dropped
     assert "alone" not in world.dropped
-    assert len(world.dropped) == (MOST_OF_ADDRESS - 1) * len(addresses) + 1 - MOST_STRANGERS
+    assert len(world.dropped) == (MAX_OF_ADDRESS - 1) * len(addresses) + 1 - MAX_STRANGERS
 
 
 def test_a_connection_being_served_gives_way_last(world: World) -> None:
     world.open("served", idle=False)
-    world.open_many(MOST_OF_ADDRESS)
+    world.open_many(MAX_OF_ADDRESS)
     assert world.dropped == ["192.0.2.7 0"]
-    served = [world.open(f"served {n}", "198.51.100.1", idle=False) for n in range(MOST_OF_ADDRESS + 1)]
+    served = [world.open(f"served {n}", "198.51.100.1", idle=False) for n in range(MAX_OF_ADDRESS + 1)]
     assert world.dropped[1:] == ["served 0"]
-    assert len(served) == MOST_OF_ADDRESS + 1
+    assert len(served) == MAX_OF_ADDRESS + 1
 
 
 def test_an_account_is_no_stranger_wherever_it_comes_from(world: World) -> None:
-    for number in range(MOST_OF_ACCOUNT):
+    for number in range(MAX_OF_ACCOUNT):
         world.connections.identify(world.open(f"ann {number}"), "ann")
-    world.open_many(MOST_OF_ADDRESS)
+    world.open_many(MAX_OF_ADDRESS)
     assert world.dropped == []
     world.connections.identify(world.open("one more"), "ann")
     assert world.dropped == ["192.0.2.7 0", "ann 0"]
@@ -110,19 +110,19 @@ def test_an_account_is_counted_once_for_each_connection(world: World) -> None:
 
 
 def test_who_was_dropped_is_counted_no_more(world: World) -> None:
-    oldest, *_ = world.open_many(MOST_OF_ADDRESS + 1)
+    oldest, *_ = world.open_many(MAX_OF_ADDRESS + 1)
     world.connections.identify(oldest, "ann")
     world.connections.close(oldest)
-    assert world.connections._count == {True: 0, False: MOST_OF_ADDRESS}
+    assert world.connections._count == {True: 0, False: MAX_OF_ADDRESS}
 
 
 def test_a_trusted_proxy_has_more_than_a_stranger(world: World) -> None:
-    world.open_many(MOST_OF_ADDRESS + 1, "10.0.0.5")
+    world.open_many(MAX_OF_ADDRESS + 1, "10.0.0.5")
     assert world.dropped == []
 
 
 def test_there_is_an_end_to_accounts_too(world: World) -> None:
-    for number in range(MOST_IN_ALL):
+    for number in range(MAX_IN_ALL):
         world.connections.identify(world.open(str(number)), f"account {number // 300}")
     assert world.dropped == []
     world.open("new")
@@ -146,7 +146,7 @@ def test_each_awaited_part_has_its_time(awaited: Awaited) -> None:
 
 
 def test_a_body_earns_time_by_its_bytes_and_ends_some_time() -> None:
-    pace = Pace(0.0, Awaited.BODY, round(30 * LEAST_RATE))
+    pace = Pace(0.0, Awaited.BODY, round(30 * MIN_RATE))
     assert not pace.is_overdue(30 + WITHIN_S[Awaited.BODY])
     assert pace.is_overdue(31 + WITHIN_S[Awaited.BODY])
     assert Pace(0.0, Awaited.BODY, 10**9).is_overdue(LONGEST_BODY_S + 1)
@@ -154,7 +154,7 @@ def test_a_body_earns_time_by_its_bytes_and_ends_some_time() -> None:
 
 
 def test_a_reader_keeps_the_least_rate_or_is_stuck() -> None:
-    enough = round(LEAST_RATE * STALL_S)
+    enough = round(MIN_RATE * STALL_S)
     backlog = Backlog()
     assert not backlog.is_stuck(10 * enough, 0.0)
     assert not backlog.is_stuck(10 * enough, STALL_S - 1)

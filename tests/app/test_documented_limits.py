@@ -36,27 +36,27 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         "Connections without a valid credential are {} for each address (of IPv6, each /{}) and {} in all, "
         "an account has {}, and all together are {};",
         (
-            connections.MOST_OF_ADDRESS,
+            connections.MAX_OF_ADDRESS,
             addresses.SUBNET_BITS,
-            connections.MOST_STRANGERS,
-            connections.MOST_OF_ACCOUNT,
-            connections.MOST_IN_ALL,
+            connections.MAX_STRANGERS,
+            connections.MAX_OF_ACCOUNT,
+            connections.MAX_IN_ALL,
         ),
     ),
-    ("api.md", "At most {} requests wait for a response on one connection", (http.MOST_PIPELINED,)),
+    ("api.md", "At most {} requests wait for a response on one connection", (http.MAX_PIPELINED,)),
     (
         "api.md",
         "A body is at most {} kB, with a file of parameter sets {} MB (413); an object has at most {} "
         "members; an address has at most {} characters of path and {} of query (414); "
         "headers have at most {} kB and there are at most {} (431).",
         (
-            bounds.MOST_PLAIN_BODY_BYTES / KB,
-            bounds.MOST_BODY_BYTES / KB / KB,
-            api_route.MOST_MEMBERS,
+            bounds.MAX_PLAIN_BODY_BYTES / KB,
+            bounds.MAX_BODY_BYTES / KB / KB,
+            api_route.MAX_MEMBERS,
             bounds.LONGEST_PATH,
             bounds.LONGEST_QUERY,
-            http.MOST_HEAD_BYTES / KB,
-            http.MOST_HEADERS,
+            http.MAX_HEAD_BYTES / KB,
+            http.MAX_HEADERS,
         ),
     ),
     (
@@ -66,7 +66,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
         (
             pace.WITHIN_S[pace.Awaited.HEAD],
             pace.WITHIN_S[pace.Awaited.BODY],
-            pace.LEAST_RATE / 1000,
+            pace.MIN_RATE / 1000,
             pace.LONGEST_BODY_S / 60,
         ),
     ),
@@ -78,7 +78,7 @@ STATED: list[tuple[str, str, tuple[float, ...]]] = [
     (
         "api.md",
         "An account may have {} streams open, an address {} (429).",
-        (line_stream.MOST_OF_ACCOUNT, line_stream.MOST_OF_ADDRESS),
+        (line_stream.MAX_OF_ACCOUNT, line_stream.MAX_OF_ADDRESS),
     ),
     ("safety.md", "Passwords have at least {} characters", (strength.SHORTEST_PASSWORD,)),
 ]
@@ -103,10 +103,10 @@ def test_every_limit_of_signing_in_is_documented_with_its_value() -> None:
         throttle.OF_NAME,
         throttle.OF_NAME_EVERY_S,
         throttle.OF_PANEL_EVERY_S,
-        signin.MOST_WAITING_OF_PLACE,
-        signin.MOST_WAITING,
+        signin.MAX_WAITING_OF_PLACE,
+        signin.MAX_WAITING,
         pages.DEVICE_KNOWN_S / rules.DAY,
-        store.MOST_PLACES,
+        store.MAX_PLACES,
         lasting.RECHECK_S,
         rights.WATCH_EVERY_S * 1000,
     ]

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from app.audit import groups
-from app.audit.groups import MOST_PARTS, EventRow, link_parts
+from app.audit.groups import MAX_PARTS, EventRow, link_parts
 from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.database.migrating import MIGRATIONS, bring_up_to_date
@@ -106,7 +106,7 @@ async def test_pages_have_complete_changes_and_nothing_twice(house: House) -> No
 async def test_a_page_has_room_for_so_many_units_and_no_more(house: House) -> None:
     numbers = [await change(house, 255) for _ in range(5)]
     first, before = await rows(house)
-    assert 0 < sum(len(row.parts) for row in first) <= MOST_PARTS
+    assert 0 < sum(len(row.parts) for row in first) <= MAX_PARTS
     assert {len(row.parts) for row in first} == {255}
     rest, after = await rows(house, before=before)
     assert [row.event["id"] for row in first + rest] == numbers[::-1]

@@ -7,16 +7,16 @@ from collections.abc import Callable
 
 import pytest
 
-from app.server.fair_queue import MOST_REST_S, FairQueue, TooManyWaitingError
+from app.server.fair_queue import MAX_REST_S, FairQueue, TooManyWaitingError
 
-MOST_OF_ONE, MOST_WAITING = 5, 200
+MAX_OF_ONE, MAX_WAITING = 5, 200
 
 
 class Scene:
     """Every waiter holds the turn until ``go`` lets one of them end."""
 
     def __init__(self, at_once: int = 1) -> None:
-        self.turns: FairQueue[str] = FairQueue(at_once, 1, MOST_OF_ONE, MOST_WAITING)
+        self.turns: FairQueue[str] = FairQueue(at_once, 1, MAX_OF_ONE, MAX_WAITING)
         self.order: list[str] = []
         self.running = 0
         self.most_running = 0
@@ -82,15 +82,15 @@ async def test_a_place_that_is_known_waits_for_one_stranger_at_most() -> None:
 async def test_what_waits_is_bounded() -> None:
     scene = Scene()
     await scene.comes("first", "a")
-    waiting = [await scene.comes(f"a{number}", "a") for number in range(MOST_OF_ONE)]
+    waiting = [await scene.comes(f"a{number}", "a") for number in range(MAX_OF_ONE)]
     too_many = await scene.comes("one more", "a")
     with pytest.raises(TooManyWaitingError):
         await too_many
     assert not any(task.done() for task in waiting)
-    for number in range(MOST_WAITING):
+    for number in range(MAX_WAITING):
         await scene.comes(f"stranger{number}")
     refused = [task for task in scene.tasks if task.done()]
-    assert len(refused) > MOST_WAITING // 2
+    assert len(refused) > MAX_WAITING // 2
     known = await scene.comes("ann", known=True)
     assert not known.done(), "strangers leave room"
     await scene.all_end()
@@ -118,7 +118,7 @@ async def test_who_goes_away_at_its_turn_gives_it_on() -> None:
     await scene.all_end()
 
 
-@pytest.mark.parametrize(("turn_s", "rest_s"), [(0.003, 0.012), (1.0, MOST_REST_S)])
+@pytest.mark.parametrize(("turn_s", "rest_s"), [(0.003, 0.012), (1.0, MAX_REST_S)])
 async def test_a_place_rests_in_proportion_to_its_turn(
     monkeypatch: pytest.MonkeyPatch, turn_s: float, rest_s: float
 ) -> None:

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
 from app.server.addresses import canonical, source_of
-from app.server.forwarded import MOST_HOPS, MOST_UNDER_WAY, Forwarded, Origin, origin_of
+from app.server.forwarded import MAX_HOPS, MAX_UNDER_WAY, Forwarded, Origin, origin_of
 from app.settings import ConfigurationError, load
 from app.web.access import Role
 from app.web.security import host_name
@@ -41,7 +41,7 @@ def origin(peer: str, **headers: str) -> Origin:
         ("2001:db8::1", "2001:db8:1::9", "2001:db8:1::9"),
         ("10.0.0.5", "admin'; --", "10.0.0.5"),
         ("10.0.0.5", "1.2.3.4, unknown, 10.0.0.6", "10.0.0.6"),
-        ("10.0.0.5", "6.6.6.6," + "10.0.0.6," * MOST_HOPS + "10.0.0.7", "10.0.0.6"),
+        ("10.0.0.5", "6.6.6.6," + "10.0.0.6," * MAX_HOPS + "10.0.0.7", "10.0.0.6"),
         ("testclient", "198.51.100.9", "testclient"),
     ],
 )
@@ -210,12 +210,12 @@ async def test_behind_a_proxy_each_address_has_so_many_requests_under_way() -> N
         scope = {"type": "http", "headers": headers, "client": ("10.0.0.5", 1), "method": "GET", "path": "/"}
         await forwarded(scope, receive, send)
 
-    parsed = [asyncio.create_task(request("198.51.100.9")) for _ in range(MOST_UNDER_WAY + 1)]
+    parsed = [asyncio.create_task(request("198.51.100.9")) for _ in range(MAX_UNDER_WAY + 1)]
     parsed.append(asyncio.create_task(request("198.51.100.10")))
     while not statuses:  # noqa: ASYNC110
         await asyncio.sleep(0)
     assert statuses == [429]
     gate.set()
     await asyncio.gather(*parsed)
-    assert statuses[1:] == [200] * (MOST_UNDER_WAY + 1)
+    assert statuses[1:] == [200] * (MAX_UNDER_WAY + 1)
     assert not forwarded._under_way

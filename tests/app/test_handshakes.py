@@ -5,28 +5,28 @@ from __future__ import annotations
 from app.server.handshakes import (
     A_SECOND,
     AT_ONCE_A_SECOND,
-    MOST_AT_ONCE,
-    MOST_TOGETHER,
+    MAX_AT_ONCE,
+    MAX_TOGETHER,
     Handshakes,
 )
 
 
 def test_all_pages_of_a_plant_come_back_quickly_and_more_are_delayed() -> None:
     handshakes = Handshakes()
-    waits = [handshakes.wait_s("ann", 0.0) for _ in range(MOST_AT_ONCE + 600)]
-    assert waits[:MOST_TOGETHER] == [0.0] * MOST_TOGETHER
-    assert waits[MOST_AT_ONCE - 1] == (MOST_AT_ONCE - MOST_TOGETHER) / AT_ONCE_A_SECOND
+    waits = [handshakes.wait_s("ann", 0.0) for _ in range(MAX_AT_ONCE + 600)]
+    assert waits[:MAX_TOGETHER] == [0.0] * MAX_TOGETHER
+    assert waits[MAX_AT_ONCE - 1] == (MAX_AT_ONCE - MAX_TOGETHER) / AT_ONCE_A_SECOND
     assert waits[-1] == 600 / A_SECOND
 
 
 def test_pages_that_come_one_after_the_other_do_not_wait() -> None:
     handshakes = Handshakes()
-    assert {handshakes.wait_s("ann", n / AT_ONCE_A_SECOND) for n in range(MOST_AT_ONCE)} == {0.0}
+    assert {handshakes.wait_s("ann", n / AT_ONCE_A_SECOND) for n in range(MAX_AT_ONCE)} == {0.0}
 
 
 def test_others_do_not_wait_and_the_delay_ends() -> None:
     handshakes = Handshakes()
-    for _ in range(2 * MOST_AT_ONCE):
+    for _ in range(2 * MAX_AT_ONCE):
         handshakes.wait_s("ann", 0.0)
     assert handshakes.wait_s("ben", 0.0) == 0.0
     assert handshakes.wait_s("ann", 0.0) > 1.0

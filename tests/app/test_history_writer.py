@@ -42,7 +42,7 @@ def test_readers_see_readings_soon(tmp_path: Path) -> None:
 def test_what_cannot_be_written_waits_and_the_oldest_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.history.intake.writer.MOST_WAITING", 100)
+    monkeypatch.setattr("app.history.intake.writer.MAX_WAITING", 100)
     (tmp_path / "history.db").mkdir()
     writer = opened(tmp_path)
     for second in range(40):

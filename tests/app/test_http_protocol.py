@@ -12,16 +12,16 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.server.connections import EXTENSION, MOST_OF_ADDRESS, Connections
+from app.server.connections import EXTENSION, MAX_OF_ADDRESS, Connections
 from app.server.counted_protocol import CLOSING_S
 from app.server.http import (
+    MAX_HEAD_BYTES,
+    MAX_HEADERS,
     MAX_PASSED_OVER_BYTES,
-    MOST_HEAD_BYTES,
-    MOST_HEADERS,
-    MOST_PIPELINED,
+    MAX_PIPELINED,
     HttpProtocol,
 )
-from app.server.pace import LEAST_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
+from app.server.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
 from app.server.refusal_log import RefusalLog
 from app.server.starting import Starts
 
@@ -180,9 +180,9 @@ async def test_only_a_client_that_knows_it_gets_100_continue(site: Site) -> None
 
 async def test_a_body_that_keeps_the_least_rate_is_waited_for(site: Site) -> None:
     _, writer = await site.connect(POST.replace(b"100", b"1000000"))
-    writer.write(b"x" * round(100 * LEAST_RATE))
+    writer.write(b"x" * round(100 * MIN_RATE))
     protocol = site.protocols[0]
-    await until(lambda: protocol._pace.received >= 100 * LEAST_RATE)
+    await until(lambda: protocol._pace.received >= 100 * MIN_RATE)
     site.pass_s(WITHIN_S[Awaited.BODY] + 99)
     assert not protocol._is_ending
     site.pass_s(WITHIN_S[Awaited.BODY] + 101)
@@ -284,9 +284,9 @@ async def test_a_client_that_reads_slowly_but_reads_gets_it_all(site: Site) -> N
     "head",
     [
         HEAD + b"X: " + b"a" * 1_000_000,
-        HEAD + b"X: " + b"a" * MOST_HEAD_BYTES + b"\r\n\r\n",
-        b"GET /" + b"a" * MOST_HEAD_BYTES + b" HTTP/1.1\r\n\r\n",
-        HEAD + b"a: b\r\n" * MOST_HEADERS + b"\r\n",
+        HEAD + b"X: " + b"a" * MAX_HEAD_BYTES + b"\r\n\r\n",
+        b"GET /" + b"a" * MAX_HEAD_BYTES + b" HTTP/1.1\r\n\r\n",
+        HEAD + b"a: b\r\n" * MAX_HEADERS + b"\r\n",
     ],
 )
 async def test_headers_without_end_are_refused(site: Site, head: bytes) -> None:
@@ -297,7 +297,7 @@ async def test_headers_without_end_are_refused(site: Site, head: bytes) -> None:
 
 
 async def test_a_complete_request_gets_a_response_and_its_body_is_no_header(site: Site) -> None:
-    body = b"b" * (2 * MOST_HEAD_BYTES)
+    body = b"b" * (2 * MAX_HEAD_BYTES)
     head = b"POST / HTTP/1.1\r\nConnection: close\r\nContent-Length: %d\r\n\r\n" % len(body)
     reader, _ = await site.connect(head + body)
     assert b"200 OK" in await everything(reader)
@@ -306,7 +306,7 @@ async def test_a_complete_request_gets_a_response_and_its_body_is_no_header(site
 async def test_requests_by_the_thousand_at_once_are_not_kept(site: Site) -> None:
     reader, _ = await site.connect(GET * 10_000)
     reply = await everything(reader)
-    assert site.requests <= MOST_PIPELINED + 1
+    assert site.requests <= MAX_PIPELINED + 1
     assert reply.count(b"200 OK") == site.requests
 
 
@@ -321,7 +321,7 @@ async def test_nonsense_after_a_request_does_not_take_its_response(site: Site) -
 
 async def test_the_oldest_of_many_strangers_gives_way_to_the_newest(site: Site) -> None:
     first, _ = await site.connect(POST + b"x")
-    others = [await site.connect() for _ in range(MOST_OF_ADDRESS)]
+    others = [await site.connect() for _ in range(MAX_OF_ADDRESS)]
     assert b"503 Service Unavailable" in await everything(first)
     others[-1][1].write(GET)
     assert b"200 OK" in await others[-1][0].readuntil(b"hi")
@@ -331,7 +331,7 @@ async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
     site.go.clear()
     served, _ = await site.connect(GET)
     await until(lambda: site.requests)
-    for _ in range(MOST_OF_ADDRESS - 1):
+    for _ in range(MAX_OF_ADDRESS - 1):
         await site.connect()
     for protocol in site.protocols:
         protocol._pace.since -= 2 * PROMPT_S
@@ -342,7 +342,7 @@ async def test_a_connection_being_served_gives_way_last(site: Site) -> None:
 
 async def test_a_client_that_has_just_connected_does_not_give_way_to_a_burst(site: Site) -> None:
     site.go.clear()
-    for _ in range(MOST_OF_ADDRESS):
+    for _ in range(MAX_OF_ADDRESS):
         await site.connect(GET)
     reader, writer = await site.connect()
     await site.connect(GET)
@@ -354,7 +354,7 @@ async def test_a_client_that_has_just_connected_does_not_give_way_to_a_burst(sit
 async def test_who_has_signed_in_does_not_give_way_to_strangers(site: Site) -> None:
     reader, writer = await site.connect(GET.replace(b"/ ", b"/known ", 1))
     await reader.readuntil(b"hi")
-    for _ in range(MOST_OF_ADDRESS + 1):
+    for _ in range(MAX_OF_ADDRESS + 1):
         await site.connect()
     assert not site.protocols[0].transport.is_closing()
     writer.write(GET)

@@ -177,7 +177,7 @@ class Table:
 async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
     table = Table(stage)
     await table.begin(request("old"), 0.0)
-    await table.begin(request("new"), idempotency.KEPT_S + 1)
+    await table.begin(request("new"), idempotency.MAX_AGE_S + 1)
     assert not await table.knows("old")
     assert await table.knows("new")
 
@@ -185,7 +185,7 @@ async def test_keys_are_forgotten_in_the_end(stage: Stage) -> None:
 async def test_a_sender_with_many_keys_forgets_its_own_oldest(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(idempotency, "MOST_OF_A_SENDER", 10)
+    monkeypatch.setattr(idempotency, "MAX_OF_A_SENDER", 10)
     table = Table(stage)
     others = CommandRequest("id", BEN, "dry-end", COMMAND, deadline=0.0, origin="api", key="first")
     await table.begin(others, 0.0)

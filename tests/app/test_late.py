@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from app.feed.late import FIRST_S, OFFSET_ERROR_S, REPEATED_S, Coverage, LateWindow
 from bus.contract import (
-    MOST_UPDATES,
+    MAX_UPDATES,
     Batch,
     BusFigures,
     BusLink,
@@ -95,7 +95,7 @@ def batch(*at: float, live: bool = True, sent_at: float = NOW) -> Batch:
         (batch(NOW - 300, NOW - 299, live=False), NOW - 299),
         (batch(live=False), NOW - 600),
         (batch(NOW - 700, live=False), NOW - 600),
-        (batch(*[NOW - 30] * MOST_UPDATES), NOW - 30),
+        (batch(*[NOW - 30] * MAX_UPDATES), NOW - 30),
     ],
     ids=["nothing new", "live", "ahead", "late", "late, nothing taken", "before", "full"],
 )

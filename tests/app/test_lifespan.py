@@ -105,7 +105,7 @@ async def test_a_failing_start_ends_those_begun_and_names_what_failed(
 async def test_a_failing_work_is_restarted_and_once_is_not(
     played: Played, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "AGAIN_AFTER_S", 0.0)
+    monkeypatch.setattr(module, "RESTART_AFTER_S", 0.0)
     error = ValueError("odd")
     played.lifespan.add("log", played.step("worked", error), once=played.step("indexed", error))
     with capture_logs() as logs:

@@ -210,7 +210,7 @@ async def test_nothing_is_noted_while_no_one_reads() -> None:
 async def test_who_reads_too_slowly_gets_a_snapshot_in_place_of_a_queue(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("app.live.api.line_stream.MOST_BYTES", 2000)
+    monkeypatch.setattr("app.live.api.line_stream.MAX_BYTES", 2000)
     world = World()
     pieces = world.stream.pieces(None)
     with world.stream.reading():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from app.live.admission import (
-    MOST_OF_ACCOUNT,
-    MOST_OF_ADDRESS,
+    MAX_OF_ACCOUNT,
+    MAX_OF_ADDRESS,
     Admission,
 )
 from app.live.browsers.watched import Watched
@@ -12,7 +12,7 @@ from app.live.browsers.watched import Watched
 
 def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
     admission = Admission()
-    assert all(admission.enter("ann", f"a{n}") for n in range(MOST_OF_ACCOUNT))
+    assert all(admission.enter("ann", f"a{n}") for n in range(MAX_OF_ACCOUNT))
     assert not admission.enter("ann", "b")
     assert admission.enter("ben", "b")
     admission.leave("ann", "a0")
@@ -21,7 +21,7 @@ def test_an_account_has_so_many_pages_and_another_has_its_own() -> None:
 
 def test_an_address_has_so_many_pages() -> None:
     admission = Admission()
-    assert all(admission.enter(f"p{n}", "a") for n in range(MOST_OF_ADDRESS))
+    assert all(admission.enter(f"p{n}", "a") for n in range(MAX_OF_ADDRESS))
     assert not admission.enter("ann", "a")
     assert admission.enter("ann", "b")
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_book import MOST_OWN, OwnAlarmBook
+from app.alarms.own_book import MAX_OWN, OwnAlarmBook
 from app.audit.log import EventLog
 from app.database import Database
 from app.errors import StoreError
@@ -175,8 +175,8 @@ async def test_only_an_engineer_changes_alarms(house: House, role: Role) -> None
 
 
 async def test_there_is_a_greatest_number_of_them(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert MOST_OWN == 500
-    monkeypatch.setattr("app.alarms.own_book.MOST_OWN", 1)
+    assert MAX_OWN == 500
+    monkeypatch.setattr("app.alarms.own_book.MAX_OWN", 1)
     engineer = await house.program(Role.ENGINEER)
     await added(engineer)
     response = await engineer.post(PATH, json={**FAST, "name": "Second"})

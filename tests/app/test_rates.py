@@ -7,7 +7,7 @@ from itertools import repeat
 import pytest
 
 from app.feed.rates import (
-    AT_ONCE,
+    MAX_AT_ONCE,
     MAX_BYTES_PER_S,
     MAX_VALUES_AT_ONCE,
     MAX_VALUES_PER_S,
@@ -28,7 +28,7 @@ from bus.contract import (
     Update,
     encode,
 )
-from bus.worker.outbox import MOST_OTHERS, MOST_READINGS
+from bus.worker.outbox import MAX_OTHERS, MAX_READINGS
 from tests.app.stage import hello, unit_state
 
 READING = Reading(1, 1.0, 0, 0, 0, 0, 0)
@@ -56,7 +56,7 @@ def test_a_complete_snapshot_and_a_full_buffer_come_at_once() -> None:
     assert quota.pause_s(complete, len(encode(complete)), 0.0) == 0.0
     late = Batch(1, 1.0, [READING] * 500, live=False)
     assert not any(quota.pause_s(late, len(encode(late)), 0.0) for _ in range(40_000 // 500 // 2))
-    assert all(quota.admits(READING, 0.0) for _ in range(MOST_READINGS + MOST_OTHERS))
+    assert all(quota.admits(READING, 0.0) for _ in range(MAX_READINGS + MAX_OTHERS))
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ def test_a_flood_is_held_back(update: Update) -> None:
     while at < 60.0:
         at += quota.pause_s(batch, 0, at)
         taken += 500
-    assert taken <= AT_ONCE + 60 * PER_S + 500
+    assert taken <= MAX_AT_ONCE + 60 * PER_S + 500
 
 
 def test_no_token_sends_ten_gigabytes_a_day() -> None:

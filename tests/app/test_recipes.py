@@ -49,7 +49,7 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
 
 
 async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.recipes.book.MOST_RECIPES", 2)
+    monkeypatch.setattr("app.recipes.book.MAX_RECIPES", 2)
     responding(scene.live)
     for name in ("one", "two", "two"):
         await scene.book.save(ANNA, "dry-end", name, "", {1: 1200})

@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from app.database import Database, reserve
-from app.database.reserve import FILE, KEPT_FREE, MIN_FREE, Reserve
+from app.database.reserve import FILE, MIN_FREE, MIN_FREE_OF_OTHERS, Reserve
 
 SIZE = 8_000_000
 
@@ -19,7 +19,7 @@ SIZE = 8_000_000
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How many bytes are free."""
-    free = {"bytes": 10 * KEPT_FREE}
+    free = {"bytes": 10 * MIN_FREE_OF_OTHERS}
     monkeypatch.setattr(reserve, "free_bytes", lambda _: free["bytes"])
     return free
 
@@ -44,7 +44,7 @@ def test_a_small_disk_keeps_half_of_what_it_has(tmp_path: Path, disk: dict[str, 
     disk["bytes"] = SIZE // 2
     made.close()
     assert Reserve(tmp_path, SIZE).left == 0.5, "nor does it lose that at the next start"
-    disk["bytes"] = 10 * KEPT_FREE
+    disk["bytes"] = 10 * MIN_FREE_OF_OTHERS
     assert made.notice is not None
     made.keep()
     assert (made.left, made.notice) == (1.0, None)
@@ -70,7 +70,7 @@ def test_before_a_transaction_as_much_is_given_up_as_it_may_need(
 
 def test_it_is_made_again_where_history_has_room_too(tmp_path: Path, disk: dict[str, int]) -> None:
     made = Reserve(tmp_path, SIZE)
-    for free, left in ((0, 0.75), (KEPT_FREE, 0.75), (KEPT_FREE + SIZE, 1.0)):
+    for free, left in ((0, 0.75), (MIN_FREE_OF_OTHERS, 0.75), (MIN_FREE_OF_OTHERS + SIZE, 1.0)):
         disk["bytes"] = free
         made.keep()
         assert made.left == left
@@ -86,12 +86,12 @@ def test_a_store_keeps_it_with_each_transaction(tmp_path: Path, disk: dict[str, 
 
 def test_the_end_gives_it_back_unless_the_disk_is_short(tmp_path: Path, disk: dict[str, int]) -> None:
     made = Reserve(tmp_path, SIZE)
-    disk["bytes"] = KEPT_FREE - 1
+    disk["bytes"] = MIN_FREE_OF_OTHERS - 1
     made.close()
     assert held(tmp_path) >= SIZE
     made = Reserve(tmp_path, SIZE)
     assert made.left == 1.0, "the rest of the run before is taken over"
-    disk["bytes"] = KEPT_FREE
+    disk["bytes"] = MIN_FREE_OF_OTHERS
     made.close()
     assert not (tmp_path / FILE).exists()
 

@@ -11,7 +11,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 from app.auth.accounts import Accounts
 from app.main import create_app
 from app.web.access import Role
-from app.web.bounds import MOST_BODY_BYTES
+from app.web.bounds import MAX_BODY_BYTES
 from app.web.security import same_origin
 from tests.app.complete_app import HOST, House, complete_app, settings_in
 
@@ -135,7 +135,7 @@ async def test_no_page_has_inline_script_or_style(house: House, path: str) -> No
 
 
 async def test_requests_cannot_fill_the_memory(house: House) -> None:
-    client, much = house.client(), MOST_BODY_BYTES + 1
+    client, much = house.client(), MAX_BODY_BYTES + 1
     program = {"accept": "application/json"}
     response = await client.post("/login", content=b"x" * much, headers=program)
     assert (response.status_code, response.json()["code"]) == (413, "too_large")

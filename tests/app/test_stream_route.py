@@ -14,7 +14,7 @@ import pytest
 
 from app.auth.accounts import Accounts
 from app.live.admission import Admission
-from app.live.api.line_stream import MOST_OF_ACCOUNT, MOST_OF_ADDRESS, LineStream
+from app.live.api.line_stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
 from app.live.state.bus_live import LiveState
 from app.web.access import Role
 from tests.app.complete_app import HOST, House, complete_app
@@ -137,9 +137,9 @@ async def test_its_headers_alone(house: House) -> None:
 
 
 async def test_too_many_of_one_account(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
-    admission = Admission(MOST_OF_ACCOUNT, MOST_OF_ADDRESS)
+    admission = Admission(MAX_OF_ACCOUNT, MAX_OF_ADDRESS)
     monkeypatch.setattr(house.services[LineStream], "admission", admission)
-    for number in range(MOST_OF_ACCOUNT):
+    for number in range(MAX_OF_ACCOUNT):
         assert admission.enter("key-viewer (token)", f"elsewhere {number}")
     viewer = await house.program(Role.VIEWER)
     response = await viewer.get("/api/v1/stream")

@@ -31,7 +31,7 @@ from tests.e2e.site import Site, site
 
 SLOWEST_S = 0.25
 SLOWEST_COMMAND_S = 0.5
-MOST_GROWTH_MIB = 20.0
+MAX_GROWTH_MIB = 20.0
 PROBE_EVERY_S = 0.05
 SETTLE_S = 2.0
 WARM_S = 1.0
@@ -75,7 +75,7 @@ class Measured:
         found = [f"healthz: {fault}" for fault in self.health.failed[:3]]
         found += [f"command: {fault}" for fault in self.command.failed[:3]]
         found += ["the worker's link was lost"] * bool(self.links_lost)
-        if self.growth_mib > MOST_GROWTH_MIB:
+        if self.growth_mib > MAX_GROWTH_MIB:
             found.append(f"memory grew by {self.growth_mib:.0f} MiB")
         return found
 

@@ -11,8 +11,8 @@ from starlette.types import Message, Receive, Scope, Send
 
 from app.auth.passwords import Passwords
 from app.web.access import Person, Role
-from app.web.anonymous import AT_ONCE, AT_ONCE_OF_ADDRESS, MOST_WAITING_OF_ADDRESS, AnonymousInTurn
-from app.web.bounds import MOST_PLAIN_BODY_BYTES
+from app.web.anonymous import AT_ONCE_OF_ADDRESS, MAX_AT_ONCE, MAX_WAITING_OF_ADDRESS, AnonymousInTurn
+from app.web.bounds import MAX_PLAIN_BODY_BYTES
 from tests.app.complete_app import House, complete_app
 
 
@@ -96,7 +96,7 @@ async def test_an_address_has_few_at_a_time_and_another_has_its_own() -> None:
         client.part(str(number).encode())
     await settled()
     assert slow.bodies == [b"0", b"5"]
-    assert (AT_ONCE, AT_ONCE_OF_ADDRESS) == (2, 1)
+    assert (MAX_AT_ONCE, AT_ONCE_OF_ADDRESS) == (2, 1)
     slow.gate.set()
     await asyncio.gather(*tasks)
     assert {client.status for client in clients} == {200}
@@ -123,7 +123,7 @@ async def test_health_and_people_do_not_wait() -> None:
 async def test_beyond_those_that_wait_an_address_is_refused() -> None:
     slow = Slow()
     app = AnonymousInTurn(slow)
-    clients = [Client() for _ in range(AT_ONCE_OF_ADDRESS + MOST_WAITING_OF_ADDRESS + 1)]
+    clients = [Client() for _ in range(AT_ONCE_OF_ADDRESS + MAX_WAITING_OF_ADDRESS + 1)]
     tasks = [client.request(app) for client in clients]
     for client in clients:
         client.part(b"")
@@ -136,7 +136,7 @@ async def test_beyond_those_that_wait_an_address_is_refused() -> None:
 async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
     slow, client = Slow(), Client()
     task = client.request(AnonymousInTurn(slow))
-    for _ in range(MOST_PLAIN_BODY_BYTES // 16384 + 1):
+    for _ in range(MAX_PLAIN_BODY_BYTES // 16384 + 1):
         client.part(b"x" * 16384, more=True)
     await task
     assert (slow.bodies, client.status) == ([], 413)

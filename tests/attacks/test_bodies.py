@@ -11,14 +11,14 @@ import httpx
 import pytest
 from starlette.types import Message, Scope
 
-from app.sets.document import MOST_KEY_STEPS, MOST_LINES, MOST_VALUES, DocumentError, read_document
+from app.sets.document import MAX_KEY_STEPS, MAX_LINES, MAX_VALUES, DocumentError, read_document
 from app.web.access import Role
 from app.web.bounds import (
     LONGEST_CONTENT_TYPE,
     LONGEST_QUERY,
-    MOST_BODY_BYTES,
-    MOST_PARAMETERS,
-    MOST_PLAIN_BODY_BYTES,
+    MAX_BODY_BYTES,
+    MAX_PARAMETERS,
+    MAX_PLAIN_BODY_BYTES,
 )
 from tests.app.complete_app import House, complete_app
 
@@ -47,7 +47,7 @@ async def cpu_s(client: httpx.AsyncClient, status: int, path: str, content: byte
 @pytest.mark.parametrize("path", [SPEED, RESTORES])
 async def test_keys_by_the_thousand_cost_no_more_than_their_length(house: House, path: str) -> None:
     engineer = await house.program(Role.ENGINEER)
-    size = MOST_BODY_BYTES if path == RESTORES else MOST_PLAIN_BODY_BYTES
+    size = MAX_BODY_BYTES if path == RESTORES else MAX_PLAIN_BODY_BYTES
     keys = ",".join(f'"{n:06}":0' for n in range(size // 11 - 2))
     assert await cpu_s(engineer, 422, path, f"{{{keys}}}".encode(), **JSON) < CPU_S
 
@@ -62,7 +62,7 @@ async def test_the_last_of_many_keys_is_found_to_be_there_twice(house: House) ->
 @pytest.mark.parametrize("part", ["[", '{"a":', "[{}", '{"a":[', "1,", '"\\ud800",'])
 async def test_endless_nesting_is_malformed(house: House, part: str) -> None:
     engineer = await house.program(Role.ENGINEER)
-    content = (part * MOST_PLAIN_BODY_BYTES)[:MOST_PLAIN_BODY_BYTES].encode()
+    content = (part * MAX_PLAIN_BODY_BYTES)[:MAX_PLAIN_BODY_BYTES].encode()
     assert await cpu_s(engineer, 422, SPEED, content, **JSON) < CPU_S
 
 
@@ -114,7 +114,7 @@ async def test_who_may_not_is_refused_before_the_body_is_read(
 
 async def test_only_what_carries_a_file_may_be_large(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
-    large = json.dumps({"document": "x" * MOST_PLAIN_BODY_BYTES}).encode()
+    large = json.dumps({"document": "x" * MAX_PLAIN_BODY_BYTES}).encode()
     assert (await engineer.post(SPEED, content=large, headers=JSON)).status_code == 413
     response = await engineer.post(RESTORES, content=large, headers=JSON)
     assert (response.status_code, "not readable as TOML" in response.text) == (422, True)
@@ -151,7 +151,7 @@ async def test_no_header_costs_more_than_its_length(house: House, name: str, val
     assert await cpu_s(house.client(), status, "/login" if status == 415 else SPEED, b"", **headers) < CPU_S
 
 
-@pytest.mark.parametrize("query", ["a" * (LONGEST_QUERY + 1), "&" * (MOST_PARAMETERS + 1), "a&" * 9000])
+@pytest.mark.parametrize("query", ["a" * (LONGEST_QUERY + 1), "&" * (MAX_PARAMETERS + 1), "a&" * 9000])
 async def test_an_address_beyond_any_page_is_refused(house: House, query: str) -> None:
     response = await house.client().get(f"/login?{query}")
     assert (response.status_code, response.json()["code"]) == (414, "too_long")
@@ -194,7 +194,7 @@ def test_keys_of_many_parts_cost_no_more_than_their_length(text: str) -> None:
 
 
 def test_a_comment_may_have_as_many_dots_as_it_likes() -> None:
-    assert MOST_KEY_STEPS > 1000**2
+    assert MAX_KEY_STEPS > 1000**2
     with pytest.raises(DocumentError, match="lacks format"):
         read_document('comment = "' + "." * 1000 + '"')
 
@@ -214,9 +214,9 @@ async def test_large_bodies_are_read_beside_the_loop(house: House, body: object)
 @pytest.mark.parametrize(
     "document",
     [
-        "".join(f"k{n} = 1\n" for n in range(MOST_LINES + 1)),
-        "k = [" + "1," * (MOST_VALUES + 1) + "]",
-        "k = {" + "a=1," * (MOST_VALUES + 1) + "}",
+        "".join(f"k{n} = 1\n" for n in range(MAX_LINES + 1)),
+        "k = [" + "1," * (MAX_VALUES + 1) + "]",
+        "k = {" + "a=1," * (MAX_VALUES + 1) + "}",
     ],
 )
 def test_a_file_of_more_values_than_a_bus_has_is_not_parsed(

@@ -25,7 +25,7 @@ from app.feed.bus_feed import BusFeed, WorkerLeft
 from app.feed.channel import Channel
 from app.feed.holders import Credential
 from app.feed.ingest import Ingest
-from app.feed.rates import HELLOS_AT_ONCE, FeedQuota
+from app.feed.rates import MAX_HELLOS_AT_ONCE, FeedQuota
 from app.feed.workers import TOO_OFTEN, Workers
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
@@ -33,7 +33,7 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import Audience, BusLive
 from app.web.access import Role
 from bus.contract import (
-    MOST_UPDATES,
+    MAX_UPDATES,
     AppMessage,
     Batch,
     BusLink,
@@ -229,10 +229,10 @@ def test_a_state_without_a_plausible_time_still_holds(runner: asyncio.Runner, sc
 
 def test_a_batch_larger_than_any_worker_makes_is_no_message(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
-        many = Batch(1, time.time(), [reading(1)] * (MOST_UPDATES + 1))
+        many = Batch(1, time.time(), [reading(1)] * (MAX_UPDATES + 1))
         socket = await scene.attack(encode(snapshot()), encode(many))
         assert socket.reason is not None
-        assert f"length <= {MOST_UPDATES}" in socket.reason
+        assert f"length <= {MAX_UPDATES}" in socket.reason
 
     runner.run(attack())
 
@@ -279,7 +279,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
         before = (await events.page(Filter(), 1))[0][0]["id"]
         flips: list[Update] = [
             msgspec.structs.replace(reading(1), outputs=0x40 * (n % 2), inputs=3 * (n % 2))
-            for n in range(MOST_UPDATES)
+            for n in range(MAX_UPDATES)
         ]
         batches = [encode(Batch(seq, time.time(), flips)) for seq in range(1, 7)]
         await scene.attack(encode(snapshot()), *batches)
@@ -296,7 +296,7 @@ def test_a_flood_of_events_is_summed_up(runner: asyncio.Runner, scene: Scene) ->
 def test_a_token_sends_hello_only_so_often(runner: asyncio.Runner, scene: Scene) -> None:
     async def attack() -> None:
         workers, credential = scene.house.services[Workers], Credential("busy", BUS, "192.0.2.66")
-        sockets = [HostileSocket([b"no hello"]) for _ in range(int(HELLOS_AT_ONCE) + 5)]
+        sockets = [HostileSocket([b"no hello"]) for _ in range(int(MAX_HELLOS_AT_ONCE) + 5)]
         for socket in sockets:
             await workers.serve(socket, credential)
         assert [socket.reason for socket in sockets].count(TOO_OFTEN) == 5
@@ -316,7 +316,7 @@ def test_messages_over_the_rate_are_not_read_yet(
         pauses.append(seconds)
 
     async def attack() -> None:
-        readings: list[Update] = [reading(1)] * MOST_UPDATES
+        readings: list[Update] = [reading(1)] * MAX_UPDATES
         batches = [encode(Batch(seq, time.time(), readings)) for seq in range(1, 41)]
         await scene.attack(encode(snapshot()), *batches)
 

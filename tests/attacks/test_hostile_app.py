@@ -23,9 +23,9 @@ from bus.contract import (
 from bus.contract import MalformedMessageError as Malformed
 from bus.contract.clock_offset import ClockOffset
 from bus.worker.outbox import Outbox
-from bus.worker.service import MOST_COMMANDS, RESULTS_KEPT
-from bus.worker.trace_reports import MOST_TRACES
-from bus.worker.uplink import MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
+from bus.worker.service import MAX_COMMANDS, RESULTS_KEPT
+from bus.worker.trace_reports import MAX_TRACES
+from bus.worker.uplink import MAX_MESSAGES_AT_ONCE, MESSAGES_PER_S, Uplink
 from tests.attacks.hostile import GARBAGE, broken, encoded, of_type
 from tests.bus.fake_app import TOKEN
 from tests.bus.test_uplink import FakeReceiver
@@ -55,7 +55,7 @@ def test_no_message_of_the_app_breaks_the_worker(messages: list[bytes]) -> None:
 def test_more_commands_than_the_limit_are_not_taken() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: line.readings(1))
-        requested = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MOST_COMMANDS + 50)]
+        requested = [line.command(SetSpeed(1, 640), timeout_s=3600.0) for _ in range(MAX_COMMANDS + 50)]
         ended = [result for each in requested if (result := line.result_of(each)) is not None]
         assert len(ended) == 50
         assert {(result.outcome, "too many commands" in str(result.message)) for result in ended} == {
@@ -83,7 +83,7 @@ def test_the_memory_of_commands_is_bounded() -> None:
 def test_the_trace_is_read_by_few_at_once_and_remembered_by_none() -> None:
     async def scene(line: VirtualLine) -> None:
         await line.until(lambda: len(line.readings()) > 20)
-        requested = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MOST_TRACES + 5)]
+        requested = [line.command(ReadTrace(0.0, limit=100)) for _ in range(MAX_TRACES + 5)]
         refused = [result for each in requested if (result := line.result_of(each)) is not None]
         assert [result.outcome for result in refused] == ["not_sent"] * 5
         await line.until(lambda: all(line.result_of(each) for each in requested))
@@ -114,7 +114,7 @@ def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -
 
     async def scene() -> float:
         uplink = Uplink("http://app", TOKEN, Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
-        flood = Flood(message, int(MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
+        flood = Flood(message, int(MAX_MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
         await uplink._receive(flood)  # type: ignore[arg-type]
         return asyncio.get_running_loop().time()
 

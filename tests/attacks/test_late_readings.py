@@ -21,7 +21,7 @@ from app.history.service import History
 from app.history.store import tables
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import LiveState
-from bus.contract import MOST_UPDATES, Batch, Reading, Snapshot, UnitState, encode
+from bus.contract import MAX_UPDATES, Batch, Reading, Snapshot, UnitState, encode
 from tests.app.complete_app import House, complete_app
 from tests.app.stage import hello, reading, snapshot, unit_state, until
 from tests.attacks.test_feed import HostileSocket
@@ -164,7 +164,7 @@ async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path)
         feed.coverage.until = begin
         flood = [
             Batch(1 + number, time.time(), _tight(begin + 60 * number), live=False)
-            for number in range(int(MAX_VALUES_AT_ONCE) // MOST_UPDATES + 20)
+            for number in range(int(MAX_VALUES_AT_ONCE) // MAX_UPDATES + 20)
         ]
         feed._quota._updates.capacity = 1e9  # the test does not wait until the rest is read
         await connect(house, *flood)
@@ -172,9 +172,9 @@ async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path)
         assert 0 < len(refused) <= 2, "one at once, and their sum"
         total = sum(int(event["new"]) for event in refused)
         # The test takes some seconds, in which some more are admitted.
-        assert 10 * MOST_UPDATES < total <= 20 * MOST_UPDATES
+        assert 10 * MAX_UPDATES < total <= 20 * MAX_UPDATES
         await until(lambda: house.services[History].status.waiting == 0, "everything stored")
 
 
 def _tight(begin: float) -> Sequence[Reading]:
-    return of(begin, 1, MOST_UPDATES, 0.01)
+    return of(begin, 1, MAX_UPDATES, 0.01)

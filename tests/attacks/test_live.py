@@ -13,7 +13,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketT
 from starlette.websockets import WebSocketDisconnect
 
 from app.auth.accounts import Accounts
-from app.live.admission import MOST_OF_ACCOUNT, Admission
+from app.live.admission import MAX_OF_ACCOUNT, Admission
 from app.live.browsers import socket
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.hub import MAX_WATCH_BURST, Hub
@@ -76,10 +76,10 @@ def test_endless_requests_of_a_page_get_responses_at_its_pace(
         for _ in range(requested):
             page.send_text('{"want": "snapshot"}')
         snapshots = 0
-        while snapshots < requested - socket.MOST_SNAPSHOTS_AT_ONCE and len(pauses) < requested:
+        while snapshots < requested - socket.MAX_SNAPSHOTS_AT_ONCE and len(pauses) < requested:
             snapshots += json.loads(page.receive_text())["is"] == "snapshot"
-    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= requested - socket.MOST_SNAPSHOTS_AT_ONCE - 1
-    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= requested - socket.MOST_MESSAGES_AT_ONCE - 1
+    assert pauses.count(1 / socket.SNAPSHOTS_A_SECOND) >= requested - socket.MAX_SNAPSHOTS_AT_ONCE - 1
+    assert pauses.count(1 / socket.MESSAGES_A_SECOND) >= requested - socket.MAX_MESSAGES_AT_ONCE - 1
 
 
 MALFORMED: list[dict[str, Any]] = [
@@ -123,7 +123,7 @@ def test_one_page_too_many_is_refused_and_the_others_stay(
 ) -> None:
     admission = Admission()
     monkeypatch.setattr(hub_of(client), "admission", admission)
-    for number in range(MOST_OF_ACCOUNT - 1):
+    for number in range(MAX_OF_ACCOUNT - 1):
         admission.enter("t (token)", f"elsewhere {number}")
     with client.websocket_connect("/live", headers=ORIGIN) as page:
         page.receive_text()

@@ -17,9 +17,9 @@ from app.history.service import History
 from app.server.fair_queue import FairQueue
 from app.web.access import Person, Role
 from app.web.turns import (
-    AT_ONCE,
-    MOST_WAITING,
-    READS_AT_ONCE,
+    MAX_AT_ONCE,
+    MAX_READS,
+    MAX_WAITING,
     ReadInTurn,
     Turns,
 )
@@ -73,14 +73,14 @@ async def test_an_account_has_few_at_a_time_and_others_do_not_wait(
     monkeypatch.setattr(house.services[History], "read", slow(house.services[History].read))
     one, other = await house.signed_in(Role.VIEWER, "ann"), await house.signed_in(Role.OPERATOR, "ben")
     pending = [asyncio.create_task(one.get(path)) for _ in range(12)]
-    await until(lambda: running == AT_ONCE)
+    await until(lambda: running == MAX_AT_ONCE)
     assert (await one.get("/healthz")).status_code == 200
     assert (await other.get("/api/v1/line")).status_code == 200
     theirs = asyncio.create_task(other.get(path))
-    await until(lambda: running == AT_ONCE + 1)
+    await until(lambda: running == MAX_AT_ONCE + 1)
     gate.set()
     assert {response.status_code for response in await asyncio.gather(*pending, theirs)} == {200}
-    assert most == AT_ONCE + 1
+    assert most == MAX_AT_ONCE + 1
 
 
 async def test_a_download_keeps_its_turn_until_it_is_read(
@@ -96,12 +96,12 @@ async def test_a_download_keeps_its_turn_until_it_is_read(
 
     monkeypatch.setattr(house.services[EventLog], "every", every)
     client = await house.program(Role.VIEWER)
-    pending = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(AT_ONCE + 2)]
-    await until(lambda: house.services[Turns].downloads.count_of("key-viewer (token)") == AT_ONCE + 2)
-    assert begun == AT_ONCE
+    pending = [asyncio.create_task(client.get("/api/v1/events.csv")) for _ in range(MAX_AT_ONCE + 2)]
+    await until(lambda: house.services[Turns].downloads.count_of("key-viewer (token)") == MAX_AT_ONCE + 2)
+    assert begun == MAX_AT_ONCE
     gate.set()
     assert [response.status_code for response in await asyncio.gather(*pending)] == [200] * len(pending)
-    assert begun == AT_ONCE + 2
+    assert begun == MAX_AT_ONCE + 2
     assert not house.services[Turns].downloads.count_of("key-viewer (token)")
 
 
@@ -112,7 +112,7 @@ async def test_beyond_those_that_wait_an_account_is_refused(house: House) -> Non
         async with house.services[Turns].searches.turn("key-viewer (token)"):
             await gate.wait()
 
-    held = [asyncio.create_task(hold()) for _ in range(AT_ONCE + MOST_WAITING)]
+    held = [asyncio.create_task(hold()) for _ in range(MAX_AT_ONCE + MAX_WAITING)]
     await until(lambda: house.services[Turns].searches.count_of("key-viewer (token)") == len(held))
     client = await house.program(Role.VIEWER)
     refused = await client.get("/api/v1/events")
@@ -139,10 +139,10 @@ async def test_what_an_account_reads_comes_in_turns_and_others_do_not_wait(
 
     monkeypatch.setattr(house.services[Accounts], "users", slow)
     ann, ben = await house.signed_in(Role.ADMIN, "ann"), await house.signed_in(Role.ADMIN, "ben")
-    pending = [asyncio.create_task(ann.get("/users")) for _ in range(READS_AT_ONCE + 5)]
-    await until(lambda: running == READS_AT_ONCE)
+    pending = [asyncio.create_task(ann.get("/users")) for _ in range(MAX_READS + 5)]
+    await until(lambda: running == MAX_READS)
     pending.append(asyncio.create_task(ben.get("/users")))
-    await until(lambda: running == READS_AT_ONCE + 1)
+    await until(lambda: running == MAX_READS + 1)
     assert (await ann.post("/logout")).status_code == 303
     gate.set()
     assert {response.status_code for response in await asyncio.gather(*pending)} == {200}

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database.reserve import KEPT_FREE
+from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.handover import notes, quota
 from app.handover.quota import MAX_AGE_DAYS, MAX_PER_HOUR
 from app.handover.service import Handover
@@ -99,7 +99,7 @@ async def test_where_the_disk_is_kept_for_commands_nothing_is_stored(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    monkeypatch.setattr(quota, "free_bytes", lambda _: KEPT_FREE - 1)
+    monkeypatch.setattr(quota, "free_bytes", lambda _: MIN_FREE_OF_OTHERS - 1)
     refused = await write(operator, pictures=[picture(1)])
     assert (refused.status_code, refused.json()["code"]) == (503, "store")
     assert await house.events("shift") == []

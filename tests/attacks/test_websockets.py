@@ -24,9 +24,9 @@ from app.server.refusal_log import RefusalLog
 from app.server.starting import Starts
 from app.server.trust import trust_sender
 from app.server.websocket import (
-    MOST_FRAMES_AT_ONCE,
-    MOST_MESSAGE_BYTES,
-    MOST_UNREAD_BYTES,
+    MAX_FRAMES_AT_ONCE,
+    MAX_MESSAGE_BYTES,
+    MAX_UNREAD_BYTES,
     WebSocketProtocol,
 )
 
@@ -164,8 +164,8 @@ async def test_a_flood_of_frames_ends_its_socket(site: Site, flood: bytes) -> No
     received = await everything(reader)
     assert time.thread_time() - begun < CPU_S
     assert b"too many messages" in received or received == b""
-    assert len(site.messages) <= MOST_FRAMES_AT_ONCE
-    assert site.protocol.queue.qsize() <= MOST_FRAMES_AT_ONCE
+    assert len(site.messages) <= MAX_FRAMES_AT_ONCE
+    assert site.protocol.queue.qsize() <= MAX_FRAMES_AT_ONCE
 
 
 async def test_a_frame_larger_than_any_message_ends_its_socket_before_it_arrives(site: Site) -> None:
@@ -226,7 +226,7 @@ async def test_what_follows_the_close_of_the_server_ends_the_connection(site: Si
 
 async def test_fragments_count_together(site: Site) -> None:
     reader = await site.connect()
-    half = b"x" * (MOST_MESSAGE_BYTES // 2 + 1)
+    half = b"x" * (MAX_MESSAGE_BYTES // 2 + 1)
     site.writers[0].write(frame(TEXT, half) + frame(CONT, half))
     assert struct.pack("!H", 1009) in await everything(reader)
 
@@ -235,7 +235,7 @@ async def test_a_client_that_sends_and_does_not_read_is_dropped(site: Site) -> N
     await site.connect()
     await site.accepted.wait()
     site.protocol.transport.write(b"x" * 10_000_000)
-    assert site.protocol.transport.get_write_buffer_size() > MOST_UNREAD_BYTES
+    assert site.protocol.transport.get_write_buffer_size() > MAX_UNREAD_BYTES
     site.writers[0].write(frame(FIN | PING, b"x"))
     async with asyncio.timeout(PATIENCE_S):
         await site.protocol.loop.create_task(_until_closing(site))
@@ -333,8 +333,8 @@ async def test_frames_that_are_no_message_are_few_after_hello_too(site: Site, fl
 @pytest.mark.parametrize(
     "begun",
     [
-        frame(FIN | TEXT, b"x", size=MOST_MESSAGE_BYTES + 1),
-        frame(TEXT, b"x" * MOST_MESSAGE_BYTES) + frame(CONT, b"x"),
+        frame(FIN | TEXT, b"x", size=MAX_MESSAGE_BYTES + 1),
+        frame(TEXT, b"x" * MAX_MESSAGE_BYTES) + frame(CONT, b"x"),
     ],
     ids=["a frame", "fragments"],
 )

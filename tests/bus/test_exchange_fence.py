@@ -30,7 +30,7 @@ from bus.wire.commands import (
 from bus.wire.exchange import Exchange, Responded
 from bus.wire.fence import (
     LONG_RUN,
-    MOST_OUTSTANDING,
+    MAX_OUTSTANDING,
     PendingByUnit,
     PendingResponses,
     possible_shapes,
@@ -126,12 +126,12 @@ class TestPendingResponses:
 
     def test_the_longest_memory(self) -> None:
         pending = PendingResponses(1, PLAIN)
-        for _ in range(3 * MOST_OUTSTANDING):
+        for _ in range(3 * MAX_OUTSTANDING):
             pending = pending.sent(POLL)
         assert pending.outstanding == (POLL,) * LONG_RUN
-        for _ in range(3 * MOST_OUTSTANDING):
+        for _ in range(3 * MAX_OUTSTANDING):
             pending = pending.sent(POLL).sent(READ)
-        assert len(pending.outstanding) == MOST_OUTSTANDING
+        assert len(pending.outstanding) == MAX_OUTSTANDING
 
     def test_a_long_run_ends_only_with_a_response_of_another_shape(self) -> None:
         pending = PendingResponses(1, PLAIN)

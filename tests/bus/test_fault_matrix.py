@@ -53,7 +53,7 @@ STRANGER = 99
 """Among other faults a foreign response carries an address that no unit here has. A unit that sends in the
 name of another at the very moment of its poll cannot be distinguished from it.
 """
-ALL_AT_ONCE = {
+MAX_ALL_AT_ONCE = {
     kind: JAM if kind in LARGE else TOGETHER for kind in FaultKind if kind is not FaultKind.ALL_ADDRESSES
 }
 SPEEDUP = 10.0
@@ -195,7 +195,7 @@ def test_a_unit_that_takes_every_address_for_its_own() -> None:
 
 @pytest.mark.parametrize("seed", sizes(1, *range(2, 12)))
 def test_all_faults_together(seed: int) -> None:
-    trial = virtual_trial(ALL_AT_ONCE, seed, count=200)
+    trial = virtual_trial(MAX_ALL_AT_ONCE, seed, count=200)
     assert trial.complaints == []
     assert trial.outcomes()["verified"] > 5
 
@@ -222,7 +222,7 @@ async def work_at_the_panels(line: VirtualLine) -> None:
 
 
 @pytest.mark.parametrize("meddle", [pull_the_cable, work_at_the_panels])
-@pytest.mark.parametrize("rates", [{}, ALL_AT_ONCE], ids=["alone", "among faults"])
+@pytest.mark.parametrize("rates", [{}, MAX_ALL_AT_ONCE], ids=["alone", "among faults"])
 def test_operation_at_the_panels(
     meddle: Callable[[VirtualLine], Awaitable[None]], rates: dict[FaultKind, float]
 ) -> None:
@@ -263,7 +263,7 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
             worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
             await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
             trial = Trial(app.perform, time.monotonic, simulated.record, simulated.plant.units)
-            server.call(lambda line: suffer(line.faults, ALL_AT_ONCE))
+            server.call(lambda line: suffer(line.faults, MAX_ALL_AT_ONCE))
             await trial.play(seed=5, count=60)
             leave.set()
             with suppress(asyncio.CancelledError):

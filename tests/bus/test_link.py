@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from bus.contract import LONGEST_FRAME, MOST_MEANINGS
+from bus.contract import LONGEST_FRAME, MAX_MEANINGS
 from bus.errors import WireError
 from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
@@ -367,7 +367,7 @@ async def test_what_noise_means_is_bounded(wires: Wires) -> None:
     many = b"".join(encode_reply(Ack(unit), PLAIN) for unit in range(1, 100))
     wires.link.data_received(many)
     (passed,) = wires.trace.since(0.0)
-    assert len(Interpreter(PLAIN).frame(passed).meanings) == MOST_MEANINGS
+    assert len(Interpreter(PLAIN).frame(passed).meanings) == MAX_MEANINGS
 
 
 async def test_a_broadcast_is_left_to_leave() -> None:

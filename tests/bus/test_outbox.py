@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bus.contract import BusFigures, Frame, Frames, Progress, Reading, Result, UnitLink, Update
 from bus.contract.clock_offset import ClockOffset
-from bus.worker.outbox import MOST_OTHERS, MOST_READINGS, Outbox
+from bus.worker.outbox import MAX_OTHERS, MAX_READINGS, Outbox
 
 
 def reading(number: int) -> Reading:
@@ -157,16 +157,16 @@ def test_others_are_bounded(outbox: Outbox) -> None:
 
 
 def test_ten_minutes_of_a_full_bus_are_kept() -> None:
-    assert MOST_READINGS / 38.4 >= 600
+    assert MAX_READINGS / 38.4 >= 600
 
 
 def test_an_app_that_is_away_for_hours_costs_no_more_than_a_few_megabytes() -> None:
     part = 10
-    outbox, sizes = Outbox(MOST_READINGS // part, MOST_OTHERS // part), []
+    outbox, sizes = Outbox(MAX_READINGS // part, MAX_OTHERS // part), []
     tracemalloc.start()
     try:
         for _ in range(3):
-            for number in range(MOST_READINGS // part):
+            for number in range(MAX_READINGS // part):
                 outbox.put([reading(number), result(number)])
             sizes.append(tracemalloc.get_traced_memory()[0])
     finally:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from bus.catalogue.parameters import NEEDED_TO_SHOW, PARAMETERS
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.poll_schedule import (
-    KEPT_OF_A_TURN,
+    MIN_SHARE_OF_A_TURN,
     WATCHED_HZ,
     PollOrder,
     PollSchedule,
@@ -136,7 +136,7 @@ def test_a_watched_unit_never_takes_more_than_its_share(units: int, watched: int
             assert count >= equal - 2
             assert count <= max(equal, WATCHED_HZ * POLL_S * equal * units) + 2
         else:
-            assert count >= KEPT_OF_A_TURN * equal - 2
+            assert count >= MIN_SHARE_OF_A_TURN * equal - 2
 
 
 @pytest.mark.parametrize("opened", [3, 250])
@@ -177,7 +177,7 @@ def test_one_watched_unit_of_eight_is_polled_at_most_ten_times_a_second() -> Non
     assert 8.5 < counts[3] / 20.0 <= WATCHED_HZ
     others = [counts[unit] / 20.0 for unit in range(1, 9) if unit != 3]
     assert max(others) - min(others) <= 0.1
-    assert min(others) > 38.4 / 8 * KEPT_OF_A_TURN
+    assert min(others) > 38.4 / 8 * MIN_SHARE_OF_A_TURN
 
 
 def test_a_unit_that_joins_late_does_not_make_up_for_what_it_missed() -> None:

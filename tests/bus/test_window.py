@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus.line.exchange.window import LATE_S, LEAST_FRAME_GAP_S, RECHECK_S, Window
+from bus.line.exchange.window import LATE_S, MIN_FRAME_GAP_S, RECHECK_S, Window
 from tests.bus.played_clock import PlayedClock
 
 BYTE_S = 0.001
@@ -165,4 +165,4 @@ def test_a_frame_may_pause_as_long_as_an_adapter_holds_bytes_back() -> None:
     assert bench.ended_at() == []
     bench.window.received(bench.time, inside_frame=True)
     bench.pass_time(1.0)
-    assert bench.ended_at() == [round(0.064 + LEAST_FRAME_GAP_S, 4)]
+    assert bench.ended_at() == [round(0.064 + MIN_FRAME_GAP_S, 4)]

@@ -328,7 +328,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     ]
 
 
-AT_ONCE = 4
+MAX_AT_ONCE = 4
 """Each open page is drawn many times a second: all of them together leave a small machine no time."""
 
 
@@ -338,9 +338,9 @@ def test_every_page_is_covered_without_its_server_and_sends_nothing(
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
-    opened_tabs = [context.new_page() for _ in range(AT_ONCE)]
-    for first in range(0, len(pages), AT_ONCE):
-        paths = pages[first : first + AT_ONCE]
+    opened_tabs = [context.new_page() for _ in range(MAX_AT_ONCE)]
+    for first in range(0, len(pages), MAX_AT_ONCE):
+        paths = pages[first : first + MAX_AT_ONCE]
         tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():

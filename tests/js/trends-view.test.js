@@ -5,7 +5,7 @@ import { at, openPage } from "./page.js";
 
 const NOW = at("2026-11-20T15:30:00");
 openPage({ zone: "UTC", time: NOW });
-const { MOST_VALUES, View, iso } = await import("../../static/js/trends-view.js");
+const { MAX_VALUES, View, iso } = await import("../../static/js/trends-view.js");
 
 const KNOWN = Array.from({ length: 40 }, (_, i) => `line/${i + 1}/actual`);
 const catalogue = { has: (name) => KNOWN.includes(name), first: (count) => KNOWN.slice(0, count) };
@@ -55,9 +55,9 @@ test("a view that has no value any more stays empty", () => {
 
 test("no more values than can be distinguished, and none twice", () => {
   const view = open(`?${KNOWN.map((name) => `s=${name}`).join("&")}`);
-  assert.equal(view.series.length, MOST_VALUES);
+  assert.equal(view.series.length, MAX_VALUES);
   view.add("line/40/actual");
-  assert.equal(view.series.length, MOST_VALUES);
+  assert.equal(view.series.length, MAX_VALUES);
   const one = open("?s=line/1/actual");
   one.add("line/1/actual");
   assert.deepEqual(one.series, ["line/1/actual"]);

@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.notification.endpoints import EndpointKind
-from app.alarms.notification.maintenance import MOST_MINUTES, MaintenanceWindow
+from app.alarms.notification.maintenance import MAX_MINUTES, MaintenanceWindow
 from app.alarms.notification.notice import NoticeKind
 from app.alarms.notification.outbox import NotificationDelivery
 from app.alarms.notification.overview import EndpointStatus, clock_text, duties, endpoint_statuses
@@ -36,10 +36,10 @@ from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
 
-MOST_DELIVERIES = 200
+MAX_DELIVERIES = 200
 Notifying = Annotated[Notification, service(Notification)]
 MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
-MaintenanceMinutes = Annotated[int, Field(ge=1, le=MOST_MINUTES, description="At most a day, 1440.")]
+MaintenanceMinutes = Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a day, 1440.")]
 NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
 DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
 NotificationDeliveryState = TypeAliasType("NotificationDeliveryState", DeliveryState)
@@ -170,7 +170,7 @@ async def get_notification(_: Engineer, notification: Notifying) -> Notification
 async def get_notification_deliveries(
     _: Engineer,
     notification: Notifying,
-    limit: Annotated[int, Query(ge=1, le=MOST_DELIVERIES)] = 100,
+    limit: Annotated[int, Query(ge=1, le=MAX_DELIVERIES)] = 100,
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> NotificationDeliveries:
     """What was sent, or is to be."""

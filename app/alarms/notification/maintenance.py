@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from app.alarms.notification.outbox import KEPT_S
+from app.alarms.notification.outbox import MAX_AGE_S
 from app.alarms.notification.rules.notices import QuietSpan
 from app.alarms.notification.rules.recurring import RecurringMaintenance
 from app.alarms.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
@@ -19,7 +19,7 @@ from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 MINUTE_S = 60
-MOST_MINUTES = 1440
+MAX_MINUTES = 1440
 """A day: it is begun again by who still needs it."""
 
 
@@ -99,7 +99,7 @@ class Maintenance:
         """Found once a day: notification looks at them each second."""
         day = self._day(self._clock())
         if self._spans_of is None or self._spans_of[0] != day:
-            first = day - timedelta(seconds=KEPT_S)
+            first = day - timedelta(seconds=MAX_AGE_S)
             spans = (each.spans(first, day, self._zone) for each in self._recurring)
             self._spans_of = day, [span for several in spans for span in several]
         return self._spans_of[1]

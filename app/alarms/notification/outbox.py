@@ -15,9 +15,9 @@ from app.database import Database
 from bus.instants import UnixTime
 from bus.messages import Message
 
-MOST_ITEMS = 200
+MAX_ITEMS = 200
 """In one message."""
-KEPT_S = 90 * 86_400.0
+MAX_AGE_S = 90 * 86_400.0
 STANDING = "standing:"
 """Begins the key of an item of an alarm that stood at a start."""
 
@@ -77,7 +77,7 @@ class NotificationOutbox:
 
     async def prune(self, now: UnixTime) -> None:
         """Delete messages that are older than three months."""
-        before = float(now - KEPT_S)
+        before = float(now - MAX_AGE_S)
 
         def write(connection: sqlite3.Connection) -> None:
             connection.execute("DELETE FROM notification_item WHERE created_at < ?", (before,))
@@ -97,7 +97,7 @@ class NotificationOutbox:
             standing = "substr(key, 1, ?) = ?", (len(STANDING), STANDING)
             items, at_start = (
                 connection.execute(
-                    f"{waiting} AND {where} ORDER BY id LIMIT ?", (endpoint, *values, MOST_ITEMS)
+                    f"{waiting} AND {where} ORDER BY id LIMIT ?", (endpoint, *values, MAX_ITEMS)
                 ).fetchall()
                 for where, values in ((f"NOT ({standing[0]} AND ?)", (*standing[1], collects)), standing)
             )

@@ -12,7 +12,7 @@ from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.api import Notifying, begin
 from app.alarms.notification.dispatcher import subject_of
-from app.alarms.notification.maintenance import MOST_MINUTES
+from app.alarms.notification.maintenance import MAX_MINUTES
 from app.alarms.notification.overview import clock_text, duties, endpoint_statuses
 from app.errors import Problem
 from app.web.access import Engineer, Operator, Viewer
@@ -72,7 +72,7 @@ async def send_test(
 async def begin_maintenance(
     person: Engineer,
     notification: Notifying,
-    minutes: Annotated[int, Form(ge=1, le=MOST_MINUTES)],
+    minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
     bus: Annotated[str, Form(max_length=80)] = "",
     reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:

@@ -9,7 +9,7 @@ from app.errors import system_error
 from bus.errors import LinesideError
 from bus.messages import Message
 
-MOST_BYTES = 4096
+MAX_BYTES = 4096
 MAIL_PASSWORD_VARIABLE = "LINESIDE_SMTP_PASSWORD"
 
 
@@ -22,15 +22,15 @@ def read_secret(path: Path) -> bytes:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:
-            content = file.read(MOST_BYTES + 1) or b""
+            content = file.read(MAX_BYTES + 1) or b""
     except OSError as error:
         reason = system_error(error)
         raise NotDeliveredError(
             Message.of("notify_secret_unreadable", path=str(path), reason=reason)
         ) from None
     secret = content.removesuffix(b"\n").removesuffix(b"\r")
-    if not secret or len(content) > MOST_BYTES:
-        raise NotDeliveredError(Message.of("notify_secret_empty", path=str(path), n=MOST_BYTES))
+    if not secret or len(content) > MAX_BYTES:
+        raise NotDeliveredError(Message.of("notify_secret_empty", path=str(path), n=MAX_BYTES))
     return secret
 
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 
 from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import KEPT_S, insert_items, insert_standing, to_notified
+from app.alarms.notification.outbox import MAX_AGE_S, insert_items, insert_standing, to_notified
 from app.alarms.notification.rules.notices import Episode, QuietSpan, opened_by
 from app.alarms.store import JournalEntry
 from app.database import Database
 from bus.instants import UnixTime
 
-MOST_ENTRIES = 1000
+MAX_ENTRIES = 1000
 """Of the journal that are followed in one pass."""
 _ENTRY = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
 _EPISODE = tuple(field.name for field in fields(Episode))
@@ -63,11 +63,11 @@ class NotificationStore:
                     f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE id > ? AND bus IS ? "
                     "ORDER BY id LIMIT ?"
                 )
-                rows = [] if last <= cursor else connection.execute(query, (cursor, bus, MOST_ENTRIES))
+                rows = [] if last <= cursor else connection.execute(query, (cursor, bus, MAX_ENTRIES))
                 entries = [JournalEntry(*row) for row in rows]
             finally:
                 connection.execute("COMMIT")
-            return entries, entries[-1].id if len(entries) == MOST_ENTRIES else max(cursor, last)
+            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else max(cursor, last)
 
         return await self._database.read(read)
 
@@ -120,7 +120,7 @@ class NotificationStore:
         """Every maintenance whose end an open alarm may still count from."""
         query = "SELECT id, starts, ends, bus, who, reason FROM notification_quiet WHERE ends > ?"
         rows = await self._database.read(
-            lambda connection: connection.execute(query, (float(now - KEPT_S),)).fetchall()
+            lambda connection: connection.execute(query, (float(now - MAX_AGE_S),)).fetchall()
         )
         return [
             QuietRow(row["id"], QuietSpan(row["starts"], row["ends"], row["bus"]), row["who"], row["reason"])

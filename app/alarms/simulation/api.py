@@ -9,7 +9,7 @@ from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
 from app.alarm_settings import OwnValue
-from app.alarms.performance_api import MOST_DAYS, USUAL_DAYS
+from app.alarms.performance_api import MAX_DAYS, USUAL_DAYS
 from app.alarms.rules.performance import DAY_S
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
@@ -104,8 +104,8 @@ def check_span(start: UnixTime, end: UnixTime) -> None:
     """Raises Problem 422 for a span that ends before it begins, or is too long."""
     if start >= end:
         raise Problem(422, "invalid", Message("span_reversed"))
-    if end - start > MOST_DAYS * DAY_S:
-        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MOST_DAYS))
+    if end - start > MAX_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
 
 
 def _written(body: AlarmSimulationRequest) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from app.web.turns import turn_of
 from bus.instants import UnixTime
 from bus.settings import BusSettings
 
-MOST_WAITING = 3
+MAX_WAITING = 3
 """Of one account."""
 WORK_S = 5.0
 """Of a thread, for one simulation."""
@@ -33,7 +33,7 @@ class Simulator:
     def __init__(self, history: History, work_s: float = WORK_S) -> None:
         self._history = history
         self._work_s = work_s
-        self._turns: FairQueue[str] = FairQueue(1, 1, MOST_WAITING)
+        self._turns: FairQueue[str] = FairQueue(1, 1, MAX_WAITING)
 
     async def run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str

@@ -30,7 +30,7 @@ router = APIRouter(prefix="/api/v1/buses/{bus}", tags=["trace"], route_class=Api
 HOUR_S = 3600.0
 RECENT_S = 60.0
 PIECE = 2000
-MOST_PIECES = 200
+MAX_PIECES = 200
 """An hour of a full bus has 140. Bounds a download from a worker that always has more frames."""
 
 
@@ -63,7 +63,7 @@ async def get_trace(
 
 
 async def _pieces(commands: CommandService, person: Person, since: UnixTime) -> AsyncIterator[list[Frame]]:
-    for _ in range(MOST_PIECES):
+    for _ in range(MAX_PIECES):
         result = await commands.send(person, ReadTrace(since=since, limit=PIECE))
         if result.outcome not in ("verified", "acknowledged"):
             reason = result.message or Message("worker_no_result")

@@ -22,9 +22,9 @@ from bus.contract import Action, Result
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
-KEPT_S = 7 * 86_400.0
+MAX_AGE_S = 7 * 86_400.0
 """How long a key is remembered."""
-MOST_OF_A_SENDER = 2000
+MAX_OF_A_SENDER = 2000
 """How many keys of one sender are remembered; the oldest are forgotten first."""
 UNREADABLE = Message("result_unreadable")
 _FROM_BEFORE = ""
@@ -69,8 +69,8 @@ def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing
     if request.key is None:
         return
     sender = request.person.sender
-    connection.execute(_FORGET_OLD, (now - KEPT_S,))
-    connection.execute(_FORGET_MANY, {"sender": sender, "others": MOST_OF_A_SENDER - 2})
+    connection.execute(_FORGET_OLD, (now - MAX_AGE_S,))
+    connection.execute(_FORGET_MANY, {"sender": sender, "others": MAX_OF_A_SENDER - 2})
     connection.execute(_INSERT, (sender, request.key, now, digest(ring, request.bus, request.action)))
 
 

@@ -18,7 +18,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 PictureType = Literal["image/jpeg", "image/png", "image/webp"]
-MOST_PIXELS = 25_000_000
+MAX_PIXELS = 25_000_000
 """A browser takes 100 MB to draw them."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_KEPT = (b"IHDR", b"PLTE", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"IDAT", b"IEND")
@@ -150,7 +150,7 @@ def _check_webp(kind: bytes, data: bytes) -> bool:
 def _check_size(width: int, height: int) -> None:
     if not width or not height:
         raise _BrokenPictureError
-    if width * height > MOST_PIXELS:
+    if width * height > MAX_PIXELS:
         raise CallerError(Message.of("picture_too_large", width=width, height=height))
 
 

@@ -32,7 +32,7 @@ from bus.messages import Message, in_english
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
-MOST_SPARKS = 255
+MAX_SPARKS = 255
 _TEXTS = ("what", "old", "new")
 """The fields of a mark that may be messages."""
 TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
@@ -107,8 +107,8 @@ async def get_sparklines(
 ) -> Response:
     """Sparklines of many units (up to 255): for each ``bus/unit/value`` the columns ``t`` and ``avg``, about
     120 points."""
-    if len(series) > MOST_SPARKS:
-        raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MOST_SPARKS, count=len(series)))
+    if len(series) > MAX_SPARKS:
+        raise Problem(422, "invalid", Message.of("too_many_sparklines", most=MAX_SPARKS, count=len(series)))
     requested = [spans.named_series_query(history, name, span, SPARK_POINTS) for name in series]
     found = await history.query(requested)
     sparks = zip(series, found, strict=True)
@@ -182,7 +182,7 @@ async def export_history(
     return await download.response(history, requested, file, resolution)
 
 
-MOST_MARKS = 500
+MAX_MARKS = 500
 MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
 """What explains a curve. Who signed in does not."""
 _SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
@@ -191,7 +191,7 @@ _SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "
 async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple[list[dict[str, Any]], bool]:
     """Marks oldest first, and whether there were more than fit."""
     wanted = Filter(since=seconds(span.start), until=seconds(span.end))
-    found, after = await events.page(wanted, MOST_MARKS)
+    found, after = await events.page(wanted, MAX_MARKS)
     marks = [{"t": event["time"], **{name: event[name] for name in _SHOWN}} for event in found]
     shown = [
         mark

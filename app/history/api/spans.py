@@ -20,8 +20,8 @@ from app.web.shape import DATE_TIME, parse_integer
 from bus.instants import unix_now
 from bus.messages import Message
 
-MOST_POINTS = 20_000
-MOST_SERIES = 32
+MAX_POINTS = 20_000
+MAX_SERIES = 32
 FIRST_YEAR, LAST_YEAR = 1970, 9998
 """Within these an instant stays one in every time zone."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -77,8 +77,8 @@ SpanOf = Annotated[Span, Depends(wanted_span)]
 
 
 async def wanted_points(points: int = 1000) -> int:
-    if not 1 <= points <= MOST_POINTS:
-        raise Problem(422, "invalid", Message.of("points_out_of_range", most=MOST_POINTS))
+    if not 1 <= points <= MAX_POINTS:
+        raise Problem(422, "invalid", Message.of("points_out_of_range", most=MAX_POINTS))
     return points
 
 
@@ -109,6 +109,6 @@ def named_series_query(history: History, name: str, span: Span, most: int) -> Se
 
 def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
     """Several. Raises Problem."""
-    if not 1 <= len(names) <= MOST_SERIES:
-        raise Problem(422, "invalid", Message.of("series_count", most=MOST_SERIES, count=len(names)))
+    if not 1 <= len(names) <= MAX_SERIES:
+        raise Problem(422, "invalid", Message.of("series_count", most=MAX_SERIES, count=len(names)))
     return [named_series_query(history, name, span, most) for name in names]

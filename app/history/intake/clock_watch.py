@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bus.instants import Monotonic, UnixTime
 
-LEAST_STEP_S = 1.0
+MIN_STEP_S = 1.0
 
 
 class ClockWatch:
@@ -17,4 +17,4 @@ class ClockWatch:
         """By how many seconds the wall clock was set since the last look; 0.0 when it was not."""
         before, self._difference = self._difference, float(wall) - float(running)
         moved = self._difference - before
-        return moved if abs(moved) >= LEAST_STEP_S else 0.0
+        return moved if abs(moved) >= MIN_STEP_S else 0.0

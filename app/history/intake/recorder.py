@@ -25,11 +25,11 @@ from bus.messages import Message
 
 GRACE = 2 * SECOND
 """How long after a minute its last readings are waited for."""
-MOST_IN_TAIL = 400_000
+MAX_IN_TAIL = 400_000
 """Runs in memory at which even the current minute is folded."""
-AT_ONCE = 4_000
+MAX_AT_ONCE = 4_000
 """Runs folded in one transaction: few enough that a slow machine still commits in time."""
-MOST_KEYS = 64
+MAX_KEYS = 64
 """And minutes of units: each is a block, its rollups and its bits."""
 _LOOK_EVERY = 64
 
@@ -94,14 +94,14 @@ class Recorder:
         for key in self._folding:
             keys.append(key)
             runs += len(self._tail.minute(*key))
-            if runs >= AT_ONCE or len(keys) == MOST_KEYS:
+            if runs >= MAX_AT_ONCE or len(keys) == MAX_KEYS:
                 break
         return keys
 
     def _is_due(self, now: int) -> bool:
         minute = now - now % MINUTE
         self._commits += 1
-        if self._commits % _LOOK_EVERY == 0 and len(self._tail) > MOST_IN_TAIL:
+        if self._commits % _LOOK_EVERY == 0 and len(self._tail) > MAX_IN_TAIL:
             self._folding.extend(self._tail.over(current=-1))
         return minute != self._folded_minute and now >= minute + GRACE
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.database.connection import Database
 from app.database.private import make_file, make_folder
-from app.database.reserve import KEPT_FREE, free_bytes
+from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.settings import HistorySettings
@@ -29,7 +29,7 @@ class DiskReserve:
     """Warn on every page that shows history."""
     trim: int = 500 * _MB
     """Give up the oldest readings; minutes and hours stay."""
-    pause: int = KEPT_FREE
+    pause: int = MIN_FREE_OF_OTHERS
     """Write no history: the remaining space belongs to the main store, and below it is its own reserve."""
 
 
@@ -46,7 +46,7 @@ SETTLED_S = 3600.0
 """After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
 LATE = 10 * MINUTE
 """What workers keep while the app is away: an hour that ended longer ago is complete."""
-DROP_AT_ONCE = 50
+MAX_DROPPED = 50
 """Blocks given up in one transaction."""
 _VACUUM = "PRAGMA incremental_vacuum(2000)"
 
@@ -111,8 +111,8 @@ class Upkeep:
     def sweep(self, deadline: Monotonic) -> None:
         """Take away what was given up, until ``deadline`` (monotonic seconds)."""
         while self._to_sweep and monotonic_now() < deadline:
-            dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), DROP_AT_ONCE))
-            self._to_sweep = dropped == DROP_AT_ONCE
+            dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
+            self._to_sweep = dropped == MAX_DROPPED
             self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())
 
     def _give_up_before(self, horizon: int) -> None:

@@ -41,10 +41,10 @@ END_S = 1.0
 RETRY_S = 10.0
 LOOK_EVERY_S = 5.0
 GIVE_UP_EVERY_S = 600.0
-MOST_WAITING = 500_000
+MAX_WAITING = 500_000
 """Updates kept in memory while the store cannot be written; then the oldest are lost."""
 
-MOST_REPORTED = 1000
+MAX_REPORTED = 1000
 REBUILD_EVERY_S = 3600.0
 SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
@@ -70,7 +70,7 @@ class Writer:
         self._retention = retention
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
-        self._reported: deque[BlockKey] = deque(maxlen=MOST_REPORTED)
+        self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
         self._torn = False
         self._rebuilt_at = Monotonic(-math.inf)
         self.tail = Tail()
@@ -101,7 +101,7 @@ class Writer:
         """Never waits; only the event loop calls it."""
         self._queue.append(delivery)
         self._waiting += len(delivery[1])
-        while self._waiting - self._taken > MOST_WAITING:
+        while self._waiting - self._taken > MAX_WAITING:
             try:
                 lost = len(self._queue.popleft()[1])
             except IndexError:

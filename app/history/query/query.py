@@ -19,9 +19,9 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey
 from bus.settings import BusSettings
 
-MOST_READINGS = 100_000
+MAX_READINGS = 100_000
 """More readings than this are not unpacked for one chart: minutes are used."""
-MOST_INTERVALS = 50_000
+MAX_INTERVALS = 50_000
 MARGIN = MINUTE
 Resolution = Literal["readings", "minutes", "hours"]
 
@@ -92,7 +92,7 @@ def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -
         if exact is not None and _fits(exact, marks, most):
             return "readings", exact
     is_kept = has_raw(source.connection, source.unit, start)
-    if is_kept and unit_history.estimate(source, start, end) <= MOST_READINGS:
+    if is_kept and unit_history.estimate(source, start, end) <= MAX_READINGS:
         raw = unit_history.readings(source, value, start, end)
         if _fits(raw, marks, most):
             return "readings", raw
@@ -109,7 +109,7 @@ def _fits(points: Points, marks: Marks, most: int) -> bool:
 
 
 def _exact_bits(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> Points | None:
-    if tables.count_bits(source.connection, source.unit, query.start, query.end) > MOST_INTERVALS:
+    if tables.count_bits(source.connection, source.unit, query.start, query.end) > MAX_INTERVALS:
         return None
     usual = unit_history.usual_of(source, query.end)
     parts = unit_history.bit_intervals(source, query.value.bit, query.start, query.end)

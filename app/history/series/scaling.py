@@ -18,7 +18,7 @@ from bus.catalogue.values import RATIO_DECIMALS
 
 DECIDING = (DECIMALS, FOLLOWER_MODE, ANALOG_IN_LOW, ANALOG_IN_HIGH)
 _MASTER = 0
-_MOST_DECIMALS = 4
+_MAX_DECIMALS = 4
 _ANALOG_FULL = 255
 
 
@@ -99,6 +99,6 @@ def _scale(value: Value, known: dict[int, int], ratio: bool) -> LinearScale:
     decimals = known.get(DECIMALS)
     if ratio and known.get(FOLLOWER_MODE, _MASTER) != _MASTER:
         decimals = RATIO_DECIMALS
-    if decimals is None or decimals > _MOST_DECIMALS:
+    if decimals is None or decimals > _MAX_DECIMALS:
         return LinearScale()
     return LinearScale(per=10**decimals, decimals=decimals)

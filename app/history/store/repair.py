@@ -85,7 +85,7 @@ def _hours(connection: tables.StoreConnection, block: BlockKey) -> list[Rollup]:
 
 TIERS: tuple[StoredTier, ...] = ("raw", "minutes", "hours")
 TABLES = (*TIERS, "bits", "link", "parameter", "journal")
-AT_ONCE = 20
+MAX_AT_ONCE = 20
 REST = 4
 """How many times as long as each look took the check rests: a fifth of a core at most, and not for long."""
 
@@ -120,5 +120,5 @@ def _look(
     connection: tables.StoreConnection, tier: StoredTier, after: tuple[int, int]
 ) -> list[tuple[int, int, bool]]:
     query = f"SELECT unit, start, data FROM {tier} WHERE (unit, start) > (?, ?) ORDER BY unit, start LIMIT ?"
-    rows = connection.execute(query, (*after, AT_ONCE)).fetchall()
+    rows = connection.execute(query, (*after, MAX_AT_ONCE)).fetchall()
     return [(unit, start, sound(data)) for unit, start, data in rows]

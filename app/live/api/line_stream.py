@@ -38,9 +38,9 @@ PAUSE_S = 0.05
 """From one piece to the next for one program: what comes in between goes together."""
 SNAPSHOT_S = 1.0
 """A snapshot of this age serves another program: what changed since then follows it."""
-MOST_BYTES = 4 * 1024 * 1024
+MAX_BYTES = 4 * 1024 * 1024
 """Of events kept: for the longest line at four readings a second some ten seconds."""
-MOST_OF_ACCOUNT, MOST_OF_ADDRESS = 16, 64
+MAX_OF_ACCOUNT, MAX_OF_ADDRESS = 16, 64
 RETRY = b"retry: 2000\n"
 """Milliseconds after which a client connects again; of the first event."""
 
@@ -57,8 +57,8 @@ class LineStream:
     monotonic: MonotonicClock = monotonic_now
 
     def __post_init__(self) -> None:
-        self.admission = Admission(MOST_OF_ACCOUNT, MOST_OF_ADDRESS)
-        self._recent = RecentEvents(token_hex(4), MOST_BYTES)
+        self.admission = Admission(MAX_OF_ACCOUNT, MAX_OF_ADDRESS)
+        self._recent = RecentEvents(token_hex(4), MAX_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
         buses = self._live.buses

@@ -19,10 +19,10 @@ from app.live.screen.diff import Groups, merge_groups
 from app.server.frames import NoOutlet, Outlet, text_frame
 from bus.instants import UnixTime
 
-MOST_FRAMES = 300
+MAX_FRAMES = 300
 """Frames of the trace kept for a browser that cannot keep up; older ones are dropped and counted."""
 
-MOST_WAITING = 64
+MAX_WAITING = 64
 """Changes that wait for a slow browser before they are made one."""
 
 encode = msgspec.json.Encoder().encode
@@ -94,14 +94,14 @@ class Browser:
     """All messages are with the transport: the browser's task waits for the next."""
     _waiting: list[Diff] = field(default_factory=list)
     _snapshot: dict[str, Any] | None = None
-    _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_FRAMES))
+    _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     def send_diff(self, diff: Diff) -> None:
         """Now where that can be; else newest wins: it goes together with what has not been sent."""
         if self._idle and self.outlet.write(diff.frame):
             return
-        if len(self._waiting) >= MOST_WAITING:
+        if len(self._waiting) >= MAX_WAITING:
             self._waiting = [diff.after_all(self._waiting)]
         else:
             self._waiting.append(diff)

@@ -17,7 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
-from app.live.browsers.watched import MOST_VIEWS
+from app.live.browsers.watched import MAX_VIEWS
 from app.server.addresses import source_of
 from app.server.frames import outlet_of
 from app.web.access import Person, Role, Viewer
@@ -34,8 +34,8 @@ IDLE_TIMEOUT_S = 30.0
 """A page that sends nothing for this long is gone; it sends every ten seconds."""
 
 
-MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE = 2.0, 10
-SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE = 0.5, 3
+MESSAGES_A_SECOND, MAX_MESSAGES_AT_ONCE = 2.0, 10
+SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE = 0.5, 3
 """Per page. The complete state is a quarter of a megabyte for a large line."""
 
 
@@ -92,8 +92,8 @@ async def _write(websocket: WebSocket, browser: Browser) -> None:
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:
     """A page that sends more than its share is read more slowly."""
-    messages = Bucket(MESSAGES_A_SECOND, MOST_MESSAGES_AT_ONCE)
-    snapshots = Bucket(SNAPSHOTS_A_SECOND, MOST_SNAPSHOTS_AT_ONCE)
+    messages = Bucket(MESSAGES_A_SECOND, MAX_MESSAGES_AT_ONCE)
+    snapshots = Bucket(SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE)
     while True:
         async with asyncio.timeout(IDLE_TIMEOUT_S):
             text = await websocket.receive_text()
@@ -115,7 +115,7 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     return message.want == "snapshot"
 
 
-@lru_cache(MOST_VIEWS)
+@lru_cache(MAX_VIEWS)
 def _units(keys: tuple[str, ...]) -> frozenset[tuple[str, int]]:
     """One set for all pages that show the same: for a long line it is fifty kilobytes."""
     return frozenset(_unit(key) for key in keys)

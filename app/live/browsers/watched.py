@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 
-MOST_VIEWS = 64
+MAX_VIEWS = 64
 """Sets of units that pages show at a time."""
 ShownUnits = frozenset[tuple[str, int]]
 """Units, each as bus and address."""
@@ -22,7 +22,7 @@ class Watched:
         self._there_are = units
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
-        self.known = lru_cache(MOST_VIEWS)(self._known)
+        self.known = lru_cache(MAX_VIEWS)(self._known)
         """Returns those of the given units that exist; one set for all pages that show the same."""
 
     def _known(self, shown: ShownUnits) -> ShownUnits:

@@ -26,7 +26,7 @@ LINE_GROUP = "line_summary"
 ALARM_GROUP = "alarms_present"
 _DECIDES = {"link", "state", "level", "cause"}
 """A change of these in a unit may change the strip and the totals of the line."""
-MOST_DEPARTED = 3
+MAX_DEPARTED = 3
 """Named one by one; more are a number, and the page of recipes has them all."""
 
 
@@ -108,7 +108,7 @@ class Screen:
         name, departed = loaded
         if not departed:
             return name
-        if len(departed) > MOST_DEPARTED:
+        if len(departed) > MAX_DEPARTED:
             return self.translator.t("{name}, {n} units with drift", name=name, n=len(departed))
         return self.translator.t(
             "{name}, drift: {units}", name=name, units=self.translator.t(listed(departed))

@@ -17,7 +17,7 @@ from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
 
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
-MOST_ENTRIES = 30
+MAX_ENTRIES = 30
 """In the strip; with more abnormal ones, the verdict has their number."""
 NO_BREAK = "\u00a0"
 Views = Mapping[str, UnitView]
@@ -73,7 +73,7 @@ def entries_of(live: LiveState, views: Views, translator: Translator, now: UnixT
 
 def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
     """The items beside the verdict, which names the worst."""
-    return entries[1 : 1 + MOST_ENTRIES]
+    return entries[1 : 1 + MAX_ENTRIES]
 
 
 def line_fields(

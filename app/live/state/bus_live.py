@@ -21,7 +21,7 @@ from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
 from bus.catalogue.numbers import DECIMALS
-from bus.catalogue.values import MOST_DECIMALS, RATIO_DECIMALS
+from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
     BusFigures,
     BusLink,
@@ -72,7 +72,7 @@ class UnitLive:
         (#3) that no value can have."""
         known = self.parameters.get(number)
         raw = known.raw if known is not None else None
-        return None if raw is not None and number == DECIMALS and raw > MOST_DECIMALS else raw
+        return None if raw is not None and number == DECIMALS and raw > MAX_DECIMALS else raw
 
 
 @dataclass(slots=True)

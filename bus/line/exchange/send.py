@@ -89,7 +89,7 @@ class SendResult(msgspec.Struct, frozen=True):
         return self.attempts > 1 or (self.attempts == 1 and self.refusal is None)
 
 
-MOST_FENCES = 8
+MAX_FENCES = 8
 """Fences with a response, each before a try without one: such a unit receives one frame in two."""
 
 
@@ -197,7 +197,7 @@ class SendAttempts:
         if responded:
             self._without_response = 0
             self._fences += 1
-            if self._fences > MOST_FENCES:
+            if self._fences > MAX_FENCES:
                 self._end(SendStatus.TIMED_OUT)
         else:
             self._timed_out()

@@ -18,8 +18,8 @@ from bus.line.port.port import OpenPort
 
 QUIET_BYTES = 4
 """A response that pauses for so many byte times is over."""
-LEAST_QUIET_S = 0.005
-LEAST_FRAME_GAP_S = 0.020
+MIN_QUIET_S = 0.005
+MIN_FRAME_GAP_S = 0.020
 """Inside a frame. An FTDI adapter delivers what it received every 16 ms where its latency timer cannot be set
 (FTDI AN232B-04, 3.3).
 """
@@ -47,14 +47,14 @@ class Window:
         self._last_moment = Monotonic(0.0)
         self._listen_at: Monotonic | None = None
         self._looked = False
-        self._quiet_s = LEAST_QUIET_S
+        self._quiet_s = MIN_QUIET_S
         self._quiet_at = Monotonic(0.0)
 
     def attach(self, port: OpenPort | None, byte_s: float) -> None:
         """Another port, or none; ``byte_s``: what a byte takes on it."""
         self._port = port
         self._ends = self._listen_at = None
-        self._quiet_s = max(QUIET_BYTES * byte_s, LEAST_QUIET_S)
+        self._quiet_s = max(QUIET_BYTES * byte_s, MIN_QUIET_S)
 
     def open(self, ends: Monotonic, last_moment: Monotonic, listen_at: Monotonic | None = None) -> None:
         """An exchange began. Until ``listen_at`` bytes may gather."""
@@ -64,7 +64,7 @@ class Window:
 
     def received(self, now: Monotonic, *, inside_frame: bool) -> None:
         """Bytes came in; ``inside_frame``: they end in the middle of what may be a frame."""
-        self._quiet_at = now + (max(self._quiet_s, LEAST_FRAME_GAP_S) if inside_frame else self._quiet_s)
+        self._quiet_at = now + (max(self._quiet_s, MIN_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
     def shorten(self, ends: Monotonic) -> None:
         """Only quiet is waited for any more."""

@@ -15,7 +15,7 @@ from bus.wire.bodies import encode_request
 from bus.wire.commands import ReadStatusRequest
 
 PASSES = 2
-MOST_PASSES = 4
+MAX_PASSES = 4
 
 
 def no_response_s(baud: int, turnaround_s: float) -> float:
@@ -52,7 +52,7 @@ class Passes:
             while self._remaining:
                 yield self._remaining[0]
             self._done += 1
-            if self._done < (MOST_PASSES if self._found > found_before else PASSES):
+            if self._done < (MAX_PASSES if self._found > found_before else PASSES):
                 self._remaining, self._without_response = self._without_response, deque()
 
     def found(self) -> None:

@@ -111,7 +111,7 @@ def _checksum_10h(events: list[ExchangeEvent]) -> Checksum10h | None:
 
 LISTEN_S = 0.2
 """How long the line is received before the first request."""
-MOST_UNREQUESTED_BYTES = 10
+MAX_UNREQUESTED_BYTES = 10
 """More than this in that time, and responses cannot be distinguished from other traffic."""
 
 
@@ -147,7 +147,7 @@ async def scan_addresses(
 ) -> None:
     """As ``scan_baud``, over an open port."""
     began = asyncio.get_running_loop().time()
-    if (unrequested := await line.listen(LISTEN_S)) > MOST_UNREQUESTED_BYTES:
+    if (unrequested := await line.listen(LISTEN_S)) > MAX_UNREQUESTED_BYTES:
         raise WireError(Message.of("bytes_unrequested", count=unrequested, seconds=LISTEN_S))
     complete = False
     while not complete:

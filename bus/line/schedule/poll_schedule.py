@@ -28,7 +28,7 @@ from bus.instants import Monotonic
 from bus.line.schedule.parameter_queue import ParameterQueue
 from bus.line.schedule.probe_backoff import ProbeBackoff, WireShare
 
-KEPT_OF_A_TURN = 2 / 3
+MIN_SHARE_OF_A_TURN = 2 / 3
 """The least part of its rate without open pages that an unwatched unit keeps."""
 WATCHED_HZ = 10.0
 """More polls a second of one unit than this show a person nothing new."""
@@ -107,7 +107,7 @@ def _strides(units: int, watched: int, poll_s: float) -> tuple[float, float]:
     if watched == 0 or others == 0:
         return 1.0, 1.0
     equal = 1.0 / units
-    left_by_others = 1.0 - KEPT_OF_A_TURN * others * equal
+    left_by_others = 1.0 - MIN_SHARE_OF_A_TURN * others * equal
     each = max(equal, min(left_by_others / watched, WATCHED_HZ * poll_s))
     each_other = (1.0 - watched * each) / others
     return equal / each, equal / each_other

@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from bus.contract import LONGEST_FRAME, MOST_MEANINGS, Direction, Frame
+from bus.contract import LONGEST_FRAME, MAX_MEANINGS, Direction, Frame
 from bus.instants import UnixTime
 from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.describe import Describer
 from bus.wire.framing import FrameDecoder
 
-KEPT_S = 3600.0
-KEPT_BYTES = 16_000_000
+MAX_AGE_S = 3600.0
+MAX_BYTES = 16_000_000
 PIECE_BYTES = 65_536
-MOST_FRAMES_OF_A_COMMAND = 300
+MAX_FRAMES_OF_A_COMMAND = 300
 HIDDEN = Message("frame_secret")
 
 _HEAD = struct.Struct("<dBBH")
@@ -44,7 +44,7 @@ class _Piece:
 class Trace:
     """A ring of packed records, bounded by time and by bytes."""
 
-    def __init__(self, kept_s: float = KEPT_S, kept_bytes: int = KEPT_BYTES) -> None:
+    def __init__(self, kept_s: float = MAX_AGE_S, kept_bytes: int = MAX_BYTES) -> None:
         self._kept_s = kept_s
         self._kept_bytes = kept_bytes
         self._pieces: deque[_Piece] = deque()
@@ -63,7 +63,7 @@ class Trace:
         packed = self._pieces[-1].packed
         packed += _HEAD.pack(passed.at, passed.direction == "in", flags, len(data))
         packed += data
-        if self.witness is not None and len(self.witness) < MOST_FRAMES_OF_A_COMMAND:
+        if self.witness is not None and len(self.witness) < MAX_FRAMES_OF_A_COMMAND:
             self.witness.append(passed._replace(data=data))
         if self.follower is not None:
             self.follower(passed._replace(data=data))
@@ -116,4 +116,4 @@ class Interpreter:
     def _meanings(self, data: bytes) -> list[Message]:
         decoder = FrameDecoder(self._dialect)
         described = self._describer.describe([*decoder.feed(data), *decoder.flush()])
-        return [each.meaning for each in described[:MOST_MEANINGS]]
+        return [each.meaning for each in described[:MAX_MEANINGS]]
