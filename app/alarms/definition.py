@@ -7,7 +7,7 @@ from hashlib import blake2b
 
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
 from app.conditions.condition import SuppressionGroup
-from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
+from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 
 SITE = "_"
@@ -23,11 +23,6 @@ class Rationalization:
     response: Message
     severity: Consequence
     time_to_respond: TimeToRespond
-
-    @property
-    def priority(self) -> AlarmPriority:
-        """By the matrix."""
-        return MATRIX[self.severity, self.time_to_respond]
 
 
 @dataclass(frozen=True, slots=True)

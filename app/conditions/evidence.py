@@ -23,7 +23,7 @@ class UnitFacts(NamedTuple):
 
 
 class LinkFacts(NamedTuple):
-    """The link of a unit. ``is_alone``: no other unit has responded since it was lost."""
+    """The link of a unit. ``is_alone``: of several units, no other has responded since it was lost."""
 
     bus_is_readable: bool
     is_lost: bool

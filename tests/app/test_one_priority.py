@@ -11,7 +11,7 @@ from app.alarms.catalogue import built_in
 from app.conditions.catalogue import CONDITIONS, PLACES, STATUS, TILES
 from app.conditions.condition import Condition
 from app.conditions.of_unit import BY_READING
-from app.conditions.priority import PRIORITIES, AlarmPriority
+from app.conditions.priority import MATRIX, PRIORITIES, AlarmPriority
 from app.live.diagnosis.abnormal import shown_cause
 from app.live.diagnosis.cause import Cause, abnormal, bus_cause
 from app.live.diagnosis.links import unit_facts
@@ -120,7 +120,7 @@ def test_the_alarm_of_a_condition_is_its_row_in_words(row: Condition[Any]) -> No
     words = (alarm.name, record.cause, record.consequence, record.response)
     assert tuple(text.code for text in words if isinstance(text, Message)) == row.texts
     assert all(TEXTS[code] for code in row.texts)
-    assert (alarm.priority, record.priority) == (row.priority, row.priority)
+    assert alarm.priority == MATRIX[record.severity, record.time_to_respond] == row.priority
     assert (how.on_delay_s, how.off_delay_s, how.latching, alarm.group) == (
         *(row.tuning.on_delay_s, row.tuning.off_delay_s),
         *(row.latching, row.group),
