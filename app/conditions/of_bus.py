@@ -83,10 +83,10 @@ CONTROL_LEFT: Condition[Callable[[float, bool], bool]] = Condition(
 NO_UNIT_YET: Condition[Callable[[int], bool]] = Condition(
     "no_unit_yet",
     ("minor", "shift"),
-    holds=lambda known_before: known_before == 0,
+    holds=lambda lost: lost == 0,
     is_alarm=False,
     tiles=(Tile("no unit has responded yet"),),
 )
-"""Of a bus on which no unit responds, by how many did before."""
+"""Of a bus on which no unit responds, by how many are overdue."""
 
 OF_BUS: tuple[Condition[Any], ...] = (*BY_BUS, SECOND_MASTER, CONTROL_LEFT, NO_UNIT_YET)

@@ -179,7 +179,8 @@ def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> N
     live = line()
     bus = live.buses["dry"]
     bus.units[1].reading = None
-    assert shown_cause(live, 200.0) == ("low", "No response yet")
+    assert shown_cause(live, 105.0) == ("low", "No response yet")
+    assert shown_cause(live, 200.0) == ("high", "Offline since at least 00:01"), "as its alarm"
     bus.units[1].last_response = 60.0
     assert shown_cause(live, 105.0) == ("low", "No response yet"), "it has its time to respond"
     assert shown_cause(live, 111.0) == ("high", "Offline since 00:01")

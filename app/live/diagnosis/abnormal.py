@@ -10,7 +10,6 @@ from app.conditions.of_bus import NO_UNIT_YET
 from app.conditions.of_unit import BLOCKED, PARAMETER_DRIFT, suspicion
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
 from app.live.state.bus_live import BusLive, UnitLive
-from app.live.state.onset import Onset
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -81,7 +80,7 @@ def all_offline(views: list[UnitView]) -> Cause | None:
     ]
     if len(views) < 2 or len(unresponsive) < len(views):
         return None
-    lost = [cause.onset.at for cause in unresponsive if cause.onset is not None]
+    lost = [cause.onset for cause in unresponsive if cause.onset is not None]
     if NO_UNIT_YET.holds(len(lost)):
         return abnormal("no_unit_yet")
-    return abnormal("no_unit_responds", Onset(max(lost)))
+    return abnormal("no_unit_responds", max(lost, key=lambda onset: onset.at))

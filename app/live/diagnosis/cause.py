@@ -109,12 +109,13 @@ def _ramp(bus: BusLive, unit: UnitLive, reading: Reading) -> Cause:
 
 
 def _never_read(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause:
-    """A unit that was there before a restart has its time to respond, then it is as lost as it was."""
-    known_at = unit.last_response
+    """A unit without a response since the start has its time, then it is as lost as any other."""
     is_overdue = now - bus.link_onset.at >= offline_after_s(scan_s_of(bus))
-    if known_at is None or UNIT_UNKNOWN.holds(is_overdue):
+    if UNIT_UNKNOWN.holds(is_overdue):
         return abnormal("unit_unknown")
-    return abnormal("unit_offline", Onset(known_at))
+    if unit.last_response is None:
+        return abnormal("unit_offline", Onset(bus.link_onset.at, exact=False))
+    return abnormal("unit_offline", Onset(unit.last_response))
 
 
 def bus_cause(bus: BusLive, now: UnixTime) -> Cause | None:
