@@ -7,8 +7,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NoReturn, cast
 
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.flow_control import FlowControl
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from app.server.connections import EXTENSION, Connection
 from app.server.counted_protocol import CountedProtocol
@@ -50,11 +51,13 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         self._framing_bytes = 0
         self._offered: dict[str, Any] = {}
         self._head_bytes = 0
+        self._under_way: RequestResponseCycle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """The first request is awaited from here on."""
         super().connection_made(transport)
         self.flow: _Flow = _Flow(transport, self._go_on_soon)
+        self.app = _OnConnection(self.app, transport)
         self._pace = Pace(self.loop.time())
         address = self.client[0] if self.client else ""
         self.connection = Connection(address, self)
@@ -65,6 +68,11 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         if self._pace.awaited in (Awaited.HEAD, Awaited.BODY) and not self._is_ending:
             self._refusals.note(self.connection.address, "incomplete")
         super().connection_lost(exc)
+        if self._under_way is not None:
+            # Of pipelined requests uvicorn tells the last one, which still waits.
+            self._under_way.disconnected = True
+            self._under_way.message_event.set()
+        self._under_way, self.app = None, self.config.loaded_app
         self._unparsed.clear()
         self.flow.resumed = bool
         self._offered.clear()
@@ -160,6 +168,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         self._offered[EXTENSION] = self._identify
         self.scope["extensions"] = self._offered
         super().on_headers_complete()
+        if not self.pipeline:
+            self._under_way = self.cycle
 
     def on_body(self, body: bytes) -> None:
         self._pieces += 1
@@ -175,6 +185,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
     def on_response_complete(self) -> None:
         """The client may send the next request, but not endlessly without reading. Where the response did not
         wait for the rest of a body, it is the last."""
+        self._under_way = self.pipeline[-1][0] if self.pipeline else None
         super().on_response_complete()
         if self.cycle.response_complete and self._pace.awaited is Awaited.BODY:
             self._end()
@@ -257,6 +268,23 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
                 self.cycle.disconnected = True
                 self.cycle.message_event.set()
         return is_awaited
+
+
+class _OnConnection:
+    """The app on one connection. What it sends as that closes waits until uvicorn knows: the loop tells it in
+    its next turn, and until then the transport refuses to write."""
+
+    def __init__(self, app: ASGIApp, transport: asyncio.Transport) -> None:
+        self._app = app
+        self._transport = transport
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_or_learn(message: Message) -> None:
+            if self._transport.is_closing():
+                await asyncio.sleep(0)
+            await send(message)
+
+        await self._app(scope, receive, send_or_learn)
 
 
 class _Flow(FlowControl):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from urllib.parse import urlsplit
@@ -110,6 +111,22 @@ def test_refused_requests_make_few_lines(served: Site, target: Target, kind: str
     for _ in range(REQUESTS):
         exchange(target, begun, then)
     with served.api() as client:  # begun after the others
+        assert client.get("/line").status_code == 200
+    added = lines(served)[before:]
+    assert len(added) <= FEW, added[:10]
+    assert not [line for line in added if "Traceback" in line]
+
+
+def test_clients_that_reset_their_connection_make_few_lines(served: Site, target: Target) -> None:
+    """Of pipelined requests uvicorn tells the last one that its client is gone, and another is under way."""
+    requests = (target.head("GET /login") + b"\r\n") * 8
+    before = len(lines(served))
+    for _ in range(REQUESTS):
+        with socket.create_connection((target.host, target.port), timeout=READ_S) as client:
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            client.sendall(requests)
+            assert client.recv(1)
+    with served.api() as client:
         assert client.get("/line").status_code == 200
     added = lines(served)[before:]
     assert len(added) <= FEW, added[:10]
