@@ -8,7 +8,7 @@ from bus.instants import Monotonic
 A_SECOND = 20.0
 MAX_AT_ONCE = 300
 """All pages of a plant may have one account, and come back at once after a restart;"""
-AT_ONCE_A_SECOND, MAX_TOGETHER = 60.0, 10
+MAX_TOGETHER_A_SECOND, MAX_TOGETHER = 60.0, 10
 """but not all together: to open one takes the event loop milliseconds."""
 
 
@@ -20,5 +20,5 @@ class Handshakes:
 
     def wait_s(self, account: str, now: Monotonic) -> float:
         """How long one more handshake of ``account`` waits; ``now`` in seconds on any steady clock."""
-        fresh = Bucket(A_SECOND, MAX_AT_ONCE), Bucket(AT_ONCE_A_SECOND, MAX_TOGETHER)
+        fresh = Bucket(A_SECOND, MAX_AT_ONCE), Bucket(MAX_TOGETHER_A_SECOND, MAX_TOGETHER)
         return max(bucket.pour(1, now) for bucket in self._buckets.setdefault(account, fresh))

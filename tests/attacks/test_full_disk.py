@@ -18,6 +18,7 @@ from tests.app.complete_app import PASSWORD as HOUSE_PASSWORD
 from tests.app.complete_app import complete_app
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import PASSWORD, eventually
+from tests.mounted import mounted
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
 
@@ -28,14 +29,8 @@ DISK_MB = 180
 def small_disk(at: Path) -> Iterator[None]:
     """A disk in memory; the test is left out where this user may not mount one."""
     at.mkdir()
-    mount = ("mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", str(at))
-    done = subprocess.run(mount, capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"only root may mount: {done.stderr.strip()}")
-    try:
+    with mounted("-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", at=at):
         yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(at)], check=True)
 
 
 def fill(disk: Path, name: str = "ballast") -> None:
