@@ -131,6 +131,9 @@ def app_steps(site: Site) -> list[str]:
 def test_a_disk_on_which_nothing_can_be_written_stops_commands_and_nothing_else(site: Site) -> None:
     """No file may grow, from one moment to the next: as a full disk or one that was mounted read-only."""
     assert site.server is not None
+    eventually(
+        lambda: readings(site, time.time() - 600, time.time()), "something is kept", within=PROCEDURE_S
+    )
     before = site.unit(1)["commanded_raw"]
     resource.prlimit(site.server.pid, resource.RLIMIT_FSIZE, NOTHING_WRITTEN)
     try:
