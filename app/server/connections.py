@@ -17,9 +17,10 @@ from starlette.types import Scope
 from app.server.addresses import Network, is_within, source_of
 
 EXTENSION = "lineside.connection"
-MAX_OF_ADDRESS = 256
-"""Of strangers; all browsers of a plant may share an address until they have sent their cookie."""
-MAX_STRANGERS = 512
+MAX_OF_ADDRESS = 512
+"""Of strangers; all browsers of a plant may share an address until they have sent their cookie, and return at
+once after a restart."""
+MAX_STRANGERS = 1024
 MAX_OF_ACCOUNT = 400
 MAX_IN_ALL = 2000
 
