@@ -21,7 +21,7 @@ MAX_OF_ADDRESS = 512
 """Of strangers; all browsers of a plant may share an address until they have sent their cookie, and return at
 once after a restart."""
 MAX_STRANGERS = 1024
-MAX_OF_ACCOUNT = 400
+MAX_OF_ACCOUNT = 600
 MAX_IN_ALL = 2000
 
 
