@@ -69,7 +69,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
             self._refusals.note(self.connection.address, "incomplete")
         super().connection_lost(exc)
         if self._under_way is not None:
-            # Of pipelined requests uvicorn tells the last one, which still waits.
+            # Of pipelined requests uvicorn ends the last one alone, which still waits.
             self._under_way.disconnected = True
             self._under_way.message_event.set()
         self._under_way, self.app = None, self.config.loaded_app
@@ -271,8 +271,8 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
 
 
 class _OnConnection:
-    """The app on one connection. What it sends as that closes waits until uvicorn knows: the loop tells it in
-    its next turn, and until then the transport refuses to write."""
+    """The app on one connection. What it sends as that closes waits until uvicorn has learned of it, in the
+    next turn of the loop: until then the transport refuses to write."""
 
     def __init__(self, app: ASGIApp, transport: asyncio.Transport) -> None:
         self._app = app

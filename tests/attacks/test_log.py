@@ -118,7 +118,7 @@ def test_refused_requests_make_few_lines(served: Site, target: Target, kind: str
 
 
 def test_clients_that_reset_their_connection_make_few_lines(served: Site, target: Target) -> None:
-    """Of pipelined requests uvicorn tells the last one that its client is gone, and another is under way."""
+    """Of pipelined requests uvicorn ends the last one alone, and another is under way."""
     requests = (target.head("GET /login") + b"\r\n") * 8
     before = len(lines(served))
     for _ in range(REQUESTS):
