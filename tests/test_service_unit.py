@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -19,6 +18,7 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.free_port import free_port
 from tests.test_architecture import ROOT, text_of
 
 LINESIDE = Path(sys.executable).with_name("lineside")
@@ -170,8 +170,7 @@ def eventually(condition: Callable[[], Any], what: str) -> None:
 
 
 def test_the_service_serves_and_keeps_its_data_as_configured(root: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     text = below(root, CONFIGURATIONS[0]).replace("port = 8000", f"port = {port}")
     (root / "etc/lineside/lineside.toml").write_text(text)
     assert f"data in {root}/var/lib/lineside\n" in typed(root, "check")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -14,12 +13,12 @@ from typer.testing import CliRunner
 
 from app.cli import cli, status
 from app.cli.listening import url_of
+from tests.free_port import free_port
 
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        number = free.getsockname()[1]
+    number = free_port()
     path = tmp_path / "lineside.toml"
     path.write_text(f'[site]\nname = "Mill 7"\n[server]\nport = {number}\n')
     return path

@@ -22,7 +22,8 @@ import pytest
 
 from tests import fork_server
 from tests.e2e.limits import START_S
-from tests.e2e.site import end, eventually, free_port, people
+from tests.e2e.site import end, eventually, people
+from tests.free_port import free_port
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
 

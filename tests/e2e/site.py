@@ -11,7 +11,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -37,6 +36,7 @@ from bus.simulator.demo import demo_line
 from tests import fork_server
 from tests.e2e.limits import CALL_S, COMMAND_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
+from tests.free_port import free_port
 from tests.simulator_remote import Remote
 
 LINESIDE = Path(sys.executable).with_name("lineside")
@@ -180,7 +180,7 @@ class Site:
         else:
             self.server = fork_server.start(*called, stdout=self.log, stderr=self.log, env=environment)
         run_in_time(self.server)
-        eventually(self._responds, f"a response from {self.url}", within=START_S)
+        wait_until_it_serves(self.server, self.folder / "serve.log", self._responds)
 
     def wait_for_units(self) -> None:
         """Until every unit has been read, and its decimals are known: of many, one after the other."""
@@ -232,9 +232,6 @@ class Site:
         assert response.status_code == 200, response.text
 
     def _responds(self) -> bool:
-        assert self.server is not None
-        if self.server.poll() is not None:
-            raise AssertionError("lineside serve ended:\n" + (self.folder / "serve.log").read_text()[-4000:])
         # A light client: it polls fifty times a second while the server starts, and that is measured.
         connection = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
         try:
@@ -283,10 +280,19 @@ def site(
         made.close()
 
 
-def free_port() -> int:
-    """Return a TCP port that is free at the moment."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
+def wait_until_it_serves(
+    server: ForkedProcess | subprocess.Popen[Any], log: Path, serves: Callable[[], bool]
+) -> None:
+    """Wait until a server serves. Fails with the end of its log; at once when it has ended."""
+
+    def look() -> bool:
+        assert server.poll() is None, "lineside serve ended"
+        return serves()
+
+    try:
+        eventually(look, "a response of the server", within=START_S)
+    except AssertionError as failure:
+        raise AssertionError(f"{failure}:\n{log.read_text()[-4000:]}") from None
 
 
 def _configuration(made: Site, toml: str, turnaround_ms: int) -> str:

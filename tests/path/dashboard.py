@@ -13,8 +13,9 @@ from typing import Any
 import httpx
 
 from tests import fork_server
-from tests.e2e.limits import CALL_S, START_S
-from tests.e2e.site import end, eventually, free_port, people
+from tests.e2e.limits import CALL_S
+from tests.e2e.site import end, eventually, people, wait_until_it_serves
+from tests.free_port import free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
 
@@ -97,7 +98,7 @@ def dashboard(
         with (folder / "serve.log").open("ab") as log:
             server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:
-                eventually(lambda: _serves(made), f"a response; see {folder}/serve.log", within=START_S)
+                wait_until_it_serves(server, folder / "serve.log", lambda: _serves(made))
                 for unit in units:
                     if not unit.off:
                         made.see(unit.address, "read", lambda shown: shown["analog"] is not None)

@@ -20,7 +20,8 @@ from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests import fork_server
 from tests.e2e.limits import PROCEDURE_S
-from tests.e2e.site import command, end, eventually, free_port, people
+from tests.e2e.site import command, end, eventually, people
+from tests.free_port import free_port
 
 UNITS = (1, 2, 3, 4)
 AWAY_S = 600
