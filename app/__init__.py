@@ -1,1 +1,7 @@
 """People and time: pages, API, users, history, events. Never imports how bytes travel."""
+
+from pathlib import Path
+
+from bus.messages.texts import add_texts
+
+add_texts(Path(__file__).parent)

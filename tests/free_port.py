@@ -8,11 +8,11 @@ _HELD: list[socket.socket] = []
 
 
 def free_port() -> int:
-    """Return a TCP port for a server of the tests: nobody else is given it as long as this process runs.
+    """Return a TCP port for a server of the tests, which no other socket is given while this process runs.
 
     It stays bound here, without listening. By SO_REUSEADDR, which servers set too, Linux lets one more socket
-    bind it and listen, and takes it neither for a connection that goes out nor for whoever asks for any port:
-    seconds can pass until the server that is to have it begins.
+    bind it and listen, and chooses it neither for an outgoing connection nor for a socket that binds port 0:
+    seconds can pass until the server of this port begins.
     """
     held = socket.socket()
     held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
+import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from app.conditions.catalogue import CONDITIONS
 from app.messages import Languages
 from app.messages.languages import DEFAULT, catalogs, compiled
-from bus.messages import TEXTS, Message, Plural, number, term, texts
-from bus.messages.texts import GROUPS
+from bus.messages import TEXTS, Message, Plural, number, term
+from bus.messages.texts import add_texts
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
 
-TEXTS_FOLDER = Path(texts.__file__).parent
 ROOT = Path(__file__).resolve().parents[2]
 TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
 BRACES = re.compile(r"\{(\w*)\}")
@@ -59,9 +59,24 @@ def test_a_plural_has_the_forms_of_its_language(path: Path) -> None:
     assert [message.id for message in plurals if len(message.string) != catalog.num_plurals] == []
 
 
-def test_a_code_stands_in_one_group_only() -> None:
-    counted = Counter(code for group in GROUPS for code in group)
-    assert [code for code, n in counted.items() if n > 1] == []
+def test_a_code_is_in_one_file_only(tmp_path: Path) -> None:
+    before = dict(TEXTS)
+    (tmp_path / "texts.toml").write_text('event_mode = "again"\n')
+    with pytest.raises(ValueError, match=r"texts\.toml: event_mode is also in another"):
+        add_texts(tmp_path)
+    assert before == TEXTS
+
+
+def test_a_text_is_beside_the_code_that_uses_it() -> None:
+    """In the folder of a module that makes its message, or above it; those of a condition beside its row."""
+    of_rows = {code for row in CONDITIONS.values() for code in row.texts}
+    wrong = []
+    for path in (*(ROOT / "app").rglob("texts.toml"), *(ROOT / "bus").rglob("texts.toml")):
+        below = [module for module in modules() if path.parent in module.path.parents]
+        made = {code for module in below for code, _ in module.messages}
+        named = {each for module in below for each in module.constants}
+        wrong += [(path, code) for code in tomllib.loads(path.read_text()).keys() - made - named - of_rows]
+    assert wrong == []
 
 
 def names_of(code: str) -> set[str]:
@@ -133,7 +148,7 @@ def test_each_message_has_a_text_and_its_values() -> None:
 
 def test_each_text_is_of_a_message() -> None:
     made = {code for module in modules() for code, _ in module.messages}
-    named = {each for module in modules() if module.path.parent != TEXTS_FOLDER for each in module.constants}
+    named = {each for module in modules() for each in module.constants}
     assert sorted(TEXTS.keys() - named - made) == []
 
 
