@@ -9,6 +9,7 @@ from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter
 
+from app.audit.act import Act
 from app.lifespan import Lifespan
 from app.settings import Settings
 from app.web.services import Registry
@@ -36,7 +37,9 @@ class Services(Registry):
 @dataclass(frozen=True, slots=True)
 class Feature:
     """A part of the app that states itself. ``make`` makes its services from those of earlier features, those
-    of a bus in ``services.buses``, adds each, and adds what each does in the lifespan of the server."""
+    of a bus in ``services.buses``, adds each, and adds what each does in the lifespan of the server. ``acts``
+    are what people do by it, named in templates by ``may()``."""
 
     make: Callable[[Services], None]
     routers: tuple[APIRouter, ...] = ()
+    acts: tuple[Act, ...] = ()

@@ -41,6 +41,7 @@ from app.web.anonymous import AnonymousInTurn
 from app.web.arrival import Begun
 from app.web.bounds import RequestRules
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
+from app.web.templating import Templates
 from app.web.turns import Turns
 
 FEATURES = (
@@ -88,6 +89,8 @@ def create_app(
         # Not by include_router: that builds every route again, which is a third of a second of the start.
         # Copies: an app guards its own routes, and a process may have several apps.
         app.router.routes.extend(copy(route) for router in feature.routers for route in router.routes)
+    for feature in FEATURES:
+        services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
     app.add_middleware(HeadAsGet)
     app.add_middleware(AnonymousInTurn)

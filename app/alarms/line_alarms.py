@@ -12,7 +12,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.rules import changes
-from app.alarms.rules.changes import Act, Changed, NoTransitionError
+from app.alarms.rules.changes import Changed, NoTransitionError, StateChange
 from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.site_alarms import SiteAlarms
@@ -243,13 +243,13 @@ class LineAlarms:
         return await self._act(person, alarm_id, changes.return_to_service, "event_alarm_returned", reason)
 
     async def _act(
-        self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool = False
+        self, person: Person, alarm_id: str, act: StateChange, what: str, reason: str, *, hides: bool = False
     ) -> Alarm:
         async with self.find(alarm_id).list.writing:
             return await self._act_now(person, alarm_id, act, what, reason, hides=hides)
 
     async def _act_now(
-        self, person: Person, alarm_id: str, act: Act, what: str, reason: str, *, hides: bool
+        self, person: Person, alarm_id: str, act: StateChange, what: str, reason: str, *, hides: bool
     ) -> Alarm:
         alarm, of = self.find(alarm_id)
         before = (alarm.facts, alarm.hidden_by, alarm.reason)

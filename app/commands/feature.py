@@ -8,6 +8,7 @@ from app.auth.rights import Rights
 from app.auth.signin import SignIn
 from app.commands.api import commands, trace
 from app.commands.api import safeguards as safeguards_api
+from app.commands.catalogue import ROLES_BY_COMMAND
 from app.commands.pages import bus, outputs, parameters, safeguards, setpoints, speed, unit, zero
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -17,10 +18,12 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.feed.channel import Channel
 from app.live.state.bus_live import BusLive
+from app.web.templating import Templates
 from bus.instants import unix_now
 
 
 def make(services: Services) -> None:
+    services[Templates].permit(ROLES_BY_COMMAND)
     database, events, rights = services[Database], services[EventLog], services[Rights]
     record, idempotency = CommandRecord(events, database, unix_now), IdempotencyCache()
     for name, of_bus in services.buses.items():

@@ -14,10 +14,11 @@ from app.commands.service.writer import permitted_writer
 from app.errors import Problem, or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
+from app.recipes.acts import DELETE, SAVE
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, setpoints_now
 from app.recipes.view import LoadedRecipe, RecipeDryRun, RecipeShown, dry_run_json, loaded_json, recipe_json
-from app.web.access import Engineer, Person, Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.services import service
@@ -55,7 +56,7 @@ async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None
 
 @router.post("/buses/{bus}/recipes", status_code=201)
 async def save_recipe(
-    person: Engineer, book: Book, live: Live, bus: str, wanted: SaveRecipeRequest
+    person: Annotated[Person, SAVE.permitted], book: Book, live: Live, bus: str, wanted: SaveRecipeRequest
 ) -> RecipeShown:
     """Save a new version; older ones stay."""
     known = bus_or_404(live, bus)
@@ -107,7 +108,7 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
 
 
 @router.delete("/buses/{bus}/recipes/{name}", status_code=204)
-async def delete_recipe(person: Engineer, book: Book, bus: str, name: str) -> None:
+async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book, bus: str, name: str) -> None:
     """Take a recipe out of the list; its versions stay on record."""
     await book.retire(person, bus, name)
 

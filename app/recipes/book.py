@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
+from app.audit.act import Act
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
 from app.recipes import rules
+from app.recipes.acts import DELETE, LOAD, SAVE
 from app.recipes.rules import DryRun, Recipe, RecipeDeparture, RecipeSetpoint
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
@@ -58,22 +60,24 @@ class RecipeBook:
     async def save(
         self, person: Person, bus: str, name: str, comment: str, setpoints: Mapping[int, int]
     ) -> Recipe:
-        """A new version. ``setpoints``: unit → raw. Raises Problem 422 or 404 in words."""
+        """A new version. ``setpoints``: unit → raw. Raises Problem 403, 422 or 404."""
+        SAVE.check(person)
         live = self._state.buses[bus]
         if await self.store.is_full(bus, name, MAX_RECIPES):
             raise Problem(422, "invalid", Message.of("too_many_recipes", bus=bus, most=MAX_RECIPES))
         rows = tuple(_setpoint(live, unit, raw) for unit, raw in sorted(setpoints.items()))
         recipe = await self.store.save(Recipe(bus, name, comment, person.name, unix_now(), rows))
-        await self._record(person, recipe, "event_recipe_saved")
+        await self._record(SAVE, person, recipe)
         return recipe
 
     async def retire(self, person: Person, bus: str, name: str) -> None:
         """Take a recipe out of the list; its versions stay on record."""
+        DELETE.check(person)
         versions = await self.store.versions(bus, name)
         if not versions:
             raise Problem(404, "unknown_recipe", Message.of("no_such_recipe", name=name, bus=bus))
         await self.store.retire(bus, name)
-        await self._record(person, versions[0], "event_recipe_retired")
+        await self._record(DELETE, person, versions[0])
 
     def try_out(self, person: Person, recipe: Recipe) -> DryRun:
         """What loading it now would do; nothing is sent."""
@@ -105,7 +109,7 @@ class RecipeBook:
         if result.outcome == "verified":
             loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
             await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
-            await self._record(person, recipe, "event_recipe_loaded")
+            await self._record(LOAD, person, recipe)
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
@@ -118,9 +122,9 @@ class RecipeBook:
             return reason if isinstance(reason, Message) else problem.message
         return None
 
-    async def _record(self, person: Person, recipe: Recipe, code: str) -> None:
-        what = Message.of(code, name=recipe.name, version=recipe.version)
-        await self._events.record(kind="recipe", **person.author, bus=recipe.bus, what=what)
+    async def _record(self, act: Act, person: Person, recipe: Recipe) -> None:
+        performed = act.by(person, name=recipe.name, version=recipe.version)
+        await self._events.record(**performed, bus=recipe.bus)
 
     def _bus(self, recipe: Recipe) -> BusLive:
         bus = self._state.buses.get(recipe.bus)

@@ -8,6 +8,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.live.state.bus_live import LiveState
 from app.recipes import api, pages
+from app.recipes.acts import ACTS
 from app.recipes.book import RecipeBook
 from app.recipes.store import RecipeStore
 
@@ -18,4 +19,4 @@ def make(services: Services) -> None:
     services.lifespan.add("recipes", start=recipes.load_marks)
 
 
-FEATURE = Feature(make, (api.router, pages.router))
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

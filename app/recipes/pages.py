@@ -18,9 +18,10 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
+from app.recipes.acts import DELETE, SAVE
 from app.recipes.api import Book, recipe_or_404
 from app.recipes.rules import setpoint_kind, setpoint_text, setpoints_now
-from app.web.access import Engineer, Person, Viewer
+from app.web.access import Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
@@ -49,7 +50,7 @@ async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Resp
 @router.post("/recipes/save")
 async def save(
     request: Request,
-    person: Engineer,
+    person: Annotated[Person, SAVE.permitted],
     book: Book,
     live: Live,
     name: Annotated[OneLine, Form()] = "",
@@ -133,7 +134,10 @@ async def load(
 
 @router.post("/recipes/retire")
 async def retire(
-    person: Engineer, book: Book, bus: Annotated[str, Form()], name: Annotated[str, Form()]
+    person: Annotated[Person, DELETE.permitted],
+    book: Book,
+    bus: Annotated[str, Form()],
+    name: Annotated[str, Form()],
 ) -> Response:
     """Take a recipe out of the list."""
     await book.retire(person, bus, name)

@@ -127,11 +127,13 @@ def person_of(connection: HTTPConnection) -> Person | None:
 @dataclass(frozen=True)
 class Requires:
     """A dependency: refuses a user with less than ``role`` and a write that comes late; returns the user.
+    ``act`` is the name of the act or command that the route carries out.
 
     It is resolved once in a request: before the body is read (`app.web.routes`), and the route gets that.
     """
 
     role: Role
+    act: str = ""
 
     async def __call__(self, connection: HTTPConnection) -> Person:
         """Raises what :meth:`resolve` raises."""

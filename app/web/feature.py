@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from app.commands.catalogue import ROLES_BY_COMMAND
 from app.feature import Feature, Services
 from app.web import pages, schema
 from app.web.assets import Assets, static_dir, templates_dir
@@ -21,7 +20,6 @@ def make(services: Services) -> None:
             settings.site,
             demo=services.demo,
             kept_in=settings.server.data / "compiled",
-            command_roles=ROLES_BY_COMMAND,
         )
     )
 

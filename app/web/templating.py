@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from time import time
-from types import MappingProxyType
 from typing import Any
 
 from jinja2 import Environment, FileSystemBytecodeCache, FileSystemLoader, StrictUndefined
@@ -48,8 +47,8 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path``, ``head_alarms()`` and ``may()``, whether the person may send a command,
-    named as in ``command_roles``. ``kept_in``: where they stay compiled from one start to the next."""
+    ``person``, ``request``, ``path``, ``head_alarms()`` and ``may()``, whether the person may send a command
+    or perform an act, by its name. ``kept_in``: where they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -59,12 +58,11 @@ class Templates:
         *,
         demo: bool = False,
         kept_in: Path | None = None,
-        command_roles: Mapping[str, Role] = MappingProxyType({}),
     ) -> None:
         self.languages = Languages(kept_in=kept_in)
         self.site = site
         self._demo = demo
-        self._command_roles = command_roles
+        self._roles: dict[str, Role] = {}
         self._assets = assets
         self._loader = FileSystemLoader(folder)
         self._compiled = Compiled(kept_in) if kept_in is not None else None
@@ -115,9 +113,16 @@ class Templates:
         """A template in one language, for rendering without a request."""
         return self.environment(tag).get_template(name).render(context)
 
-    def may(self, person: Person | None, command: str) -> bool:
-        """Whether ``person`` may send a command; each interface refuses what this leaves out."""
-        return person is not None and person.role.includes(self._command_roles[command])
+    def permit(self, roles: Mapping[str, Role]) -> None:
+        """Add what needs a role, by the name that templates give to ``may()``. Raises RuntimeError for a name
+        that is there already."""
+        if twice := roles.keys() & self._roles.keys():
+            raise RuntimeError(f"two commands or acts are named {', '.join(sorted(twice))}")
+        self._roles |= roles
+
+    def may(self, person: Person | None, name: str) -> bool:
+        """Whether ``person`` may send a command or perform an act; each interface refuses the others."""
+        return person is not None and person.role.includes(self._roles[name])
 
     def language_of(self, connection: HTTPConnection) -> Language:
         person = person_of(connection)

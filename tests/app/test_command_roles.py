@@ -67,7 +67,8 @@ def test_the_server_as_an_author_may_read_and_nothing_else() -> None:
 
 
 def test_templates_offer_a_command_to_its_role_and_those_above() -> None:
-    templates = Templates(templates_dir(), Assets(static_dir()), Site(), command_roles=ROLES_BY_COMMAND)
+    templates = Templates(templates_dir(), Assets(static_dir()), Site())
+    templates.permit(ROLES_BY_COMMAND)
     for kind in COMMANDS.values():
         for role in Role:
             person = Person("anna", role, "session")

@@ -12,6 +12,7 @@ from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
 from app.recipes.rules import NOT_CONFIGURED, LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
+from app.web.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
@@ -46,6 +47,18 @@ async def test_a_new_save_is_a_new_version_and_the_old_one_stays(scene: Scene) -
         (1, 1200, "speed"),
         (2, 1210, "speed"),
     ]
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    responding(scene.live)
+    await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200})
+    person = Person("ben", role, "session")
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.book.save(person, "dry-end", "Kraft 80", "", {1: 1300})
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.book.retire(person, "dry-end", "Kraft 80")
+    assert [recipe.version for recipe in await scene.book.store.newest()] == [1]
 
 
 async def test_a_complete_list_has_an_end(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from app.alarms.rules.states import ON_RETURN, TRANSITIONS, AlarmTrigger, BaseSt
 from bus.instants import UnixTime
 
 Changed = tuple[AlarmFacts, tuple[Transition, ...]]
-Act = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
+StateChange = Callable[[AlarmFacts, AlarmAttributes, UnixTime], Changed]
 Unhiding = Literal["unshelve", "unsuppress", "return"]
 
 _ENDED: dict[Unhiding, Callable[[AlarmFacts], AlarmFacts]] = {
@@ -144,7 +144,7 @@ def withdraw(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Ch
     return facts, done
 
 
-def _next_withdrawal(facts: AlarmFacts) -> Act | None:
+def _next_withdrawal(facts: AlarmFacts) -> StateChange | None:
     if facts.state == "normal":
         return None
     if not facts.out_of_service:

@@ -37,7 +37,7 @@ class _Writes(Requires):
 
 def permitted(kind: CommandKind[Any]) -> Any:
     """A dependency that lets in who may send such a command."""
-    return Depends(Requires(kind.role))
+    return Depends(Requires(kind.role, kind.request.__name__))
 
 
 ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
@@ -46,4 +46,4 @@ ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
 
 def permitted_writer(kind: CommandKind[Any]) -> Any:
     """The same, and leaves the next turn of ``{bus}`` free for the write."""
-    return Depends(_Writes(kind.role))
+    return Depends(_Writes(kind.role, kind.request.__name__))

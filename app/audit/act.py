@@ -1,0 +1,50 @@
+"""What a person does to a thing other than a unit: an alarm, a shift, a set, a recipe, an account."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+from fastapi import Depends
+
+from app.audit.kinds import EventKind
+from app.web.access import Person, Requires, Role, Via, refuse_without
+from bus.messages import TEXTS, Message, ParamValue
+
+
+class Performed(TypedDict):
+    """What `EventLog.record` takes of an act."""
+
+    kind: EventKind
+    who: str
+    origin: Via
+    what: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """``name`` is the operation of the API and the word of ``may("…")`` in templates. ``role`` is checked by
+    the route before it reads the body, and again by the service that does it. ``event`` is the code of the
+    text in the audit log, of kind ``kind``. Raises ValueError for one without a text."""
+
+    name: str
+    role: Role
+    kind: EventKind
+    event: str
+
+    def __post_init__(self) -> None:
+        if self.event not in TEXTS:
+            raise ValueError(f"act {self.name} has no text: {self.event}")
+
+    @property
+    def permitted(self) -> Any:
+        """A dependency of a route: ``Annotated[Person, RETIRE.permitted]``."""
+        return Depends(Requires(self.role, self.name))
+
+    def check(self, person: Person) -> None:
+        """Raises Problem 403 ``forbidden`` for a person whose role does not include that of the act."""
+        refuse_without(self.role, person)
+
+    def by(self, person: Person, **params: ParamValue) -> Performed:
+        """What the audit log records of it: ``events.record(**RETIRE.by(person, name=name), bus=bus)``."""
+        return {"kind": self.kind, **person.author, "what": Message.of(self.event, **params)}

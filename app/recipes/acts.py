@@ -1,0 +1,13 @@
+"""What people do with a recipe."""
+
+from __future__ import annotations
+
+from app.audit.act import Act
+from app.commands.catalogue import SET_LINE
+from app.web.access import Role
+
+SAVE = Act("save_recipe", Role.ENGINEER, "recipe", "event_recipe_saved")
+DELETE = Act("delete_recipe", Role.ENGINEER, "recipe", "event_recipe_retired")
+LOAD = Act("load_recipe", SET_LINE.role, "recipe", "event_recipe_loaded")
+"""A command to the units, whose role it needs; this is recorded when it is verified."""
+ACTS = (SAVE, DELETE, LOAD)

@@ -1,0 +1,52 @@
+"""An act states its role once: for its route, for templates, and where it is done."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.audit.act import Act
+from app.errors import Problem
+from app.main import FEATURES
+from app.settings import Site
+from app.web.access import Person, Role
+from app.web.assets import Assets, static_dir, templates_dir
+from app.web.templating import Templates
+from bus.messages import Message
+
+RETIRE = Act("retire", Role.ENGINEER, "recipe", "event_recipe_retired")
+ACTS = [act for feature in FEATURES for act in feature.acts]
+
+
+@pytest.mark.parametrize("role", Role)
+def test_an_act_is_refused_to_every_role_that_does_not_include_its_own(role: Role) -> None:
+    person = Person("anna", role, "session")
+    if role.includes(Role.ENGINEER):
+        RETIRE.check(person)
+    else:
+        with pytest.raises(Problem, match="role engineer") as refused:
+            RETIRE.check(person)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+
+
+def test_an_act_is_recorded_with_its_person_and_its_text() -> None:
+    assert RETIRE.by(Person("anna", Role.ENGINEER, "token"), name="A", version=2) == {
+        "kind": "recipe",
+        "who": "anna",
+        "origin": "token",
+        "what": Message.of("event_recipe_retired", name="A", version=2),
+    }
+
+
+def test_an_act_without_a_text_is_refused() -> None:
+    with pytest.raises(ValueError, match="act retire has no text: event_nothing"):
+        Act("retire", Role.ENGINEER, "recipe", "event_nothing")
+
+
+def test_templates_offer_each_act_to_its_role_and_those_above() -> None:
+    templates = Templates(templates_dir(), Assets(static_dir()), Site())
+    templates.permit({act.name: act.role for act in ACTS})
+    for act in ACTS:
+        for role in Role:
+            assert templates.may(Person("anna", role, "session"), act.name) == role.includes(act.role)
+    with pytest.raises(RuntimeError, match="two commands or acts are named save_recipe"):
+        templates.permit({"save_recipe": Role.VIEWER})
