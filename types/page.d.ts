@@ -23,6 +23,7 @@ interface Parts {
 interface PartsById {
   main: HTMLElement;
   verdict: HTMLElement;
+  announcement: HTMLElement;
   keypad: HTMLTemplateElement;
   review: HTMLDialogElement;
   "review-body": HTMLElement;

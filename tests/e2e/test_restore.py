@@ -112,7 +112,7 @@ def test_a_restore_stopped_half_way_lists_rows_done_and_a_second_run_finishes(
     page.get_by_role("button", name=f"Write {len(wanted)} rows to unit 2").click()
     expect(page.get_by_text(re.compile(r"writing: [1-9]\d* of"))).to_be_visible()
     fault(site, page)
-    early = page.get_by_role("status").filter(has_text="The restore ended early")
+    early = page.locator("#restore .outcome").filter(has_text="The restore ended early")
     expect(early).to_contain_text(re.compile(cause), timeout=PROCEDURE_MS)
     result = outcomes(page)
     line_remote.do("clear")

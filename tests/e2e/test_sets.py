@@ -200,7 +200,7 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
     text = "The unit equals the set, verified by a full read."
     expect(page.locator("#restore .outcome")).to_have_text(text, timeout=PROCEDURE_MS)
-    expect(page.locator("#verdict")).to_have_text(text)
+    expect(page.locator("#announcement")).to_have_text(text)
     expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible()
     assert len(writes(site, 0x86)) == before + 2
 
