@@ -1,4 +1,5 @@
-"""Build hook: the browser's third-party files, from the npm registry into the git-ignored static/vendor.
+"""Build hook: checks the catalogs, and puts the browser's third-party files from the npm registry into the
+git-ignored static/vendor.
 
 A wheel carries them, with templates/ and static/, under app/_assets, so that installing one needs neither
 Node nor a network. An sdist carries them too, so a wheel built from it needs no Node either.
@@ -7,13 +8,17 @@ Node nor a network. An sdist carries them too, so a wheel built from it needs no
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from babel.messages.pofile import read_po
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 VENDORED = {
@@ -34,9 +39,31 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         root = Path(self.root)
+        if wrong := different_names(root / "app" / "messages"):
+            sys.exit("A text and its translation have different names in braces:\n" + "\n".join(wrong))
         fill_vendor(root)
         if self.target_name == "wheel" and version == "standard":
             build_data["force_include"].update({str(root / here): there for here, there in ASSETS.items()})
+
+
+def different_names(folder: Path) -> list[str]:
+    """Return catalog and English text of each translation that has other names in braces than its text."""
+    found = []
+    for path in sorted(folder.glob("*.po")):
+        for message in read_po(BytesIO(path.read_bytes()), locale=path.stem):
+            text, translation = _of_many(message.id), _of_many(message.string)
+            if text and translation and _names(text) != _names(translation):
+                found.append(f"{path.name}: {text}")
+    return found
+
+
+def _of_many(texts: str | Sequence[str]) -> str:
+    """The text; of one that counts, the form for many, which is the last."""
+    return texts if isinstance(texts, str) else texts[-1]
+
+
+def _names(text: str) -> set[str]:
+    return set(re.findall(r"\{(\w*)\}", text))
 
 
 def fill_vendor(root: Path) -> None:

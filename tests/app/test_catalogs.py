@@ -14,9 +14,10 @@ import pytest
 
 from app.conditions.catalogue import CONDITIONS
 from app.messages import Languages
-from app.messages.languages import DEFAULT, catalogs, compiled
+from app.messages.languages import DEFAULT, FOLDER, catalogs, compiled
 from bus.messages import TEXTS, Message, Plural, number, term
 from bus.messages.texts import add_texts
+from hatch_build import different_names
 from tests.catalogs import catalog_at, in_code, in_templates, key_of, leftovers, wanted
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -42,13 +43,19 @@ def test_nothing_is_left_over(path: Path) -> None:
     assert leftovers(path) == []
 
 
-@pytest.mark.parametrize("path", catalogs().values(), ids=catalogs())
-def test_a_translation_has_the_names_of_its_text(path: Path) -> None:
-    for message in catalog_at(path):
-        if message.id:
-            names = {frozenset(BRACES.findall(text)) for text in each_text(message.id)[-1:]}
-            used = {frozenset(BRACES.findall(text)) for text in each_text(message.string)[-1:]}
-            assert names == used, message.id
+def test_a_translation_has_the_names_of_its_text() -> None:
+    assert different_names(FOLDER) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "translation"), [("{n} of {m}", "{n} von allen"), ("all", "alle {n}"), ("{a}", "{b}")]
+)
+def test_a_translation_with_other_names_is_not_built(tmp_path: Path, text: str, translation: str) -> None:
+    header = f'msgid ""\nmsgstr "Content-Type: text/plain; charset=utf-8\\n"\n\nmsgid "{text}"\nmsgstr '
+    (tmp_path / "de.po").write_text(f'{header}"{translation}"\n')
+    assert different_names(tmp_path) == [f"de.po: {text}"]
+    (tmp_path / "de.po").write_text(f'{header}""\n')
+    assert different_names(tmp_path) == []
 
 
 @pytest.mark.parametrize("path", TRANSLATED.values(), ids=TRANSLATED)
