@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NoReturn, cast
 
@@ -57,7 +58,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         """The first request is awaited from here on."""
         super().connection_made(transport)
         self.flow: _Flow = _Flow(transport, self._go_on_soon)
-        self.app = _OnConnection(self.app, transport)
+        self.app = _OnConnection(self.app, self)
         self._pace = Pace(self.loop.time())
         address = self.client[0] if self.client else ""
         self.connection = Connection(address, self)
@@ -182,6 +183,18 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         if self.cycle is not None and self.cycle.response_complete:
             self._pace.expect(Awaited.NEXT, self.loop.time())
 
+    @contextmanager
+    def stating_its_end(self) -> Iterator[None]:
+        """A response that begins within it before the end of its request states that the connection closes
+        (RFC 9112, 9.6), or a client that sends body and head apart would send its next request on it."""
+        cycle = self._under_way
+        if cycle is None or not cycle.more_body:
+            yield
+            return
+        cycle.keep_alive = False
+        yield
+        cycle.keep_alive = True  # else uvicorn closes with bytes unread
+
     def on_response_complete(self) -> None:
         """The client may send the next request, but not endlessly without reading. Where the response did not
         wait for the rest of a body, it is the last."""
@@ -274,15 +287,19 @@ class _OnConnection:
     """The app on one connection. What it sends as that closes waits until uvicorn has learned of it, in the
     next turn of the loop: until then the transport refuses to write."""
 
-    def __init__(self, app: ASGIApp, transport: asyncio.Transport) -> None:
+    def __init__(self, app: ASGIApp, protocol: HttpProtocol) -> None:
         self._app = app
-        self._transport = transport
+        self._protocol = protocol
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_or_learn(message: Message) -> None:
-            if self._transport.is_closing():
+            if self._protocol.transport.is_closing():
                 await asyncio.sleep(0)
-            await send(message)
+            if message["type"] == "http.response.start":
+                with self._protocol.stating_its_end():
+                    await send(message)
+            else:
+                await send(message)
 
         await self._app(scope, receive, send_or_learn)
 

@@ -207,7 +207,9 @@ async def test_no_client_is_late_while_the_server_works(site: Site) -> None:
 async def test_a_response_before_the_end_of_its_request_is_the_last(site: Site, post: bytes) -> None:
     site.reads_bodies = False
     reader, writer = await site.connect(post)
-    assert b"200 OK" in await everything(reader)
+    response = await everything(reader)
+    assert b"200 OK" in response
+    assert b"\r\nconnection: close\r\n" in response
     parsed = site.protocols[0]._pace.received
     writer.write(b"1\r\nx\r\n" * 20_000 + GET)
     await until(lambda: site.received > 100_000)
