@@ -33,7 +33,7 @@ from app.handover.signatures import (
     signed_between,
     signed_sheet,
 )
-from app.notify_settings import minute_of_day
+from app.notification.settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
 from app.web.services import unknown_bus, unknown_unit

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from app.notify_settings import ClockTime, minute_of_day
+from app.notification.settings import ClockTime, minute_of_day
 from bus.messages import Message
 from bus.settings import StrictModel
 

@@ -11,8 +11,8 @@ import httpx
 import pytest
 
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.notification.service import Notification
-from app.notify_settings import NotifySettings
+from app.notification.service import Notification
+from app.notification.settings import NotifySettings
 from app.web.access import Role
 from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, mail_server
@@ -146,7 +146,7 @@ async def test_a_link_that_was_altered_is_refused_in_words(house: House, mail: P
 async def test_a_link_that_has_expired_is_refused_in_words(
     house: House, mail: PlayedMailServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.alarms.notification.acknowledge_link.VALID_S", -1)
+    monkeypatch.setattr("app.notification.acknowledge_link.VALID_S", -1)
     link = await risen(house, mail)
     operator = await house.signed_in(Role.OPERATOR)
     response = await operator.get(link)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.notification.rules.delivery import (
+from app.notification.rules.delivery import (
     GATHER_S,
     GIVE_UP_S,
     LONGEST_RETRY_S,

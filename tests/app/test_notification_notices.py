@@ -8,7 +8,9 @@ from datetime import datetime
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.alarms.notification.rules.notices import (
+from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.alarms.store import JournalEntry
+from app.notification.rules.notices import (
     LATE_S,
     Episode,
     NotificationRule,
@@ -16,8 +18,6 @@ from app.alarms.notification.rules.notices import (
     due_at,
     follow,
 )
-from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry
 from bus.instants import UnixTime
 
 LOCAL = datetime(2026, 11, 22, 12)

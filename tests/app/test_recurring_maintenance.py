@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.notification.maintenance import Maintenance, recurring_of
-from app.alarms.notification.rules.recurring import RecurringMaintenance, first_at
-from app.alarms.notification.service import Notification
 from app.audit.log import EventLog
-from app.notify_settings import DAYS, MaintenanceSettings, NotifySettings, SmtpSettings
+from app.notification.maintenance import Maintenance, recurring_of
+from app.notification.rules.recurring import RecurringMaintenance, first_at
+from app.notification.service import Notification
+from app.notification.settings import DAYS, MaintenanceSettings, NotifySettings, SmtpSettings
 from app.settings import load
 from app.web.access import Role
 from bus.instants import UnixTime, unix_now

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.alarms.notification.endpoints import EndpointKind, NotificationPlan
-from app.alarms.notification.rules.roster import MINUTES_OF_DAY
-from app.alarms.notification.service import Notification
+from app.notification.endpoints import EndpointKind, NotificationPlan
+from app.notification.rules.roster import MINUTES_OF_DAY
+from app.notification.service import Notification
 from bus.instants import UnixTime
 from bus.messages import Message
 

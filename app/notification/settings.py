@@ -189,6 +189,12 @@ class NotifySettings(StrictModel):
     rule: Annotated[tuple[RuleSettings, ...], Field(max_length=100)] = ()
     maintenance: Annotated[tuple[MaintenanceSettings, ...], Field(max_length=20)] = ()
 
+    @property
+    def certificates(self) -> set[Path]:
+        """The files of certificates that it names."""
+        named = [None if self.smtp is None else self.smtp.ca_file, *(each.ca_file for each in self.webhook)]
+        return {path for path in named if path is not None}
+
     def in_folder(self, folder: Path) -> NotifySettings:
         """The same with absolute paths; relative ones are beside the configuration."""
         return self.model_copy(

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from app.alarms.notification import apprise_url, webhook
-from app.alarms.notification.compose import Composer, hook_body
-from app.alarms.notification.endpoints import NotificationEndpoint
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.notify_settings import AppriseSettings, SmtpSettings, WebhookSettings
+from app.notification import apprise_url, webhook
+from app.notification.compose import Composer, hook_body
+from app.notification.endpoints import NotificationEndpoint
+from app.notification.outbox import NotificationDelivery
+from app.notification.secret_file import NotDeliveredError
+from app.notification.settings import AppriseSettings, SmtpSettings, WebhookSettings
 from bus.instants import UnixTime
 from bus.messages import Message
 
 if TYPE_CHECKING:
-    from app.alarms.notification.mail import MailServer
+    from app.notification.mail import MailServer
 
 ATTEMPT_S = 30.0
 """For everything: name, connection, TLS, sign-in, message."""
@@ -27,7 +27,7 @@ log = structlog.get_logger()
 
 
 def _mail_server(settings: SmtpSettings) -> MailServer:
-    from app.alarms.notification.mail import MailServer  # most sites send no mail: it delays their start
+    from app.notification.mail import MailServer  # most sites send no mail: it delays their start
 
     return MailServer(settings)
 

@@ -10,11 +10,11 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.notification.api import Notifying, begin
-from app.alarms.notification.dispatcher import subject_of
-from app.alarms.notification.maintenance import MAX_MINUTES
-from app.alarms.notification.overview import clock_text, duties, endpoint_statuses
 from app.errors import Problem
+from app.notification.api import Notifying, begin
+from app.notification.dispatcher import subject_of
+from app.notification.maintenance import MAX_MINUTES
+from app.notification.overview import clock_text, duties, endpoint_statuses
 from app.web.access import Engineer, Operator, Viewer
 from app.web.templating import render
 from bus.messages import Message

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from zoneinfo import ZoneInfo
 
-from app.alarms.notification.outbox import MAX_AGE_S
-from app.alarms.notification.rules.notices import QuietSpan
-from app.alarms.notification.rules.recurring import RecurringMaintenance
-from app.alarms.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
 from app.audit.log import EventLog
 from app.errors import Problem
-from app.notify_settings import DAYS, MaintenanceSettings, minute_of_day
+from app.notification.outbox import MAX_AGE_S
+from app.notification.rules.notices import QuietSpan
+from app.notification.rules.recurring import RecurringMaintenance
+from app.notification.settings import DAYS, MaintenanceSettings, minute_of_day
+from app.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
 from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message

@@ -7,19 +7,20 @@ from datetime import datetime
 from zoneinfo import ZoneInfo
 
 from app.alarms.alarm_list import AlarmList
-from app.alarms.notification.acknowledge_link import acknowledge_link, check_link
-from app.alarms.notification.compose import Composer
-from app.alarms.notification.dispatcher import Dispatcher
-from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.alarms.notification.maintenance import Maintenance, recurring_of
-from app.alarms.notification.notifier import AlarmNotifier
-from app.alarms.notification.outbox import NotificationOutbox
-from app.alarms.notification.senders import Senders
-from app.alarms.notification.store import NotificationStore
+from app.alarms.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem
 from app.messages.languages import Languages
+from app.notification.acknowledge_link import acknowledge_link, check_link
+from app.notification.compose import Composer
+from app.notification.dispatcher import Dispatcher
+from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.maintenance import Maintenance, recurring_of
+from app.notification.notifier import AlarmNotifier
+from app.notification.outbox import NotificationOutbox
+from app.notification.senders import Senders
+from app.notification.store import NotificationStore
 from app.settings import Settings
 from app.web.formats import Formats
 from bus.instants import Clock, unix_now
@@ -34,6 +35,7 @@ class Notification:
         settings: Settings,
         database: Database,
         events: EventLog,
+        failing: FailingEndpoints,
         languages: Languages,
         local_time: Callable[[], datetime],
         clock: Clock = unix_now,
@@ -52,7 +54,7 @@ class Notification:
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
         senders = Senders(settings.notify.smtp, composer)
-        self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, local_time, clock)
+        self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 
     async def load(self) -> None:
         """Once at start, after the alarms and before the first of them can rise."""

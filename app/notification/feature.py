@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.notification import api, pages
-from app.alarms.notification.service import Notification
-from app.alarms.site_alarms import SiteAlarms
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms
 from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
+from app.notification import api, pages
+from app.notification.service import Notification
 from app.web.templating import Templates
 
 
 def make(services: Services) -> None:
     database, events, languages = services[Database], services[EventLog], services[Templates].languages
+    failing = services[FailingEndpoints]
     notification = services.add(
-        Notification(services.settings, database, events, languages, services.local_time)
+        Notification(services.settings, database, events, failing, languages, services.local_time)
     )
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]

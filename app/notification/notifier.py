@@ -10,13 +10,13 @@ from itertools import count
 
 from app.alarms.alarm_list import AlarmList
 from app.alarms.definition import SITE
-from app.alarms.notification.endpoints import NotificationPlan
-from app.alarms.notification.maintenance import Maintenance
-from app.alarms.notification.notice import OutboxItem, notice_of
-from app.alarms.notification.outbox import STANDING
-from app.alarms.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
-from app.alarms.notification.store import NotificationStore
 from app.alarms.store import JournalEntry
+from app.notification.endpoints import NotificationPlan
+from app.notification.maintenance import Maintenance
+from app.notification.notice import OutboxItem, notice_of
+from app.notification.outbox import STANDING
+from app.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
+from app.notification.store import NotificationStore
 from bus.instants import Clock, UnixTime, unix_now
 
 TICK_S = 1.0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import date, datetime, time, timedelta
 from zoneinfo import ZoneInfo
 
-from app.alarms.notification.rules.notices import QuietSpan
+from app.notification.rules.notices import QuietSpan
 from bus.instants import UnixTime
 
 _DAY = timedelta(days=1)

@@ -8,15 +8,15 @@ from fastapi import APIRouter, Query
 from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.alarms.notification.endpoints import EndpointKind
-from app.alarms.notification.maintenance import MAX_MINUTES, MaintenanceWindow
-from app.alarms.notification.notice import NoticeKind
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.overview import EndpointStatus, clock_text, duties, endpoint_statuses
-from app.alarms.notification.rules.delivery import DeliveryState
-from app.alarms.notification.service import Notification
-from app.alarms.notification.store import QuietRow
-from app.notify_settings import DAYS, DayOfWeek
+from app.notification.endpoints import EndpointKind
+from app.notification.maintenance import MAX_MINUTES, MaintenanceWindow
+from app.notification.notice import NoticeKind
+from app.notification.outbox import NotificationDelivery
+from app.notification.overview import EndpointStatus, clock_text, duties, endpoint_statuses
+from app.notification.rules.delivery import DeliveryState
+from app.notification.service import Notification
+from app.notification.settings import DAYS, DayOfWeek
+from app.notification.store import QuietRow
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service, unknown_bus

@@ -9,9 +9,9 @@ from hashlib import blake2b
 from typing import Literal
 from urllib.parse import urlsplit
 
-from app.alarms.notification.rules.notices import NotificationRule
-from app.alarms.notification.rules.roster import MINUTES_OF_DAY, DutyPeriod, DutyRoster
-from app.notify_settings import (
+from app.notification.rules.notices import NotificationRule
+from app.notification.rules.roster import MINUTES_OF_DAY, DutyPeriod, DutyRoster
+from app.notification.settings import (
     DAYS,
     AppriseSettings,
     GroupSettings,

@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 
 import msgspec
 
-from app.alarms.notification.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.alarms.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from app.database import Database
+from app.notification.notice import AlarmNotice, NoticeKind, OutboxItem
+from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
 from bus.messages import Message
 

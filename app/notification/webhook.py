@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.alarms.notification.secret_file import NotDeliveredError, read_secret, read_secret_text
-from app.notify_settings import WebhookSettings, check_web_url
+from app.notification.secret_file import NotDeliveredError, read_secret, read_secret_text
+from app.notification.settings import WebhookSettings, check_web_url
 from bus.instants import UnixTime
 from bus.messages import Message
 

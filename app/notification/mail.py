@@ -13,10 +13,10 @@ from email.policy import SMTP as SMTP_POLICY
 from email.utils import format_datetime
 from typing import Any
 
-from app.alarms.notification.compose import Letter
-from app.alarms.notification.in_thread import in_thread
-from app.alarms.notification.secret_file import NotDeliveredError, mail_password
-from app.notify_settings import SmtpSettings
+from app.notification.compose import Letter
+from app.notification.in_thread import in_thread
+from app.notification.secret_file import NotDeliveredError, mail_password
+from app.notification.settings import SmtpSettings
 from bus.messages import Message
 
 SOCKET_S = 10.0

@@ -7,11 +7,11 @@ import sqlite3
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 
-from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import MAX_AGE_S, insert_items, insert_standing, to_notified
-from app.alarms.notification.rules.notices import Episode, QuietSpan, opened_by
 from app.alarms.store import JournalEntry
 from app.database import Database
+from app.notification.notice import OutboxItem
+from app.notification.outbox import MAX_AGE_S, insert_items, insert_standing, to_notified
+from app.notification.rules.notices import Episode, QuietSpan, opened_by
 from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000

@@ -11,22 +11,23 @@ from datetime import datetime
 
 import structlog
 
-from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import NotificationDelivery, NotificationOutbox
-from app.alarms.notification.rules.delivery import (
+from app.alarms.site_alarms import FailingEndpoints
+from app.audit.log import EventLog
+from app.errors import StoreError
+from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.notice import OutboxItem
+from app.notification.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.rules.delivery import (
     FAILING_ATTEMPTS,
     TRANSITIONS,
     next_turn,
     retry_after_s,
     trigger_of_failure,
 )
-from app.alarms.notification.rules.heartbeat import heartbeat_due
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.alarms.notification.senders import Senders
-from app.audit.log import EventLog
-from app.errors import StoreError
-from app.notify_settings import minute_of_day
+from app.notification.rules.heartbeat import heartbeat_due
+from app.notification.secret_file import NotDeliveredError
+from app.notification.senders import Senders
+from app.notification.settings import minute_of_day
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -38,7 +39,7 @@ log = structlog.get_logger()
 
 
 class Dispatcher:
-    """``failing``: the addresses that cannot be reached, and why."""
+    """``failing`` holds, always current, the keys of the addresses that cannot be reached."""
 
     def __init__(
         self,
@@ -46,24 +47,21 @@ class Dispatcher:
         outbox: NotificationOutbox,
         senders: Senders,
         events: EventLog,
+        failing: FailingEndpoints,
         local_time: Callable[[], datetime],
         clock: Clock = unix_now,
     ) -> None:
         self.plan = plan
-        self.failing: dict[str, Message] = {}
         self._outbox = outbox
         self._senders = senders
         self._events = events
+        self._failing = failing
         self._local_time = local_time
         self._clock = clock
         self._failures = dict.fromkeys(plan.endpoints, 0)
         self._wakes = {key: asyncio.Event() for key in plan.endpoints}
         self.attempted = asyncio.Event()
         """Set after the next attempt; another one is in its place then."""
-
-    def is_failing(self) -> bool:
-        """Whether an address cannot be reached."""
-        return bool(self.failing)
 
     def wake(self) -> None:
         """Something new is in the outbox."""
@@ -103,13 +101,13 @@ class Dispatcher:
             last = await self._outbox.last_of(key)
             is_over = last is None or last.state in ("delivered", "canceled")
             self._failures[key] = 0 if is_over or last is None else last.attempts
-            self._judge(key, None if last is None else last.result)
+            self._judge(key)
 
-    def _judge(self, key: str, result: Message | None) -> None:
-        if self._failures[key] >= FAILING_ATTEMPTS and result is not None:
-            self.failing[key] = result
+    def _judge(self, key: str) -> None:
+        if self._failures[key] >= FAILING_ATTEMPTS:
+            self._failing.add(key)
         else:
-            self.failing.pop(key, None)
+            self._failing.discard(key)
 
     async def _serve(self, endpoint: NotificationEndpoint) -> None:
         while True:
@@ -147,7 +145,7 @@ class Dispatcher:
         ended = _ended(delivery, failure, self._clock())
         await self._conclude(endpoint, ended)
         self._failures[endpoint.key] = 0 if failure is None else self._failures[endpoint.key] + 1
-        self._judge(endpoint.key, failure)
+        self._judge(endpoint.key)
         attempted, self.attempted = self.attempted, asyncio.Event()
         attempted.set()
 
