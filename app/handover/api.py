@@ -14,6 +14,7 @@ from typing_extensions import TypedDict
 
 from app.auth.pages import address_of
 from app.errors import Problem
+from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.document import APART, SheetDocuments
 from app.handover.pictures import MAX_OF_NOTE
 from app.handover.rules.shift_times import Shift
@@ -31,7 +32,7 @@ from app.handover.sheet import (
 )
 from app.handover.signatures import SignedPart
 from app.handover.signing import Signing, SignRequest
-from app.web.access import Operator, Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.schema_problem import problems
@@ -162,7 +163,7 @@ async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, sh
 @router.post("/{start}/sign")
 async def sign_shift_sheet(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, SIGN.permitted],
     shifts: Shifts,
     signing: Sign,
     shift: ShiftOfPath,
@@ -179,7 +180,11 @@ async def sign_shift_sheet(
 
 @router.post("/{start}/notes", status_code=201, max_body_size=MAX_BODY_BYTES)
 async def write_shift_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteRequest, key: RequestKey = None
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    shift: ShiftOfPath,
+    body: ShiftNoteRequest,
+    key: RequestKey = None,
 ) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(

@@ -16,6 +16,7 @@ from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
 from app.auth.pages import address_of
+from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
 from app.handover.pictures import MAX_OF_NOTE, PictureStore
@@ -25,7 +26,7 @@ from app.handover.sheet import notes_json
 from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
 from app.handover.signing import SignRequest
-from app.web.access import Operator, Viewer
+from app.web.access import Person, Viewer
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render
@@ -147,7 +148,10 @@ async def _new_note(
 
 @router.post("/shifts/{start}/notes", max_body_size=MAX_BODY_BYTES, form_limits=FORM_LIMITS)
 async def write_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    shift: ShiftOfPath,
+    new: Annotated[NewNote, Depends(_new_note)],
 ) -> Response:
     """Write a note."""
     note = await shifts.write(person, shift, new)
@@ -157,7 +161,7 @@ async def write_note(
 @router.post("/shifts/{start}/sign")
 async def sign(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, SIGN.permitted],
     signing: Sign,
     shift: ShiftOfPath,
     part: Annotated[SignedPart, Form()],

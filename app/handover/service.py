@@ -18,6 +18,7 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem
 from app.handover import notes
+from app.handover.acts import CORRECT_NOTE, WRITE_NOTE
 from app.handover.notes import Note, RepeatedNoteError
 from app.handover.pictures import PictureStore, judged
 from app.handover.quota import Quota
@@ -156,6 +157,8 @@ class Handover:
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
+        act = WRITE_NOTE if new.corrects is None else CORRECT_NOTE
+        act.check(person)
         self.check_place(new.bus, new.unit)
         self.quota.check(shift)
         pictures = await asyncio.to_thread(judged, new.pictures)
@@ -183,15 +186,13 @@ class Handover:
     async def _store(self, person: Person, shift: Shift, note: Note) -> Note:
         stored: list[int] = []
         start = self.local(shift.start)
-        what = Message.of("event_shift_note", start=start)
+        performed = WRITE_NOTE.by(person, start=start)
         if note.corrects is not None:
-            what = Message.of("event_shift_note_corrected", start=start, note=note.corrects)
+            performed = CORRECT_NOTE.by(person, start=start, note=note.corrects)
         await self._events.record(
-            kind="shift",
-            **person.author,
+            **performed,
             bus=note.bus,
             unit=note.unit,
-            what=what,
             new=note.pictures or None,
             message=note.text,
             also=lambda connection: stored.append(notes.add(connection, note, shift)),

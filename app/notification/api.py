@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query
 from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.endpoints import EndpointKind
 from app.notification.maintenance import MAX_MINUTES, MaintenanceWindow
 from app.notification.notice import NoticeKind
@@ -17,9 +18,9 @@ from app.notification.rules.delivery import DeliveryState
 from app.notification.service import Notification
 from app.notification.settings import DAYS, DayOfWeek
 from app.notification.store import QuietRow
-from app.web.access import Engineer
+from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute
-from app.web.services import service, unknown_bus
+from app.web.services import service
 from app.web.shape import (
     Instant,
     MaybeInstant,
@@ -181,38 +182,29 @@ async def get_notification_deliveries(
 
 @router.post("/test")
 async def send_test_notification(
-    _: Engineer, notification: Notifying, body: NotificationTestRequest
+    person: Annotated[Person, SEND_TEST.permitted], notification: Notifying, body: NotificationTestRequest
 ) -> NotificationTest:
     """Send a test message on the way of all others, and wait for its first attempt."""
-    delivery = await notification.dispatcher.test(notification.endpoint(body.endpoint))
+    delivery = await notification.test(person, body.endpoint)
     return {"delivery": None if delivery is None else _delivery(delivery)}
 
 
 @router.post("/maintenance")
 async def begin_maintenance(
-    person: Engineer, notification: Notifying, body: MaintenanceRequest
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted], notification: Notifying, body: MaintenanceRequest
 ) -> list[MaintenanceShown]:
     """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
-    await begin(notification, person, body.bus, body.minutes, body.reason)
+    await notification.maintenance.begin(person, body.bus, body.minutes, body.reason)
     return [_maintenance(row) for row in notification.maintenance.present()]
 
 
 @router.post("/maintenance/{maintenance_id}/end")
 async def end_maintenance(
-    person: Engineer, notification: Notifying, maintenance_id: int
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
 ) -> list[MaintenanceShown]:
     """Notify again, before its time."""
     await notification.maintenance.end(person, maintenance_id)
     return [_maintenance(row) for row in notification.maintenance.present()]
-
-
-async def begin(
-    notification: Notification, person: Engineer, bus: str | None, minutes: int, reason: str
-) -> None:
-    """Begin a maintenance. Raises Problem 404 for a bus that is not configured."""
-    if bus is not None and bus not in notification.buses:
-        raise unknown_bus(bus, notification.buses)
-    await notification.maintenance.begin(person, bus, minutes, reason)
 
 
 def _endpoint(status: EndpointStatus) -> NotificationEndpointShown:

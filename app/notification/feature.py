@@ -8,6 +8,7 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
 from app.notification import api, pages
+from app.notification.acts import ACTS
 from app.notification.service import Notification
 from app.web.templating import Templates
 
@@ -27,4 +28,4 @@ def make(services: Services) -> None:
     services.lifespan.add("notification", *works, start=notification.load)
 
 
-FEATURE = Feature(make, (api.router, pages.router))
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

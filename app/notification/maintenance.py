@@ -9,12 +9,14 @@ from zoneinfo import ZoneInfo
 
 from app.audit.log import EventLog
 from app.errors import Problem
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE
 from app.notification.outbox import MAX_AGE_S
 from app.notification.rules.notices import QuietSpan
 from app.notification.rules.recurring import RecurringMaintenance
 from app.notification.settings import DAYS, MaintenanceSettings, minute_of_day
 from app.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
 from app.web.access import Person
+from app.web.services import unknown_bus
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -53,7 +55,7 @@ def recurring_of(settings: Iterable[MaintenanceSettings]) -> list[RecurringMaint
 
 class Maintenance:
     """``rows``: those of the last weeks, as an alarm may count its times from the end of one; ``recurring``:
-    those of the configuration, by the clock of ``zone``."""
+    those of the configuration, by the clock of ``zone``; ``buses``: the names of all."""
 
     def __init__(
         self,
@@ -61,12 +63,14 @@ class Maintenance:
         events: EventLog,
         recurring: Sequence[RecurringMaintenance],
         zone: ZoneInfo,
+        buses: Sequence[str],
         clock: Clock = unix_now,
     ) -> None:
         self._store = store
         self._events = events
         self._recurring = recurring
         self._zone = zone
+        self._buses = buses
         self._clock = clock
         self._spans_of: tuple[date, list[QuietSpan]] | None = None
         self.rows: list[QuietRow] = []
@@ -108,29 +112,29 @@ class Maintenance:
         return datetime.fromtimestamp(float(at), self._zone).date()
 
     async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
-        """From now on, of a bus or (None) of everything."""
+        """From now on, of a bus or (None) of everything. Raises Problem 403, and 404 for an unknown bus."""
+        BEGIN_MAINTENANCE.check(person)
+        if bus is not None and bus not in self._buses:
+            raise unknown_bus(bus, self._buses)
         now = self._clock()
         span = QuietSpan(now, now + minutes * MINUTE_S, bus)
         await self._events.record(
-            kind="notification",
-            **person.author,
+            **BEGIN_MAINTENANCE.by(person, n=minutes),
             bus=bus,
-            what=Message.of("event_maintenance_begun", n=minutes),
             message=reason,
             also=quiet_beginning(span, person.name, reason),
         )
         await self.load()
 
     async def end(self, person: Person, id: int) -> None:
-        """Before its time. Raises Problem 404 for one that is not under way."""
+        """Before its time. Raises Problem 403, and 404 for one that is not under way."""
+        END_MAINTENANCE.check(person)
         row = next((row for row in self.present() if row.id == id), None)
         if row is None:
             raise Problem(404, "not_found", Message("maintenance_not_present"))
         await self._events.record(
-            kind="notification",
-            **person.author,
+            **END_MAINTENANCE.by(person),
             bus=row.span.bus,
-            what=Message("event_maintenance_ended"),
             message=row.reason,
             also=quiet_ending(id, self._clock()),
         )

@@ -11,11 +11,12 @@ from starlette.responses import RedirectResponse, Response
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.errors import Problem
-from app.notification.api import Notifying, begin
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
+from app.notification.api import Notifying
 from app.notification.dispatcher import subject_of
 from app.notification.maintenance import MAX_MINUTES
 from app.notification.overview import clock_text, duties, endpoint_statuses
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Engineer, Operator, Person, Viewer
 from app.web.templating import render
 from bus.messages import Message
 from bus.text import OneLine
@@ -61,16 +62,18 @@ async def notification_page(
 
 @router.post("/notifications/test")
 async def send_test(
-    _: Engineer, notification: Notifying, endpoint: Annotated[str, Form(max_length=400)]
+    person: Annotated[Person, SEND_TEST.permitted],
+    notification: Notifying,
+    endpoint: Annotated[str, Form(max_length=400)],
 ) -> Response:
     """Send a test message; the page then shows its result."""
-    await notification.dispatcher.test(notification.endpoint(endpoint))
+    await notification.test(person, endpoint)
     return _to_page()
 
 
 @router.post("/notifications/maintenance")
 async def begin_maintenance(
-    person: Engineer,
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted],
     notification: Notifying,
     minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
     bus: Annotated[str, Form(max_length=80)] = "",
@@ -79,12 +82,14 @@ async def begin_maintenance(
     """Notify nothing for a time."""
     if not reason.strip():
         raise Problem(422, "invalid", Message("maintenance_needs_reason"))
-    await begin(notification, person, bus or None, minutes, reason.strip())
+    await notification.maintenance.begin(person, bus or None, minutes, reason.strip())
     return _to_page()
 
 
 @router.post("/notifications/maintenance/{maintenance_id}/end")
-async def end_maintenance(person: Engineer, notification: Notifying, maintenance_id: int) -> Response:
+async def end_maintenance(
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
+) -> Response:
     """Notify again."""
     await notification.maintenance.end(person, maintenance_id)
     return _to_page()

@@ -13,15 +13,17 @@ from app.database import Database
 from app.errors import Problem
 from app.messages.languages import Languages
 from app.notification.acknowledge_link import acknowledge_link, check_link
+from app.notification.acts import SEND_TEST
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
-from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.endpoints import NotificationPlan
 from app.notification.maintenance import Maintenance, recurring_of
 from app.notification.notifier import AlarmNotifier
-from app.notification.outbox import NotificationOutbox
+from app.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.senders import Senders
 from app.notification.store import NotificationStore
 from app.settings import Settings
+from app.web.access import Person
 from app.web.formats import Formats
 from bus.instants import Clock, unix_now
 from bus.messages import Message
@@ -44,8 +46,9 @@ class Notification:
         self.store = NotificationStore(database)
         self.outbox = NotificationOutbox(database)
         recurring = recurring_of(settings.notify.maintenance)
-        self.maintenance = Maintenance(self.store, events, recurring, ZoneInfo(settings.site.zone), clock)
         self.buses = [bus.name for bus in settings.bus]
+        zone = ZoneInfo(settings.site.zone)
+        self.maintenance = Maintenance(self.store, events, recurring, zone, self.buses, clock)
         self.local_time = local_time
         self._clock = clock
         self._key = b""
@@ -81,12 +84,13 @@ class Notification:
         self._notifiers.append(notifier)
         return notifier
 
-    def endpoint(self, key: str) -> NotificationEndpoint:
-        """The address of a key. Raises Problem 404."""
+    async def test(self, person: Person, key: str) -> NotificationDelivery | None:
+        """Send a test message to the address of a key, as `Dispatcher.test`. Raises Problem 403 or 404."""
+        SEND_TEST.check(person)
         endpoint = self.plan.endpoints.get(key)
         if endpoint is None:
             raise Problem(404, "not_found", Message.of("notify_endpoint_unknown", endpoint=key[:200]))
-        return endpoint
+        return await self.dispatcher.test(endpoint)
 
     def check_link(self, alarm_id: str, until: int, signature: str) -> None:
         """Raises Problem for a link that this dashboard did not make, or that has expired."""

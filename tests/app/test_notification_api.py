@@ -11,9 +11,10 @@ import httpx
 import pytest
 
 from app.alarms.bus_alarms import BusAlarms
+from app.errors import Problem
 from app.notification.service import Notification
 from app.notification.settings import NotifySettings
-from app.web.access import Role
+from app.web.access import Person, Role
 from tests.app.complete_app import House, complete_app
 from tests.app.notification_servers import PlayedMailServer, mail_server
 from tests.app.played_line import BUS, played_line
@@ -110,6 +111,24 @@ async def test_nothing_is_notified_in_a_maintenance(house: House, mail: PlayedMa
     whats = [event["what"] for event in await house.events("notification")]
     assert "Notification paused for maintenance: 5 minutes" in whats
     assert "Notification resumed, maintenance ended" in whats
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    notification, person = house.services[Notification], Person("vic", role, "session")
+    await notification.maintenance.begin(Person("ann", Role.ENGINEER, "session"), BUS, 5, "felt")
+    (row,), events = notification.maintenance.present(), await house.events("notification")
+    for act in (
+        notification.maintenance.begin(person, None, 5, "felt"),
+        notification.maintenance.end(person, row.id),
+        notification.test(person, MAIL),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await act
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert notification.maintenance.present() == [row]
+    assert await notification.outbox.waiting() == {}
+    assert await house.events("notification") == events
 
 
 async def test_a_link_needs_a_login_and_the_button(house: House, mail: PlayedMailServer) -> None:

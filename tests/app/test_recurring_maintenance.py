@@ -167,7 +167,7 @@ async def test_its_spans_follow_the_day(tmp_path: Path) -> None:
         daily = window("22:00", "02:00", until=date(2026, 11, 24))
         clock = [now]
         maintenance = Maintenance(
-            notification.store, house.services[EventLog], [daily], BERLIN, lambda: clock[0]
+            notification.store, house.services[EventLog], [daily], BERLIN, [BUS], lambda: clock[0]
         )
         covered = []
         for hour in range(0, 72, 6):
