@@ -19,10 +19,9 @@ from app.notification.notice import OutboxItem
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.rules.delivery import (
     FAILING_ATTEMPTS,
-    TRANSITIONS,
     next_turn,
     retry_after_s,
-    trigger_of_failure,
+    state_after_failure,
 )
 from app.notification.rules.heartbeat import heartbeat_due
 from app.notification.secret_file import NotDeliveredError
@@ -205,10 +204,9 @@ def subject_of(delivery: NotificationDelivery) -> Message:
 
 def _ended(delivery: NotificationDelivery, failure: Message | None, now: UnixTime) -> NotificationDelivery:
     attempts = delivery.attempts + 1
-    trigger = "succeed" if failure is None else trigger_of_failure(delivery.created_at, now)
     return replace(
         delivery,
-        state=TRANSITIONS["sending", trigger],
+        state="delivered" if failure is None else state_after_failure(delivery.created_at, now),
         attempts=attempts,
         tried_at=now,
         due=now + retry_after_s(attempts),

@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass, fields
 from app.alarms.store import JournalEntry
 from app.database import Database
 from app.notification.notice import OutboxItem
-from app.notification.outbox import MAX_AGE_S, insert_items, insert_standing, to_notified
+from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
 from bus.instants import UnixTime
 
@@ -102,17 +102,14 @@ class NotificationStore:
         marks = ", ".join("?" * (len(_EPISODE) + 1))
 
         def write(connection: sqlite3.Connection) -> None:
-            connection.execute(
-                "INSERT OR REPLACE INTO notification_cursor (source, entry) VALUES (?, ?)", (source, cursor)
-            )
+            connection.execute("INSERT OR REPLACE INTO notification_cursor VALUES (?, ?)", (source, cursor))
             connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
             connection.executemany(
                 f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
             )
-            insert_items(connection, items)
-            insert_standing(connection, standing)
-            for each in cleared:
-                insert_items(connection, to_notified(connection, each))
+            put(connection, ADD, items)
+            put(connection, ADD_NEW, standing)
+            put(connection, ADD_TO_NOTIFIED, cleared)
 
         await self._database.write(write)
 

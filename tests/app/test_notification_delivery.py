@@ -9,13 +9,12 @@ from app.notification.rules.delivery import (
     GATHER_S,
     GIVE_UP_S,
     LONGEST_RETRY_S,
-    TRANSITIONS,
     DeliveryTurn,
     EndpointLoad,
     Retry,
     next_turn,
     retry_after_s,
-    trigger_of_failure,
+    state_after_failure,
 )
 from bus.instants import UnixTime
 
@@ -77,14 +76,8 @@ def test_the_wait_doubles_up_to_a_quarter_of_an_hour() -> None:
 
 
 def test_a_message_is_given_up_after_a_day() -> None:
-    assert trigger_of_failure(at(GIVE_UP_S - 1), NOW) == "fail"
-    assert trigger_of_failure(at(GIVE_UP_S), NOW) == "give_up"
-
-
-def test_what_has_ended_never_leaves_again() -> None:
-    ended = {"delivered", "failed", "canceled"}
-    assert {state for state, _ in TRANSITIONS} == {"sending", "retrying"}
-    assert set(TRANSITIONS.values()) == ended | {"sending", "retrying"}
+    assert state_after_failure(at(GIVE_UP_S - 1), NOW) == "retrying"
+    assert state_after_failure(at(GIVE_UP_S), NOW) == "failed"
 
 
 retries = st.lists(
