@@ -18,8 +18,10 @@ from app.notification.settings import (
     NotifiedPriority,
     NotifySettings,
     WebhookSettings,
+    clock_of,
     minute_of_day,
 )
+from bus.messages import Message
 
 EndpointKind = Literal["mail", "webhook", "apprise"]
 
@@ -79,6 +81,20 @@ class NotificationPlan:
     def present(self, local: datetime) -> tuple[str, ...]:
         """Every address that some rule notifies at a local time."""
         return tuple(dict.fromkeys(key for rule in self.rules for key in rule.recipients(local)))
+
+    def gaps(self, group: str) -> list[Message]:
+        """Each span of the week in which no one of a group is on duty."""
+        return [
+            Message.of(
+                "notify_roster_gap",
+                group=group,
+                first_day=Message(f"day_{first // MINUTES_OF_DAY}"),
+                first=clock_of(first),
+                last_day=Message(f"day_{(end - 1) // MINUTES_OF_DAY}"),
+                last=clock_of(end) if end % MINUTES_OF_DAY else "24:00",
+            )
+            for first, end in self.rosters[group].gaps()
+        ]
 
 
 def _rule(

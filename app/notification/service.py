@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import datetime
 from zoneinfo import ZoneInfo
 
@@ -16,7 +17,7 @@ from app.notification.acknowledge_link import acknowledge_link, check_link
 from app.notification.acts import SEND_TEST
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
-from app.notification.endpoints import NotificationPlan
+from app.notification.endpoints import NotificationEndpoint, NotificationPlan
 from app.notification.maintenance import Maintenance, recurring_of
 from app.notification.notifier import AlarmNotifier
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
@@ -27,6 +28,30 @@ from app.web.access import Person
 from app.web.formats import Formats
 from bus.instants import Clock, unix_now
 from bus.messages import Message
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointStatus:
+    """``last``: the message that was tried last; None: there was none yet. ``waiting``: how many notices are
+    in no message yet."""
+
+    endpoint: NotificationEndpoint
+    last: NotificationDelivery | None
+    waiting: int
+
+    @property
+    def works(self) -> bool | None:
+        """Whether the last message was delivered."""
+        return None if self.last is None else self.last.state == "delivered"
+
+
+@dataclass(frozen=True, slots=True)
+class GroupDuty:
+    """A group, who of it is on duty now, and when no one is."""
+
+    name: str
+    present: tuple[str, ...]
+    gaps: list[Message]
 
 
 class Notification:
@@ -83,6 +108,20 @@ class Notification:
         )
         self._notifiers.append(notifier)
         return notifier
+
+    async def statuses(self) -> list[EndpointStatus]:
+        """Each address of the configuration, as it is now."""
+        waiting, found = await self.outbox.waiting(), []
+        for key, endpoint in self.plan.endpoints.items():
+            last = await self.outbox.last_of(key)
+            is_tried = last is not None and last.attempts > 0
+            found.append(EndpointStatus(endpoint, last if is_tried else None, waiting.get(key, 0)))
+        return found
+
+    def duties(self) -> list[GroupDuty]:
+        """Each group of the configuration, as it is now."""
+        local, plan = self.local_time(), self.plan
+        return [GroupDuty(name, each.on_duty(local), plan.gaps(name)) for name, each in plan.rosters.items()]
 
     async def test(self, person: Person, key: str) -> NotificationDelivery | None:
         """Send a test message to the address of a key, as `Dispatcher.test`. Raises Problem 403 or 404."""

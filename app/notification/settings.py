@@ -74,6 +74,12 @@ def minute_of_day(clock: str) -> int:
     return 60 * int(hours) + int(minutes)
 
 
+def clock_of(minute: int) -> str:
+    """390 → ``06:30``; of a minute of the week, the time of its day."""
+    hours, minutes = divmod(minute % (24 * 60), 60)
+    return f"{hours:02}:{minutes:02}"
+
+
 class SmtpSettings(StrictModel):
     """The mail server. ``to``: notified of ``priorities`` at once and at any time."""
 
