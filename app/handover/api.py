@@ -30,8 +30,7 @@ from app.handover.sheet import (
     signature_json,
     signed_json,
 )
-from app.handover.signatures import SignedPart
-from app.handover.signing import Signing, SignRequest
+from app.handover.signing import ShiftSignRequest, Signing
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
@@ -85,19 +84,6 @@ class ShiftNoteRequest(StrictBody):
         tuple[str, ...],
         Field(strict=False, max_length=MAX_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
     ] = ()
-
-
-class ShiftSignRequest(StrictBody):
-    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
-
-    part: Annotated[
-        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
-    ] = None
-    digest: Annotated[
-        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
-    ] = None
-    name: Annotated[str, Field(max_length=64)] = ""
-    password: Annotated[str, Field(max_length=1000)] = ""
 
 
 class ShiftSummaryShown(TypedDict):
@@ -170,9 +156,7 @@ async def sign_shift_sheet(
     body: ShiftSignRequest | None = None,
 ) -> ShiftSignatures:
     """Sign the sheet: first the leaving person, which freezes it, then the coming one, another user."""
-    given = body or ShiftSignRequest()
-    wanted = SignRequest(given.part, given.digest, given.name, given.password)
-    await signing.sign(person, address_of(request), shift, wanted)
+    await signing.sign(person, address_of(request), shift, body or ShiftSignRequest())
     signed = signed_json((await shifts.sheet(shift)).signed)
     assert signed is not None
     return signed

@@ -25,7 +25,7 @@ from app.handover.service import NewNote
 from app.handover.sheet import notes_json
 from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
-from app.handover.signing import SignRequest
+from app.handover.signing import ShiftSignRequest
 from app.web.access import Person, Viewer
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.services import service
@@ -170,7 +170,7 @@ async def sign(
     password: Annotated[str, Form(max_length=1000)] = "",
 ) -> Response:
     """Sign as the user of the session, or by name and password."""
-    wanted = SignRequest(part, digest, name, password)
+    wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password)
     await signing.sign(person, address_of(request), shift, wanted)
     return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
 

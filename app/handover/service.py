@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
-from typing import TypeVar
 from zoneinfo import ZoneInfo
 
 import msgspec
@@ -42,7 +41,6 @@ from app.web.shape import iso
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
-T = TypeVar("T")
 CLOCK_SKEW_S = 5.0
 """By which the clock of a client may be ahead."""
 
@@ -130,11 +128,17 @@ class Handover:
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
-        """The sheet of a shift, as it was signed or as it would be now."""
+        """The sheet of a shift, as it was signed or as it would be now; read at one instant."""
         now = self._clock()
-        return await self._database.read_costly(
-            lambda connection: _at_one_instant(connection, lambda: self._sheet(connection, shift, now))
-        )
+
+        def read(connection: sqlite3.Connection) -> SheetOfShift:
+            connection.execute("BEGIN")
+            try:
+                return self._sheet(connection, shift, now)
+            finally:
+                connection.execute("ROLLBACK")
+
+        return await self._database.read_costly(read)
 
     def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
         signed, missing = self._signed(connection, shift)
@@ -249,12 +253,3 @@ def _given(text: str) -> str:
     if not text.strip():
         raise Problem(422, "invalid", Message("shift_note_empty"))
     return text.replace("\r\n", "\n").strip()
-
-
-def _at_one_instant(connection: sqlite3.Connection, work: Callable[[], T]) -> T:
-    """What ``work`` reads, without what is written meanwhile."""
-    connection.execute("BEGIN")
-    try:
-        return work()
-    finally:
-        connection.execute("ROLLBACK")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from app.audit.log import EventLog
 from app.auth.signin import SignIn, WrongSecretError
@@ -16,6 +18,7 @@ from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover
 from app.handover.signatures import FrozenSheet, SignedPart
 from app.web.access import Person
+from app.web.shape import StrictBody
 from bus.instants import Clock, unix_now
 from bus.messages import Message
 
@@ -25,15 +28,17 @@ EARLIEST_S = 1800.0
 """Before the end of a shift: people meet before it."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignRequest:
-    """``part`` None: the one that is missing. ``digest``: of the sheet that was read, checked where given.
-    ``name`` with ``password``: who signs, where it is not the user of the session."""
+class ShiftSignRequest(StrictBody):
+    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
 
-    part: SignedPart | None = None
-    digest: str | None = None
-    name: str = ""
-    password: str = ""
+    part: Annotated[
+        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
+    ] = None
+    digest: Annotated[
+        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
+    ] = None
+    name: Annotated[str, Field(max_length=64)] = ""
+    password: Annotated[str, Field(max_length=1000)] = ""
 
 
 class Signing:
@@ -55,7 +60,7 @@ class Signing:
         self._page_of = page_of
         self._clock = clock
 
-    async def sign(self, person: Person, address: str, shift: Shift, request: SignRequest) -> None:
+    async def sign(self, person: Person, address: str, shift: Shift, request: ShiftSignRequest) -> None:
         """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
         401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
         SIGN.check(person)
@@ -105,7 +110,7 @@ class Signing:
             also=store,
         )
 
-    async def _signer(self, person: Person, address: str, request: SignRequest) -> Person:
+    async def _signer(self, person: Person, address: str, request: ShiftSignRequest) -> Person:
         """The user of the name and password, where they are given; else that of the session."""
         if not request.name and not request.password:
             if person.via != "session" or person.panel:

@@ -20,7 +20,7 @@ from app.database.migrating import MIGRATIONS
 from app.errors import Problem
 from app.handover.service import Handover
 from app.handover.signatures import missing_signatures
-from app.handover.signing import Signing, SignRequest
+from app.handover.signing import ShiftSignRequest, Signing
 from app.web.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
@@ -177,7 +177,7 @@ async def test_who_may_not_sign_signs_nothing(house: House) -> None:
 async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
     ann = await house.signed_in(Role.OPERATOR, "ann")
     shift = await house.services[Handover].shift_of(datetime.fromisoformat(await last(ann)))
-    for request in (SignRequest(), SignRequest(name="ann", password=PASSWORD)):
+    for request in (ShiftSignRequest(), ShiftSignRequest(name="ann", password=PASSWORD)):
         with pytest.raises(Problem, match="role operator") as refused:
             await house.services[Signing].sign(Person("vic", role, "session"), "192.0.2.7", shift, request)
         assert (refused.value.status, refused.value.code) == (403, "forbidden")
