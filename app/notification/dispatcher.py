@@ -98,12 +98,12 @@ class Dispatcher:
     async def _find_failing(self) -> None:
         for key in self.plan.endpoints:
             last = await self._outbox.last_of(key)
-            is_over = last is None or last.state in ("delivered", "canceled")
-            self._failures[key] = 0 if is_over or last is None else last.attempts
-            self._judge(key)
+            is_open = last is not None and last.state not in ("delivered", "canceled")
+            self._count_failures(key, last.attempts if last is not None and is_open else 0)
 
-    def _judge(self, key: str) -> None:
-        if self._failures[key] >= FAILING_ATTEMPTS:
+    def _count_failures(self, key: str, failures: int) -> None:
+        self._failures[key] = failures
+        if failures >= FAILING_ATTEMPTS:
             self._failing.add(key)
         else:
             self._failing.discard(key)
@@ -143,8 +143,7 @@ class Dispatcher:
             failure = error.message
         ended = _ended(delivery, failure, self._clock())
         await self._conclude(endpoint, ended)
-        self._failures[endpoint.key] = 0 if failure is None else self._failures[endpoint.key] + 1
-        self._judge(endpoint.key)
+        self._count_failures(endpoint.key, 0 if failure is None else self._failures[endpoint.key] + 1)
         attempted, self.attempted = self.attempted, asyncio.Event()
         attempted.set()
 

@@ -19,13 +19,13 @@ def make(services: Services) -> None:
     notification = services.add(
         Notification(services.settings, database, events, failing, languages, services.local_time)
     )
+    services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]
         notifier = bus.add(notification.notifier(name, alarms.list, alarms.place))
-        services.lifespan.add(f"notification of {name}", notifier.follow)
+        services.lifespan.add(f"notification of {name}", notifier.follow, start=notifier.load)
     of_site = notification.notifier(None, services[SiteAlarms].list, lambda _: "")
-    works = (of_site.follow, notification.dispatcher.follow)
-    services.lifespan.add("notification", *works, start=notification.load)
+    services.lifespan.add("notification of the site", of_site.follow, start=of_site.load)
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
+from functools import partial
 from zoneinfo import ZoneInfo
 
 from app.audit.log import EventLog
@@ -14,7 +15,7 @@ from app.notification.outbox import MAX_AGE_S
 from app.notification.rules.notices import QuietSpan
 from app.notification.rules.recurring import RecurringMaintenance
 from app.notification.settings import DAYS, MaintenanceSettings, minute_of_day
-from app.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
+from app.notification.store import NotificationStore, QuietRow, begin_quiet, end_quiet
 from app.web.access import Person
 from app.web.services import unknown_bus
 from bus.instants import Clock, UnixTime, unix_now
@@ -122,7 +123,7 @@ class Maintenance:
             **BEGIN_MAINTENANCE.by(person, n=minutes),
             bus=bus,
             message=reason,
-            also=quiet_beginning(span, person.name, reason),
+            also=partial(begin_quiet, span=span, who=person.name, reason=reason),
         )
         await self.load()
 
@@ -136,6 +137,6 @@ class Maintenance:
             **END_MAINTENANCE.by(person),
             bus=row.span.bus,
             message=row.reason,
-            also=quiet_ending(id, self._clock()),
+            also=partial(end_quiet, id=id, now=self._clock()),
         )
         await self.load()

@@ -77,7 +77,6 @@ class Notification:
         self.local_time = local_time
         self._clock = clock
         self._key = b""
-        self._notifiers: list[AlarmNotifier] = []
         language = languages[settings.site.language]
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
@@ -85,17 +84,15 @@ class Notification:
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 
     async def load(self) -> None:
-        """Once at start, after the alarms and before the first of them can rise."""
+        """Once at start, before the notifiers."""
         self._key = await self.store.link_key()
         await self.maintenance.load()
-        for notifier in self._notifiers:
-            await notifier.load()
 
     def notifier(
         self, bus: str | None, alarms: AlarmList, place: Callable[[int | None], str]
     ) -> AlarmNotifier:
         """What notifies of the alarms of one bus, or (None) of the site."""
-        notifier = AlarmNotifier(
+        return AlarmNotifier(
             bus,
             alarms,
             self.plan,
@@ -106,8 +103,6 @@ class Notification:
             self.dispatcher.wake,
             self._clock,
         )
-        self._notifiers.append(notifier)
-        return notifier
 
     async def statuses(self) -> list[EndpointStatus]:
         """Each address of the configuration, as it is now."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 
 from app.alarms.store import JournalEntry
@@ -16,7 +16,7 @@ from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000
 """Of the journal that are followed in one pass."""
-_ENTRY = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
 _EPISODE = tuple(field.name for field in fields(Episode))
 
 
@@ -55,19 +55,17 @@ class NotificationStore:
         """The transitions of a bus (None: of the site) after an entry, oldest first, and the last entry that
         was looked at."""
 
+        query = (
+            f"SELECT {_ENTRY} FROM alarm_journal WHERE id > ? AND id <= ? AND bus IS ? ORDER BY id LIMIT ?"
+        )
+
         def read(connection: sqlite3.Connection) -> tuple[list[JournalEntry], int]:
-            connection.execute("BEGIN")
-            try:
-                last = _last_entry(connection)
-                query = (
-                    f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE id > ? AND bus IS ? "
-                    "ORDER BY id LIMIT ?"
-                )
-                rows = [] if last <= cursor else connection.execute(query, (cursor, bus, MAX_ENTRIES))
-                entries = [JournalEntry(*row) for row in rows]
-            finally:
-                connection.execute("COMMIT")
-            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else max(cursor, last)
+            last = _last_entry(connection)
+            if last <= cursor:
+                return [], cursor
+            rows = connection.execute(query, (cursor, last, bus, MAX_ENTRIES))
+            entries = [JournalEntry(*row) for row in rows]
+            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else last
 
         return await self._database.read(read)
 
@@ -75,7 +73,7 @@ class NotificationStore:
         """The newest episode of each alarm, by its key, that began up to an entry of the journal."""
         keys = list(alarms)
         query = (
-            f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE alarm = ? AND id <= ? "
+            f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND id <= ? "
             "AND after IN ('unack_active', 'latched_unack') AND trigger NOT IN ('clear', 'silence') "
             "ORDER BY id DESC LIMIT 1"
         )
@@ -136,27 +134,16 @@ class NotificationStore:
         return await self._database.write(write)
 
 
-def quiet_beginning(span: QuietSpan, who: str, reason: str) -> Callable[[sqlite3.Connection], None]:
-    """The writing of a maintenance that begins."""
-    values = (span.bus, float(span.starts), float(span.ends), who, reason)
-
-    def write(connection: sqlite3.Connection) -> None:
-        connection.execute(
-            "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)", values
-        )
-
-    return write
+def begin_quiet(connection: sqlite3.Connection, span: QuietSpan, who: str, reason: str) -> None:
+    """Store a maintenance that begins."""
+    query = "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)"
+    connection.execute(query, (span.bus, float(span.starts), float(span.ends), who, reason))
 
 
-def quiet_ending(id: int, now: UnixTime) -> Callable[[sqlite3.Connection], None]:
-    """The writing of a maintenance that ends before its time."""
-
-    def write(connection: sqlite3.Connection) -> None:
-        connection.execute(
-            "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?", (float(now), id, float(now))
-        )
-
-    return write
+def end_quiet(connection: sqlite3.Connection, id: int, now: UnixTime) -> None:
+    """Store that a maintenance ends before its time."""
+    query = "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?"
+    connection.execute(query, (float(now), id, float(now)))
 
 
 def _last_entry(connection: sqlite3.Connection) -> int:
