@@ -15,7 +15,7 @@ from app.notification.notice import NoticeKind
 from app.notification.outbox import NotificationDelivery
 from app.notification.rules.delivery import DeliveryState
 from app.notification.service import EndpointStatus, Notification
-from app.notification.settings import DAYS, DayOfWeek, clock_of
+from app.notification.settings import DAYS, DayOfWeek
 from app.notification.store import QuietRow
 from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute
@@ -229,11 +229,11 @@ def _maintenance(row: QuietRow) -> MaintenanceShown:
 def _recurring(window: MaintenanceWindow) -> RecurringMaintenanceShown:
     recurring, span = window.recurring, window.span
     return {
-        "days": [DAYS[day] for day in sorted(recurring.days)],
-        "starts": clock_of(recurring.starts),
-        "ends": clock_of(recurring.ends),
+        "days": [day for day in DAYS if day in recurring.days],
+        "starts": recurring.starts,
+        "ends": recurring.ends,
         "last_day": recurring.until.isoformat(),
-        "buses": [bus for bus in recurring.buses if bus is not None],
+        "buses": list(recurring.buses),
         "reason": recurring.reason,
         "present": window.is_present,
         "since": iso(span.starts) if span else None,

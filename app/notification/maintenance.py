@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from functools import partial
@@ -13,8 +13,8 @@ from app.errors import Problem
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE
 from app.notification.outbox import MAX_AGE_S
 from app.notification.rules.notices import QuietSpan
-from app.notification.rules.recurring import RecurringMaintenance
-from app.notification.settings import DAYS, MaintenanceSettings, minute_of_day
+from app.notification.rules.recurring import recurring_spans
+from app.notification.settings import MaintenanceSettings
 from app.notification.store import NotificationStore, QuietRow, begin_quiet, end_quiet
 from app.web.access import Person
 from app.web.services import unknown_bus
@@ -34,24 +34,9 @@ _AHEAD = timedelta(days=14)
 class MaintenanceWindow:
     """A recurring maintenance, and its span that is under way or comes next; None: there are no more."""
 
-    recurring: RecurringMaintenance
+    recurring: MaintenanceSettings
     span: QuietSpan | None
     is_present: bool
-
-
-def recurring_of(settings: Iterable[MaintenanceSettings]) -> list[RecurringMaintenance]:
-    """Those of the configuration."""
-    return [
-        RecurringMaintenance(
-            days=frozenset(map(DAYS.index, each.days)),
-            starts=minute_of_day(each.starts),
-            ends=minute_of_day(each.ends),
-            until=each.until,
-            buses=each.buses or (None,),
-            reason=each.reason,
-        )
-        for each in settings
-    ]
 
 
 class Maintenance:
@@ -62,7 +47,7 @@ class Maintenance:
         self,
         store: NotificationStore,
         events: EventLog,
-        recurring: Sequence[RecurringMaintenance],
+        recurring: Sequence[MaintenanceSettings],
         zone: ZoneInfo,
         buses: Sequence[str],
         clock: Clock = unix_now,
@@ -95,8 +80,8 @@ class Maintenance:
         now = self._clock()
         return [row for row in self.rows if row.span.starts <= now < row.span.ends]
 
-    def _window(self, recurring: RecurringMaintenance, day: date, now: UnixTime) -> MaintenanceWindow:
-        spans = recurring.spans(day - timedelta(days=1), day + _AHEAD, self._zone)
+    def _window(self, recurring: MaintenanceSettings, day: date, now: UnixTime) -> MaintenanceWindow:
+        spans = recurring_spans(recurring, day - timedelta(days=1), day + _AHEAD, self._zone)
         span = next((span for span in spans if now < span.ends), None)
         return MaintenanceWindow(recurring, span, span is not None and span.starts <= now)
 
@@ -105,7 +90,7 @@ class Maintenance:
         day = self._day(self._clock())
         if self._spans_of is None or self._spans_of[0] != day:
             first = day - timedelta(seconds=MAX_AGE_S)
-            spans = (each.spans(first, day, self._zone) for each in self._recurring)
+            spans = (recurring_spans(each, first, day, self._zone) for each in self._recurring)
             self._spans_of = day, [span for several in spans for span in several]
         return self._spans_of[1]
 

@@ -15,7 +15,7 @@ from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.api import Notifying
 from app.notification.dispatcher import subject_of
 from app.notification.maintenance import MAX_MINUTES
-from app.notification.settings import clock_of
+from app.notification.settings import DAYS
 from app.web.access import Engineer, Operator, Person, Viewer
 from app.web.templating import render
 from bus.messages import Message
@@ -47,8 +47,7 @@ async def notification_page(
         groups=notification.duties(),
         maintenance=notification.maintenance.present(),
         windows=notification.maintenance.windows(),
-        clock_of=clock_of,
-        days={day: Message(f"day_{day}") for day in range(7)},
+        days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
         buses=notification.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
         deliveries=[

@@ -18,7 +18,7 @@ from app.notification.acts import SEND_TEST
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
 from app.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.notification.maintenance import Maintenance, recurring_of
+from app.notification.maintenance import Maintenance
 from app.notification.notifier import AlarmNotifier
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.senders import Senders
@@ -70,10 +70,11 @@ class Notification:
         self.plan = NotificationPlan(settings.notify)
         self.store = NotificationStore(database)
         self.outbox = NotificationOutbox(database)
-        recurring = recurring_of(settings.notify.maintenance)
         self.buses = [bus.name for bus in settings.bus]
         zone = ZoneInfo(settings.site.zone)
-        self.maintenance = Maintenance(self.store, events, recurring, zone, self.buses, clock)
+        self.maintenance = Maintenance(
+            self.store, events, settings.notify.maintenance, zone, self.buses, clock
+        )
         self.local_time = local_time
         self._clock = clock
         self._key = b""

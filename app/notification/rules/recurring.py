@@ -7,38 +7,29 @@ it does so with its end. When the clocks change it is shorter or longer; where b
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import date, datetime, time, timedelta
 from zoneinfo import ZoneInfo
 
 from app.notification.rules.notices import QuietSpan
+from app.notification.settings import DAYS, MaintenanceSettings, minute_of_day
 from bus.instants import UnixTime
 
 _DAY = timedelta(days=1)
 _MINUTE = timedelta(minutes=1)
 
 
-@dataclass(frozen=True, slots=True)
-class RecurringMaintenance:
-    """On each of ``days`` (Monday: 0) from minute ``starts`` of the day to minute ``ends``; where that is not
-    later, on the next day. ``until``: the last day on which one begins; ``buses``: None is everything."""
-
-    days: frozenset[int]
-    starts: int
-    ends: int
-    until: date
-    buses: tuple[str | None, ...]
-    reason: str
-
-    def spans(self, first: date, last: date, zone: ZoneInfo) -> Iterator[QuietSpan]:
-        """Those that begin on a day from ``first`` to ``last``, in order."""
-        for number in range((min(last, self.until) - first).days + 1):
-            day = first + number * _DAY
-            if day.weekday() in self.days:
-                starts = first_at(day, self.starts, zone)
-                ends = first_at(day + _DAY if self.ends <= self.starts else day, self.ends, zone)
-                if starts < ends:
-                    yield from (QuietSpan(starts, ends, bus) for bus in self.buses)
+def recurring_spans(
+    maintenance: MaintenanceSettings, first: date, last: date, zone: ZoneInfo
+) -> Iterator[QuietSpan]:
+    """The spans of a recurring maintenance that begin on a day from ``first`` to ``last``, in order."""
+    starts, ends = minute_of_day(maintenance.starts), minute_of_day(maintenance.ends)
+    for number in range((min(last, maintenance.until) - first).days + 1):
+        day = first + number * _DAY
+        if DAYS[day.weekday()] in maintenance.days:
+            begins = first_at(day, starts, zone)
+            over_at = first_at(day + _DAY if ends <= starts else day, ends, zone)
+            if begins < over_at:
+                yield from (QuietSpan(begins, over_at, bus) for bus in maintenance.buses or (None,))
 
 
 def first_at(day: date, minute: int, zone: ZoneInfo) -> UnixTime:
