@@ -151,7 +151,7 @@ async def get_notification(_: Engineer, notification: Notifying) -> Notification
         "groups": [
             {
                 "name": each.name,
-                "on_duty": list(each.present),
+                "on_duty": each.present,
                 "gaps": [message_shown(gap) for gap in each.gaps],
             }
             for each in notification.duties()

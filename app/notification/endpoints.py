@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from hashlib import blake2b
@@ -15,8 +15,8 @@ from app.notification.settings import (
     DAYS,
     AppriseSettings,
     GroupSettings,
-    NotifiedPriority,
     NotifySettings,
+    SmtpSettings,
     WebhookSettings,
     clock_of,
     minute_of_day,
@@ -24,6 +24,7 @@ from app.notification.settings import (
 from bus.messages import Message
 
 EndpointKind = Literal["mail", "webhook", "apprise"]
+ProgramSettings = WebhookSettings | AppriseSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class NotificationEndpoint:
 
     kind: EndpointKind
     address: str
-    settings: WebhookSettings | AppriseSettings | None = None
+    settings: ProgramSettings | None = None
 
     @property
     def key(self) -> str:
@@ -40,47 +41,32 @@ class NotificationEndpoint:
         return f"{self.kind}:{self.address}"
 
 
-def roster_of(group: GroupSettings) -> DutyRoster:
-    """The duty roster of a group."""
-    periods = (
-        DutyPeriod(
-            frozenset(DAYS.index(day) for day in duty.days),
-            minute_of_day(duty.starts),
-            (minute_of_day(duty.ends) - minute_of_day(duty.starts) - 1) % MINUTES_OF_DAY + 1,
-            duty.to,
-        )
-        for duty in group.duty
-    )
-    return DutyRoster(group.to, tuple(periods))
-
-
 class NotificationPlan:
-    """The configuration: endpoints by key, rosters by group, and rules."""
+    """The configuration: endpoints by key, rosters of keys by group, and rules."""
 
     def __init__(self, settings: NotifySettings) -> None:
         self.settings = settings
-        self.rosters = {group.name: roster_of(group) for group in settings.group}
+        self.rosters = {group.name: _roster_of(group) for group in settings.group}
+        mail = [] if settings.smtp is None else [_rule(settings.smtp, _mail(settings.smtp.to))]
         programs = [*map(_program, settings.webhook), *map(_program, settings.apprise)]
-        mail = () if settings.smtp is None else settings.smtp.to
-        people = dict.fromkeys((*mail, *(to for each in self.rosters.values() for to in each.addresses())))
+        own = [_rule(each.settings, (each.key,)) for each in programs if each.settings is not None]
+        of_groups = [
+            NotificationRule(each.priorities, each.buses, each.after_s, self.rosters[each.group])
+            for each in settings.rule
+        ]
+        self.rules = [*mail, *own, *of_groups]
+        rosters = (*(rule.roster for rule in mail), *self.rosters.values())
+        people = (key.removeprefix("mail:") for roster in rosters for key in roster.addresses())
         every = [*(NotificationEndpoint("mail", address) for address in people), *programs]
         self.endpoints = {endpoint.key: endpoint for endpoint in every}
-        self.rules = list(self._rules(programs))
 
-    def _rules(self, programs: Iterable[NotificationEndpoint]) -> Iterable[NotificationRule]:
-        smtp = self.settings.smtp
-        if smtp is not None and smtp.to:
-            yield _rule(smtp.priorities, (), 0.0, _always(_mail(smtp.to)))
-        for endpoint in programs:
-            if endpoint.settings is not None:
-                buses = endpoint.settings.buses
-                yield _rule(endpoint.settings.priorities, buses, 0.0, _always((endpoint.key,)))
-        for rule in self.settings.rule:
-            yield _rule(rule.priorities, rule.buses, rule.after_s, _by_roster(self.rosters[rule.group]))
+    def on_duty(self, group: str, local: datetime) -> list[str]:
+        """The addresses of a group that are notified at a local time."""
+        return [self.endpoints[key].address for key in self.rosters[group].on_duty(local)]
 
     def present(self, local: datetime) -> tuple[str, ...]:
-        """Every address that some rule notifies at a local time."""
-        return tuple(dict.fromkeys(key for rule in self.rules for key in rule.recipients(local)))
+        """The key of every address that some rule notifies at a local time."""
+        return tuple(dict.fromkeys(key for rule in self.rules for key in rule.roster.on_duty(local)))
 
     def gaps(self, group: str) -> list[Message]:
         """Each span of the week in which no one of a group is on duty."""
@@ -97,28 +83,30 @@ class NotificationPlan:
         ]
 
 
-def _rule(
-    priorities: Iterable[NotifiedPriority],
-    buses: Iterable[str],
-    after_s: float,
-    recipients: Callable[[datetime], tuple[str, ...]],
-) -> NotificationRule:
-    return NotificationRule(frozenset(priorities), frozenset(buses), after_s, recipients)
+def _rule(settings: SmtpSettings | ProgramSettings, keys: tuple[str, ...]) -> NotificationRule:
+    """The rule of addresses that are notified at once and at any time."""
+    buses = () if isinstance(settings, SmtpSettings) else settings.buses
+    return NotificationRule(settings.priorities, buses, 0.0, DutyRoster(keys))
+
+
+def _roster_of(group: GroupSettings) -> DutyRoster:
+    periods = (
+        DutyPeriod(
+            frozenset(DAYS.index(day) for day in duty.days),
+            minute_of_day(duty.starts),
+            (minute_of_day(duty.ends) - minute_of_day(duty.starts) - 1) % MINUTES_OF_DAY + 1,
+            _mail(duty.to),
+        )
+        for duty in group.duty
+    )
+    return DutyRoster(_mail(group.to), tuple(periods))
 
 
 def _mail(addresses: Iterable[str]) -> tuple[str, ...]:
     return tuple(NotificationEndpoint("mail", address).key for address in addresses)
 
 
-def _always(keys: tuple[str, ...]) -> Callable[[datetime], tuple[str, ...]]:
-    return lambda _: keys
-
-
-def _by_roster(roster: DutyRoster) -> Callable[[datetime], tuple[str, ...]]:
-    return lambda local: _mail(roster.on_duty(local))
-
-
-def _program(settings: WebhookSettings | AppriseSettings) -> NotificationEndpoint:
+def _program(settings: ProgramSettings) -> NotificationEndpoint:
     """Its address is the host, or the name of the file, and a mark that distinguishes two of one name."""
     url = settings.url if isinstance(settings, WebhookSettings) else None
     source = url or str(settings.url_file)

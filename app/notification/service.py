@@ -50,7 +50,7 @@ class GroupDuty:
     """A group, who of it is on duty now, and when no one is."""
 
     name: str
-    present: tuple[str, ...]
+    present: list[str]
     gaps: list[Message]
 
 
@@ -117,7 +117,7 @@ class Notification:
     def duties(self) -> list[GroupDuty]:
         """Each group of the configuration, as it is now."""
         local, plan = self.local_time(), self.plan
-        return [GroupDuty(name, each.on_duty(local), plan.gaps(name)) for name, each in plan.rosters.items()]
+        return [GroupDuty(name, plan.on_duty(name, local), plan.gaps(name)) for name in plan.rosters]
 
     async def test(self, person: Person, key: str) -> NotificationDelivery | None:
         """Send a test message to the address of a key, as `Dispatcher.test`. Raises Problem 403 or 404."""

@@ -18,6 +18,7 @@ from app.notification.rules.notices import (
     due_at,
     follow,
 )
+from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime
 
 LOCAL = datetime(2026, 11, 22, 12)
@@ -40,7 +41,7 @@ def entry(
 def rule(
     *to: str, after_s: float = 0.0, priority: str = "high", buses: Sequence[str] = ()
 ) -> NotificationRule:
-    return NotificationRule(frozenset([priority]), frozenset(buses), after_s, lambda _: to)  # type: ignore[list-item]
+    return NotificationRule([priority], buses, after_s, DutyRoster(to))  # type: ignore[list-item]
 
 
 RISE = entry(1, "rise", "normal", "unack_active")
