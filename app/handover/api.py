@@ -44,7 +44,7 @@ from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRoute)
 
-LONGEST_NOTE = 2000
+MAX_NOTE_LENGTH = 2000
 MAX_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
@@ -54,7 +54,7 @@ SIGNED_JSON: dict[int | str, dict[str, Any]] = {
     **problems(409),
 }
 HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
-NoteText = Annotated[Lines, Field(min_length=1, max_length=LONGEST_NOTE)]
+NoteText = Annotated[Lines, Field(min_length=1, max_length=MAX_NOTE_LENGTH)]
 
 
 async def _shift_of(

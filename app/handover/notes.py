@@ -12,10 +12,10 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_NOTES = 500
-"""Of a shift: a sheet is read by people."""
+"""Notes of a shift: a sheet is read by people."""
 MAX_PICTURES = 20
 MAX_OF_SITE = 200_000
-"""Of all shifts: five years with 100 a day."""
+"""Notes of all shifts: five years with 100 a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?
 
 
 def notes_of(connection: sqlite3.Connection, shift: Shift) -> list[Note]:
-    """In the order of what they are about."""
+    """The notes of a shift in the order of what they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
 

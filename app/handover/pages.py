@@ -17,7 +17,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
 from app.auth.pages import address_of
 from app.handover.acts import SIGN, WRITE_NOTE
-from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
+from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
 from app.handover.pictures import MAX_OF_NOTE, PictureStore
 from app.handover.rules.shift_times import Shift
@@ -40,7 +40,7 @@ ON_A_PAGE = 30
 SEE_OTHER = 303
 Pictures = Annotated[PictureStore, service(PictureStore)]
 FORM_LIMITS: Any = {"max_files": MAX_OF_NOTE, "max_fields": 20}
-FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
+FormNoteText = Annotated[Lines, Form(max_length=MAX_NOTE_LENGTH)]
 PinnedPlace = Annotated[OneLine, Query(max_length=100)]
 PinnedAlarm = Annotated[OneLine, Query(max_length=300)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
@@ -120,7 +120,7 @@ async def sheet_page(
         is_present=shift == shifts.present(),
         is_recent=shifts.quota.is_recent(shift),
         key=secrets.token_urlsafe(16),
-        longest=LONGEST_NOTE,
+        longest=MAX_NOTE_LENGTH,
     )
 
 

@@ -62,7 +62,7 @@ class NewNote:
 
 @dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """One row of the list."""
+    """A shift in the list of shifts."""
 
     shift: Shift
     notes: int
@@ -221,7 +221,7 @@ class Handover:
         return min(at, now)
 
     def check_place(self, bus: str | None, unit: int | None) -> None:
-        """Whether a note can be about it. Raises Problem 404, and 422 for a unit without its bus."""
+        """Check that a note can be about a place. Raises Problem 404, and 422 for a unit without its bus."""
         if bus is not None and bus not in self._units:
             raise unknown_bus(bus, self._units)
         if unit is not None and bus is None:

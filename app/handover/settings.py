@@ -21,7 +21,7 @@ class ShiftSettings(StrictModel):
 
     @property
     def minutes(self) -> list[int]:
-        """The same as minutes after local midnight."""
+        """The starts as minutes after local midnight."""
         return [minute_of_day(each) for each in self.starts]
 
     @field_validator("starts")

@@ -50,7 +50,7 @@ class NotificationTestRequest(StrictBody):
 
 
 class MaintenanceRequest(StrictBody):
-    """Of a bus or, without one, of everything."""
+    """A maintenance of a bus or, without one, of everything."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 

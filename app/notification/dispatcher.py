@@ -63,7 +63,7 @@ class Dispatcher:
         """Set after the next attempt; another one is in its place then."""
 
     def wake(self) -> None:
-        """Something new is in the outbox."""
+        """Look at the outbox at once: something new is in it."""
         for each in self._wakes.values():
             each.set()
 
@@ -148,7 +148,7 @@ class Dispatcher:
         attempted.set()
 
     async def _conclude(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Until it is on disk: a message that has left must not leave again as the store was busy."""
+        """Try until the result is on disk: a message that has left must not leave again for a busy store."""
         while True:
             try:
                 await self._record(endpoint, ended)
@@ -159,7 +159,7 @@ class Dispatcher:
                 return
 
     async def _record(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """The first failure is an event, and the end; those between would hide everything else."""
+        """Write the result; the first failure and the end are events, which attempts between would hide."""
         if ended.state == "retrying" and ended.attempts > 1:
             await self._outbox.conclude(ended)
             return
@@ -191,7 +191,7 @@ class Dispatcher:
 
 
 def subject_of(delivery: NotificationDelivery) -> Message:
-    """What it is about, for the events."""
+    """What a message is about, for events and the page."""
     first = delivery.items[0] if delivery.items else None
     if first is None or len(delivery.items) > 1:
         return Message.of("notify_several", n=len(delivery.items))

@@ -20,7 +20,7 @@ from app.notification.settings import SmtpSettings
 from bus.messages import Message
 
 SOCKET_S = 10.0
-LONGEST_REASON = 300
+MAX_REASON_LENGTH = 300
 
 
 class MailServer:
@@ -152,4 +152,4 @@ def _shown(code: int, text: bytes | str) -> str:
     """What the server replied, on one line: it may hold any bytes."""
     words = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in words).split())
-    return f"{code} {line}"[:LONGEST_REASON]
+    return f"{code} {line}"[:MAX_REASON_LENGTH]

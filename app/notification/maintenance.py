@@ -62,7 +62,7 @@ class Maintenance:
         self.rows: list[QuietRow] = []
 
     async def load(self) -> None:
-        """Once at start."""
+        """Read the stored maintenance; once at start."""
         self.rows = await self._store.quiet(self._clock())
 
     def spans(self) -> list[QuietSpan]:
@@ -76,7 +76,7 @@ class Maintenance:
         return [self._window(each, day, now) for each in self._recurring]
 
     def present(self) -> list[QuietRow]:
-        """Those under way."""
+        """The maintenance that is under way, begun by people."""
         now = self._clock()
         return [row for row in self.rows if row.span.starts <= now < row.span.ends]
 
@@ -86,7 +86,7 @@ class Maintenance:
         return MaintenanceWindow(recurring, span, span is not None and span.starts <= now)
 
     def _recurring_spans(self) -> list[QuietSpan]:
-        """Found once a day: notification looks at them each second."""
+        """The spans are found once a day: notification looks at them each second."""
         day = self._day(self._clock())
         if self._spans_of is None or self._spans_of[0] != day:
             first = day - timedelta(seconds=MAX_AGE_S)
@@ -98,7 +98,7 @@ class Maintenance:
         return datetime.fromtimestamp(float(at), self._zone).date()
 
     async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
-        """From now on, of a bus or (None) of everything. Raises Problem 403, and 404 for an unknown bus."""
+        """Notify nothing from now on, of a bus or (None) of all. Raises Problem 403, 404."""
         BEGIN_MAINTENANCE.check(person)
         if bus is not None and bus not in self._buses:
             raise unknown_bus(bus, self._buses)
@@ -113,7 +113,7 @@ class Maintenance:
         await self.load()
 
     async def end(self, person: Person, id: int) -> None:
-        """Before its time. Raises Problem 403, and 404 for one that is not under way."""
+        """End a maintenance before its time. Raises Problem 403, 404 for one that is not under way."""
         END_MAINTENANCE.check(person)
         row = next((row for row in self.present() if row.id == id), None)
         if row is None:

@@ -16,7 +16,7 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ITEMS = 200
-"""In one message."""
+"""Items in one message."""
 MAX_AGE_S = 90 * 86_400.0
 STANDING = "standing:"
 """Begins the key of an item of an alarm that stood at a start."""
@@ -53,7 +53,7 @@ ADD_TO_NOTIFIED = f"{_INTO} SELECT {_VALUES}, endpoint {_NOTIFIED} GROUP BY endp
 
 
 class NotificationOutbox:
-    """Access to its tables. A delivery leaves in the order of its states."""
+    """Access to the tables of the outbox."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -101,7 +101,7 @@ class NotificationOutbox:
         await self._database.write(write)
 
     async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
-        """What there is for one address."""
+        """Return what there is to send to one address, and what was sent lately."""
 
         def read(connection: sqlite3.Connection) -> EndpointLoad:
             waiting = connection.execute(
@@ -151,7 +151,7 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def resume(self, id: int) -> NotificationDelivery:
-        """Try a delivery again."""
+        """Take up a delivery that is to be tried again, as being sent."""
 
         def write(connection: sqlite3.Connection) -> NotificationDelivery:
             connection.execute(
@@ -163,11 +163,11 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def conclude(self, delivery: NotificationDelivery) -> None:
-        """Write what an attempt has led to."""
+        """Write the result of an attempt."""
         await self._database.write(self.conclusion(delivery))
 
     def conclusion(self, delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
-        """The same as a part of another transaction."""
+        """Return what writes the result of an attempt, as a part of another transaction."""
         result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
         times = float(delivery.tried_at), float(delivery.due)
 

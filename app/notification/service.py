@@ -85,7 +85,7 @@ class Notification:
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 
     async def load(self) -> None:
-        """Once at start, before the notifiers."""
+        """Read the key of links and the maintenance; once at start, before the notifiers."""
         self._key = await self.store.link_key()
         await self.maintenance.load()
 

@@ -202,7 +202,7 @@ class NotifySettings(StrictModel):
         return {path for path in named if path is not None}
 
     def in_folder(self, folder: Path) -> NotifySettings:
-        """The same with absolute paths; relative ones are beside the configuration."""
+        """Return these settings with absolute paths; relative ones are beside the configuration."""
         return self.model_copy(
             update={
                 "smtp": self.smtp and _in_folder(self.smtp, folder),

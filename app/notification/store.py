@@ -15,7 +15,7 @@ from app.notification.rules.notices import Episode, QuietSpan, opened_by
 from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000
-"""Of the journal that are followed in one pass."""
+"""Entries of the journal that are followed in one pass."""
 _ENTRY = ", ".join(field.name for field in fields(JournalEntry))
 _EPISODE = tuple(field.name for field in fields(Episode))
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from app.notification.rules.delivery import (
     GATHER_S,
     GIVE_UP_S,
-    LONGEST_RETRY_S,
+    MAX_RETRY_S,
     DeliveryTurn,
     EndpointLoad,
     Retry,
@@ -66,13 +66,13 @@ def test_new_items_go_before_those_that_were_refused() -> None:
 
 
 def test_a_clock_that_was_set_back_delays_no_retry() -> None:
-    assert turn(EndpointLoad([], [Retry(7, 1, at(-LONGEST_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
+    assert turn(EndpointLoad([], [Retry(7, 1, at(-MAX_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
     assert turn(EndpointLoad([(1, at(-3600))], [], [at(60), at(30)])) == DeliveryTurn(items=(1,))
 
 
 def test_the_wait_doubles_up_to_a_quarter_of_an_hour() -> None:
     assert [retry_after_s(n) for n in (1, 2, 3)] == [5.0, 10.0, 20.0]
-    assert retry_after_s(10_000) == LONGEST_RETRY_S
+    assert retry_after_s(10_000) == MAX_RETRY_S
 
 
 def test_a_message_is_given_up_after_a_day() -> None:
@@ -94,4 +94,4 @@ def test_there_is_always_a_turn_or_an_end_of_the_wait(
     is_idle = not items and not several
     assert is_idle == (found == DeliveryTurn())
     if found.wait_s is not None:
-        assert 0 < found.wait_s <= LONGEST_RETRY_S
+        assert 0 < found.wait_s <= MAX_RETRY_S

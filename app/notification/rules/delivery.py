@@ -13,7 +13,7 @@ DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"
 whether the message left is not known: it is ``retrying``, with the same id. ``canceled``: its address is not
 configured any more. What is delivered, failed or canceled never leaves again."""
 FIRST_RETRY_S = 5.0
-LONGEST_RETRY_S = 900.0
+MAX_RETRY_S = 900.0
 GIVE_UP_S = 86_400.0
 FLOOD_WINDOW_S = 600.0
 GATHER_S = 3.0
@@ -24,7 +24,7 @@ FAILING_ATTEMPTS = 2
 
 def retry_after_s(attempts: int) -> float:
     """The time up to the next attempt after so many: 5, 10, 20 … seconds, at most 15 minutes."""
-    return min(LONGEST_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
+    return min(MAX_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
 
 
 def state_after_failure(created_at: UnixTime, now: UnixTime) -> DeliveryState:
@@ -43,7 +43,7 @@ class Retry:
     def wait_s(self, now: UnixTime) -> float:
         """A wait longer than any backoff is one of a clock that was set back: it is over."""
         wait_s = self.due - now
-        return wait_s if 0 < wait_s <= LONGEST_RETRY_S else 0.0
+        return wait_s if 0 < wait_s <= MAX_RETRY_S else 0.0
 
 
 @dataclass(frozen=True, slots=True)
