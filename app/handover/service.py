@@ -22,7 +22,7 @@ from app.handover.notes import Note, RepeatedNoteError
 from app.handover.pictures import PictureStore, judged
 from app.handover.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
-from app.handover.sheet import SheetWriter
+from app.handover.sheet import write_sheet
 from app.handover.signatures import (
     LoggedSignature,
     Signature,
@@ -96,7 +96,7 @@ class Handover:
         self.zone = ZoneInfo(settings.site.zone)
         self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
         self._starts = settings.shift.minutes
-        self._sheets = SheetWriter(settings)
+        self._settings = settings
         self._database = database
         self._events = events
         self._pictures = pictures
@@ -143,7 +143,7 @@ class Handover:
     def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
         signed, missing = self._signed(connection, shift)
         if signed is None:
-            sheet = self._sheets.write(connection, shift, now)
+            sheet = write_sheet(connection, self._settings, shift, now)
             return SheetOfShift(shift, msgspec.json.encode(sheet), None, [], missing)
         known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
         later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
@@ -165,12 +165,15 @@ class Handover:
         act.check(person)
         self.check_place(new.bus, new.unit)
         self.quota.check(shift)
+        text = new.text.replace("\r\n", "\n").strip()
+        if not text:
+            raise Problem(422, "invalid", Message("shift_note_empty"))
         pictures = await asyncio.to_thread(judged, new.pictures)
         note = Note(
             at=await self._time_of(shift, new),
             written_at=self._clock(),
             who=person.name,
-            text=_given(new.text),
+            text=text,
             bus=new.bus,
             unit=new.unit,
             alarm=new.alarm,
@@ -247,9 +250,3 @@ def _summaries(connection: sqlite3.Connection, shifts: list[Shift], latest: Unix
         ShiftSummary(shift, count, signatures_of(connection, shift.start))
         for shift, count in zip(listed, notes.counts_of(connection, listed), strict=True)
     ]
-
-
-def _given(text: str) -> str:
-    if not text.strip():
-        raise Problem(422, "invalid", Message("shift_note_empty"))
-    return text.replace("\r\n", "\n").strip()
