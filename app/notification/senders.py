@@ -26,17 +26,15 @@ MAIL_CONNECTIONS = 4
 log = structlog.get_logger()
 
 
-def _mail_server(settings: SmtpSettings) -> MailServer:
-    from app.notification.mail import MailServer  # most sites send no mail: it delays their start
-
-    return MailServer(settings)
-
-
 class Senders:
     """``smtp``: the mail server; None: there is none."""
 
     def __init__(self, smtp: SmtpSettings | None, composer: Composer, attempt_s: float = ATTEMPT_S) -> None:
-        self._server = None if smtp is None else _mail_server(smtp)
+        self._server: MailServer | None = None
+        if smtp is not None:
+            from app.notification.mail import MailServer  # most sites send no mail: it delays their start
+
+            self._server = MailServer(smtp)
         self._composer = composer
         self._attempt_s = attempt_s
         self._mail = asyncio.Semaphore(MAIL_CONNECTIONS)
