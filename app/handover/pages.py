@@ -100,13 +100,13 @@ async def sheet_page(
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
     sheet = readable_sheet(found.sheet)
-    notes = [*sheet["notes"], *readable_notes(notes_json(found.later))]
-    corrected = next((note for note in notes if note["id"] == correct), None)
+    later = readable_notes(notes_json(found.later))
+    corrected = next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None)
     return render(
         request,
         "handover/sheet.html",
         sheet=sheet,
-        later=readable_notes(notes_json(found.later)),
+        later=later,
         signed=found.signed,
         missing=found.missing,
         signs_as=person.name if person.via == "session" and not person.panel else "",
