@@ -222,20 +222,18 @@ def _select(
 ) -> list[NotificationDelivery]:
     """The newest deliveries first, with their items."""
     query = f"SELECT {', '.join(_DELIVERY)} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
-    rows = connection.execute(query, (*values, limit)).fetchall()
-    return [_delivery(row, _items_of(connection, row["id"])) for row in rows]
+    found = []
+    for row in connection.execute(query, (*values, limit)).fetchall():
+        result = msgspec.json.decode(row["result"], type=Message) if row["result"] else None
+        items = _items_of(connection, row["id"])
+        found.append(NotificationDelivery(**{**dict(row), "result": result, "items": items}))
+    return found
 
 
 def _items_of(connection: sqlite3.Connection, delivery: int) -> tuple[OutboxItem, ...]:
     query = f"SELECT {', '.join(_ITEM)} FROM notification_item WHERE delivery = ? ORDER BY id"
-    return tuple(_item(row) for row in connection.execute(query, (delivery,)))
-
-
-def _item(row: sqlite3.Row) -> OutboxItem:
-    notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
-    return OutboxItem(**{**dict(row), "notice": notice})
-
-
-def _delivery(row: sqlite3.Row, items: tuple[OutboxItem, ...]) -> NotificationDelivery:
-    result = msgspec.json.decode(row["result"], type=Message) if row["result"] else None
-    return NotificationDelivery(**{**dict(row), "result": result, "items": items})
+    found = []
+    for row in connection.execute(query, (delivery,)):
+        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
+        found.append(OutboxItem(**{**dict(row), "notice": notice}))
+    return tuple(found)
