@@ -47,7 +47,8 @@ class NotificationPlan:
     def __init__(self, settings: NotifySettings) -> None:
         self.settings = settings
         self.rosters = {group.name: _roster_of(group) for group in settings.group}
-        mail = [] if settings.smtp is None else [_rule(settings.smtp, _mail(settings.smtp.to))]
+        smtp = settings.smtp
+        mail = [_rule(smtp, _mail(smtp.to))] if smtp is not None and smtp.to else []
         programs = [*map(_program, settings.webhook), *map(_program, settings.apprise)]
         own = [_rule(each.settings, (each.key,)) for each in programs if each.settings is not None]
         of_groups = [
