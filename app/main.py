@@ -11,7 +11,6 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import feature as alarms
-from app.alarms.notification import feature as notification
 from app.alarms.simulation import feature as simulation
 from app.audit import feature as audit
 from app.audit.log import EventLog
@@ -28,6 +27,7 @@ from app.history import feature as history
 from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
+from app.notification import feature as notification
 from app.recipes import feature as recipes
 from app.server.forwarded import Forwarded
 from app.server.security_headers import SecurityHeaders

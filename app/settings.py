@@ -26,7 +26,7 @@ from app.built_in_settings import BuiltInAlarmSettings, refuse_built_in
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
-from app.notify_settings import NotifySettings, refuse_unknown_names
+from app.notification.settings import NotifySettings, refuse_unknown_names
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError

@@ -12,7 +12,6 @@ from pathlib import Path
 from app.auth.store import Token
 from app.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
 from app.errors import StoreError
-from app.notify_settings import NotifySettings
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -59,12 +58,6 @@ class ExpiryWatch:
             each for each in endings if each and CERTIFICATE_EXPIRING.holds(each[0], now)
         )
         self.is_known = True
-
-
-def certificates_of(notify: NotifySettings) -> set[Path]:
-    """The certificates that the configuration names."""
-    named = (*((notify.smtp.ca_file,) if notify.smtp else ()), *(hook.ca_file for hook in notify.webhook))
-    return {path for path in named if path is not None}
 
 
 def _first(endings: Iterable[Expiry]) -> Message | None:

@@ -8,12 +8,11 @@ from app.alarms import api, occurrences_api, own_api, pages, performance_api
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.control_watch import ControlWatch, HeldControl
-from app.alarms.expiry_watch import ExpiryWatch, certificates_of
+from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.notification.service import Notification
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarmStore
-from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
@@ -63,12 +62,12 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
 
 def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     settings, history, anchoring = services.settings, services[History], services[Anchoring]
-    expiry = ExpiryWatch(services[Accounts].tokens, certificates_of(settings.notify))
+    expiry = ExpiryWatch(services[Accounts].tokens, settings.notify.certificates)
     services.lifespan.add("expiry", expiry.follow)
     conditions = site_conditions(
         lambda: history.status,
         lambda: anchoring.status,
-        lambda: services[Notification].dispatcher.is_failing(),
+        services.add(FailingEndpoints()),
         expiry,
     )
     return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)

@@ -24,10 +24,14 @@ SiteCondition = Callable[[], bool | None]
 SiteValue = Callable[[], Message | None]
 
 
+class FailingEndpoints(set[str]):
+    """The addresses of notification that cannot be reached now. Notification keeps it up to date."""
+
+
 def site_conditions(
     history: Callable[[], Status],
     anchor: Callable[[], AnchorStatus],
-    notification_failed: SiteCondition,
+    failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,
 ) -> dict[str, SiteCondition]:
     """Whether the condition of each alarm of the site holds; None: not known."""
@@ -37,7 +41,7 @@ def site_conditions(
         "audit_degraded": lambda: of_server.AUDIT_DEGRADED.holds(
             anchor() != AnchorStatus(since=anchor().since)
         ),
-        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(notification_failed()),
+        "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
         "certificate_expiring": lambda: expiry.certificate is not None if expiry.is_known else None,
         "token_expiring": lambda: expiry.token is not None if expiry.is_known else None,
     }

@@ -6,13 +6,12 @@ import asyncio
 from collections.abc import Awaitable, Iterator
 from pathlib import Path
 
-from app.alarms.notification import apprise_url, webhook
-from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.alarms.notification.mail import MailServer
-from app.alarms.notification.overview import gap_messages
-from app.alarms.notification.secret_file import NotDeliveredError, can_others_read
 from app.cli.findings import Finding
-from app.notify_settings import AppriseSettings, NotifySettings, WebhookSettings
+from app.notification import apprise_url, webhook
+from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.mail import MailServer
+from app.notification.secret_file import NotDeliveredError, can_others_read
+from app.notification.settings import AppriseSettings, NotifySettings, WebhookSettings
 from bus.messages import Message
 
 CHECK_S = 15.0
@@ -22,7 +21,7 @@ def notification_findings(settings: NotifySettings) -> Iterator[Finding]:
     """The mail server, each program, each roster, and the files of secrets."""
     plan = NotificationPlan(settings)
     for name in plan.rosters:
-        yield from (Finding(message, is_fault=True) for message in gap_messages(plan, name))
+        yield from (Finding(message, is_fault=True) for message in plan.gaps(name))
     if plan.endpoints and settings.dashboard_url is None:
         yield Finding(Message("check_notify_no_links"))
     for path in _secret_files(settings):

@@ -14,6 +14,7 @@ from typing_extensions import TypedDict
 
 from app.auth.pages import address_of
 from app.errors import Problem
+from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.document import APART, SheetDocuments
 from app.handover.pictures import MAX_OF_NOTE
 from app.handover.rules.shift_times import Shift
@@ -29,9 +30,8 @@ from app.handover.sheet import (
     signature_json,
     signed_json,
 )
-from app.handover.signatures import SignedPart
-from app.handover.signing import Signing, SignRequest
-from app.web.access import Operator, Viewer
+from app.handover.signing import ShiftSignRequest, Signing
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.schema_problem import problems
@@ -44,7 +44,7 @@ from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1/shifts", tags=["shifts"], route_class=ApiRoute)
 
-LONGEST_NOTE = 2000
+MAX_NOTE_LENGTH = 2000
 MAX_SHIFTS = 100
 Shifts = Annotated[Handover, service(Handover)]
 Sign = Annotated[Signing, service(Signing)]
@@ -54,7 +54,7 @@ SIGNED_JSON: dict[int | str, dict[str, Any]] = {
     **problems(409),
 }
 HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
-NoteText = Annotated[Lines, Field(min_length=1, max_length=LONGEST_NOTE)]
+NoteText = Annotated[Lines, Field(min_length=1, max_length=MAX_NOTE_LENGTH)]
 
 
 async def _shift_of(
@@ -84,19 +84,6 @@ class ShiftNoteRequest(StrictBody):
         tuple[str, ...],
         Field(strict=False, max_length=MAX_OF_NOTE, description="JPEG, PNG or WebP, each in base64."),
     ] = ()
-
-
-class ShiftSignRequest(StrictBody):
-    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
-
-    part: Annotated[
-        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
-    ] = None
-    digest: Annotated[
-        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
-    ] = None
-    name: Annotated[str, Field(max_length=64)] = ""
-    password: Annotated[str, Field(max_length=1000)] = ""
 
 
 class ShiftSummaryShown(TypedDict):
@@ -162,16 +149,14 @@ async def get_shift_document(_: Viewer, shifts: Shifts, documents: Documents, sh
 @router.post("/{start}/sign")
 async def sign_shift_sheet(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, SIGN.permitted],
     shifts: Shifts,
     signing: Sign,
     shift: ShiftOfPath,
     body: ShiftSignRequest | None = None,
 ) -> ShiftSignatures:
     """Sign the sheet: first the leaving person, which freezes it, then the coming one, another user."""
-    given = body or ShiftSignRequest()
-    wanted = SignRequest(given.part, given.digest, given.name, given.password)
-    await signing.sign(person, address_of(request), shift, wanted)
+    await signing.sign(person, address_of(request), shift, body or ShiftSignRequest())
     signed = signed_json((await shifts.sheet(shift)).signed)
     assert signed is not None
     return signed
@@ -179,7 +164,11 @@ async def sign_shift_sheet(
 
 @router.post("/{start}/notes", status_code=201, max_body_size=MAX_BODY_BYTES)
 async def write_shift_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, body: ShiftNoteRequest, key: RequestKey = None
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    shift: ShiftOfPath,
+    body: ShiftNoteRequest,
+    key: RequestKey = None,
 ) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(

@@ -11,6 +11,7 @@ from app.auth.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
 from app.handover import api, pages
+from app.handover.acts import ACTS
 from app.handover.document import SheetDocuments
 from app.handover.pictures import PictureStore
 from app.handover.service import Handover
@@ -29,4 +30,4 @@ def make(services: Services) -> None:
     services.add(Signing(handover, database, events, services[SignIn], documents.page))
 
 
-FEATURE = Feature(make, (api.router, pages.router))
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

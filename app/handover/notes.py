@@ -12,10 +12,10 @@ from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_NOTES = 500
-"""Of a shift: a sheet is read by people."""
+"""Notes of a shift: a sheet is read by people."""
 MAX_PICTURES = 20
 MAX_OF_SITE = 200_000
-"""Of all shifts: five years with 100 a day."""
+"""Notes of all shifts: five years with 100 a day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?
 
 
 def notes_of(connection: sqlite3.Connection, shift: Shift) -> list[Note]:
-    """In the order of what they are about."""
+    """The notes of a shift in the order of what they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
 
@@ -91,7 +91,11 @@ def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
     if repeated is not None:
         raise RepeatedNoteError(repeated)
     if note.corrects is not None:
-        _check_corrected(connection, note.corrects)
+        query = "SELECT id FROM shift_note WHERE corrects = ?"
+        row = connection.execute(query, (note.corrects,)).fetchone()
+        if row is not None:
+            message = Message.of("shift_note_superseded", note=note.corrects, newer=row["id"])
+            raise Problem(409, "superseded", message, id=row["id"])
     if note.alarm is not None:
         occurrence(connection, note.alarm)
     if (connection.execute("SELECT max(id) FROM shift_note").fetchone()[0] or 0) >= MAX_OF_SITE:
@@ -119,10 +123,3 @@ def find(connection: sqlite3.Connection, number: int, shift: Shift) -> Note:
     if row is None or not shift.holds(row["at"]):
         raise Problem(404, "unknown_note", Message.of("shift_note_unknown", note=number))
     return Note(*row)
-
-
-def _check_corrected(connection: sqlite3.Connection, number: int) -> None:
-    row = connection.execute("SELECT id FROM shift_note WHERE corrects = ?", (number,)).fetchone()
-    if row is not None:
-        message = Message.of("shift_note_superseded", note=number, newer=row["id"])
-        raise Problem(409, "superseded", message, id=row["id"])

@@ -16,7 +16,8 @@ from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
 from app.auth.pages import address_of
-from app.handover.api import LONGEST_NOTE, ShiftOfPath, Shifts, Sign
+from app.handover.acts import SIGN, WRITE_NOTE
+from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
 from app.handover.pictures import MAX_OF_NOTE, PictureStore
 from app.handover.rules.shift_times import Shift
@@ -24,8 +25,8 @@ from app.handover.service import NewNote
 from app.handover.sheet import notes_json
 from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
-from app.handover.signing import SignRequest
-from app.web.access import Operator, Viewer
+from app.handover.signing import ShiftSignRequest
+from app.web.access import Person, Viewer
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render
@@ -39,7 +40,7 @@ ON_A_PAGE = 30
 SEE_OTHER = 303
 Pictures = Annotated[PictureStore, service(PictureStore)]
 FORM_LIMITS: Any = {"max_files": MAX_OF_NOTE, "max_fields": 20}
-FormNoteText = Annotated[Lines, Form(max_length=LONGEST_NOTE)]
+FormNoteText = Annotated[Lines, Form(max_length=MAX_NOTE_LENGTH)]
 PinnedPlace = Annotated[OneLine, Query(max_length=100)]
 PinnedAlarm = Annotated[OneLine, Query(max_length=300)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
@@ -99,13 +100,13 @@ async def sheet_page(
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
     sheet = readable_sheet(found.sheet)
-    notes = [*sheet["notes"], *readable_notes(notes_json(found.later))]
-    corrected = next((note for note in notes if note["id"] == correct), None)
+    later = readable_notes(notes_json(found.later))
+    corrected = next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None)
     return render(
         request,
         "handover/sheet.html",
         sheet=sheet,
-        later=readable_notes(notes_json(found.later)),
+        later=later,
         signed=found.signed,
         missing=found.missing,
         signs_as=person.name if person.via == "session" and not person.panel else "",
@@ -119,7 +120,7 @@ async def sheet_page(
         is_present=shift == shifts.present(),
         is_recent=shifts.quota.is_recent(shift),
         key=secrets.token_urlsafe(16),
-        longest=LONGEST_NOTE,
+        longest=MAX_NOTE_LENGTH,
     )
 
 
@@ -147,7 +148,10 @@ async def _new_note(
 
 @router.post("/shifts/{start}/notes", max_body_size=MAX_BODY_BYTES, form_limits=FORM_LIMITS)
 async def write_note(
-    person: Operator, shifts: Shifts, shift: ShiftOfPath, new: Annotated[NewNote, Depends(_new_note)]
+    person: Annotated[Person, WRITE_NOTE.permitted],
+    shifts: Shifts,
+    shift: ShiftOfPath,
+    new: Annotated[NewNote, Depends(_new_note)],
 ) -> Response:
     """Write a note."""
     note = await shifts.write(person, shift, new)
@@ -157,7 +161,7 @@ async def write_note(
 @router.post("/shifts/{start}/sign")
 async def sign(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, SIGN.permitted],
     signing: Sign,
     shift: ShiftOfPath,
     part: Annotated[SignedPart, Form()],
@@ -166,7 +170,7 @@ async def sign(
     password: Annotated[str, Form(max_length=1000)] = "",
 ) -> Response:
     """Sign as the user of the session, or by name and password."""
-    wanted = SignRequest(part, digest, name, password)
+    wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password)
     await signing.sign(person, address_of(request), shift, wanted)
     return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
 

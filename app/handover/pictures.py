@@ -20,8 +20,8 @@ log = structlog.get_logger()
 FILE = "pictures.db"
 MIGRATIONS = Path(__file__).parent / "migrations"
 MAX_OF_NOTE = 3
-LARGEST = 1024**2
-"""Bytes of one."""
+MAX_PICTURE_BYTES = 1024**2
+"""Bytes of one picture."""
 MB = 1_000_000
 
 
@@ -29,14 +29,14 @@ def judged(contents: Sequence[bytes]) -> dict[str, PlainPicture]:
     """The pictures by the SHA-256 of what is kept of them. Raises Problem 422, CallerError."""
     if len(contents) > MAX_OF_NOTE:
         raise Problem(422, "invalid", Message.of("pictures_too_many", n=MAX_OF_NOTE))
-    if any(len(content) > LARGEST for content in contents):
-        raise Problem(413, "too_large", Message.of("picture_too_long", n=LARGEST // 1024**2))
+    if any(len(content) > MAX_PICTURE_BYTES for content in contents):
+        raise Problem(413, "too_large", Message.of("picture_too_long", n=MAX_PICTURE_BYTES // 1024**2))
     plain = [plain_picture(content) for content in contents]
     return {hashlib.sha256(each.content).hexdigest(): each for each in plain}
 
 
 class PictureStore:
-    """Opened with the first picture: most sites have none."""
+    """The store is opened with the first picture: most sites have none."""
 
     def __init__(self, folder: Path, max_mb: int) -> None:
         self._path = folder / FILE
@@ -45,7 +45,7 @@ class PictureStore:
         self._database: Database | None = None
 
     async def add(self, pictures: dict[str, PlainPicture]) -> None:
-        """Store those that are not there yet. Raises Problem 409 where all pictures have no room for them."""
+        """Store pictures that are not there yet. Raises Problem 409 where there is no room for them."""
         rows = [(digest, each.media_type, each.content) for digest, each in pictures.items()]
         if rows:
             database = await self._opened()
@@ -73,7 +73,7 @@ class PictureStore:
         return PlainPicture(*row)
 
     async def all_of(self, digests: Iterable[str]) -> dict[str, PlainPicture]:
-        """Those of these digests that can be read. Damage costs only the pictures that it is in."""
+        """The pictures of these digests that can be read. Damage costs only the pictures that it is in."""
         found = {}
         for digest in digests:
             try:

@@ -15,7 +15,7 @@ from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 
 MAX_EVENTS = 200
-"""Of one kind on a sheet, the newest; the events page has all."""
+"""Events of one kind on a sheet, the newest; the events page has all."""
 STARTING_S = 60.0
 """An event so shortly before a start of the server belongs to that start."""
 _OUTCOME = "COALESCE(f.outcome, e.outcome, '')"
@@ -63,7 +63,7 @@ class ShiftEvents:
         self._counted = self._count()
 
     def of(self, kinds: Sequence[str]) -> EventsOfShift:
-        """Those of some kinds. A change of several units is one event."""
+        """The events of some kinds. A change of several units is one event."""
         found = [event for kind in kinds for event in self._newest(kind)]
         found.sort(key=lambda event: -event["id"])
         outcomes: Counter[str] = Counter()

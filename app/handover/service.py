@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
-from typing import TypeVar
 from zoneinfo import ZoneInfo
 
 import msgspec
@@ -18,11 +17,12 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem
 from app.handover import notes
+from app.handover.acts import CORRECT_NOTE, WRITE_NOTE
 from app.handover.notes import Note, RepeatedNoteError
 from app.handover.pictures import PictureStore, judged
 from app.handover.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
-from app.handover.sheet import SheetWriter
+from app.handover.sheet import write_sheet
 from app.handover.signatures import (
     LoggedSignature,
     Signature,
@@ -33,7 +33,7 @@ from app.handover.signatures import (
     signed_between,
     signed_sheet,
 )
-from app.notify_settings import minute_of_day
+from app.notification.settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
 from app.web.services import unknown_bus, unknown_unit
@@ -41,7 +41,6 @@ from app.web.shape import iso
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
-T = TypeVar("T")
 CLOCK_SKEW_S = 5.0
 """By which the clock of a client may be ahead."""
 
@@ -63,7 +62,7 @@ class NewNote:
 
 @dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """One row of the list."""
+    """A shift in the list of shifts."""
 
     shift: Shift
     notes: int
@@ -97,7 +96,7 @@ class Handover:
         self.zone = ZoneInfo(settings.site.zone)
         self._units = {bus.name: [unit.id for unit in bus.unit] for bus in settings.bus}
         self._starts = settings.shift.minutes
-        self._sheets = SheetWriter(settings)
+        self._settings = settings
         self._database = database
         self._events = events
         self._pictures = pictures
@@ -129,16 +128,22 @@ class Handover:
         return await self._database.read(lambda connection: _summaries(connection, shifts, latest))
 
     async def sheet(self, shift: Shift) -> SheetOfShift:
-        """The sheet of a shift, as it was signed or as it would be now."""
+        """The sheet of a shift, as it was signed or as it would be now; read at one instant."""
         now = self._clock()
-        return await self._database.read_costly(
-            lambda connection: _at_one_instant(connection, lambda: self._sheet(connection, shift, now))
-        )
+
+        def read(connection: sqlite3.Connection) -> SheetOfShift:
+            connection.execute("BEGIN")
+            try:
+                return self._sheet(connection, shift, now)
+            finally:
+                connection.execute("ROLLBACK")
+
+        return await self._database.read_costly(read)
 
     def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
         signed, missing = self._signed(connection, shift)
         if signed is None:
-            sheet = self._sheets.write(connection, shift, now)
+            sheet = write_sheet(connection, self._settings, shift, now)
             return SheetOfShift(shift, msgspec.json.encode(sheet), None, [], missing)
         known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
         later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
@@ -156,14 +161,19 @@ class Handover:
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""
+        act = WRITE_NOTE if new.corrects is None else CORRECT_NOTE
+        act.check(person)
         self.check_place(new.bus, new.unit)
         self.quota.check(shift)
+        text = new.text.replace("\r\n", "\n").strip()
+        if not text:
+            raise Problem(422, "invalid", Message("shift_note_empty"))
         pictures = await asyncio.to_thread(judged, new.pictures)
         note = Note(
             at=await self._time_of(shift, new),
             written_at=self._clock(),
             who=person.name,
-            text=_given(new.text),
+            text=text,
             bus=new.bus,
             unit=new.unit,
             alarm=new.alarm,
@@ -183,15 +193,13 @@ class Handover:
     async def _store(self, person: Person, shift: Shift, note: Note) -> Note:
         stored: list[int] = []
         start = self.local(shift.start)
-        what = Message.of("event_shift_note", start=start)
+        performed = WRITE_NOTE.by(person, start=start)
         if note.corrects is not None:
-            what = Message.of("event_shift_note_corrected", start=start, note=note.corrects)
+            performed = CORRECT_NOTE.by(person, start=start, note=note.corrects)
         await self._events.record(
-            kind="shift",
-            **person.author,
+            **performed,
             bus=note.bus,
             unit=note.unit,
-            what=what,
             new=note.pictures or None,
             message=note.text,
             also=lambda connection: stored.append(notes.add(connection, note, shift)),
@@ -216,7 +224,7 @@ class Handover:
         return min(at, now)
 
     def check_place(self, bus: str | None, unit: int | None) -> None:
-        """Whether a note can be about it. Raises Problem 404, and 422 for a unit without its bus."""
+        """Check that a note can be about a place. Raises Problem 404, and 422 for a unit without its bus."""
         if bus is not None and bus not in self._units:
             raise unknown_bus(bus, self._units)
         if unit is not None and bus is None:
@@ -242,18 +250,3 @@ def _summaries(connection: sqlite3.Connection, shifts: list[Shift], latest: Unix
         ShiftSummary(shift, count, signatures_of(connection, shift.start))
         for shift, count in zip(listed, notes.counts_of(connection, listed), strict=True)
     ]
-
-
-def _given(text: str) -> str:
-    if not text.strip():
-        raise Problem(422, "invalid", Message("shift_note_empty"))
-    return text.replace("\r\n", "\n").strip()
-
-
-def _at_one_instant(connection: sqlite3.Connection, work: Callable[[], T]) -> T:
-    """What ``work`` reads, without what is written meanwhile."""
-    connection.execute("BEGIN")
-    try:
-        return work()
-    finally:
-        connection.execute("ROLLBACK")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from app.notify_settings import ClockTime, minute_of_day
+from app.notification.settings import ClockTime, minute_of_day
 from bus.messages import Message
 from bus.settings import StrictModel
 
@@ -21,7 +21,7 @@ class ShiftSettings(StrictModel):
 
     @property
     def minutes(self) -> list[int]:
-        """The same as minutes after local midnight."""
+        """The starts as minutes after local midnight."""
         return [minute_of_day(each) for each in self.starts]
 
     @field_validator("starts")

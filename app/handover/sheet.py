@@ -138,60 +138,51 @@ class ShiftSheet(SignedShiftSheet):
     ]
 
 
-class SheetWriter:
-    """Makes the sheets of a site."""
+def write_sheet(
+    connection: sqlite3.Connection, settings: Settings, shift: Shift, now: UnixTime
+) -> dict[str, Any]:
+    """The sheet of a shift as the store is at one instant; in a transaction."""
+    until = min(shift.end, now)
+    seen = Shift(shift.start, until)
+    alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
+    sections = {name: events.of(kinds) for name, kinds in SECTIONS.items()}
+    blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
+    before = last_events(connection, "control", shift.start)
+    return {
+        "start": iso(shift.start),
+        "end": iso(shift.end),
+        "until": iso(until),
+        "made_at": iso(now),
+        "site": settings.site.name,
+        "time_zone": settings.site.zone,
+        "standing": _transitions(entry for entry in alarms if entry.after not in HIDDEN),
+        **{state: _transitions(entry for entry in alarms if entry.after == state) for state in HIDDEN},
+        "drift": _transitions(entry for entry in alarms if entry.code == DRIFT),
+        "blocked": [_event(each) for each in blocked],
+        **{name: _section(each) for name, each in sections.items()},
+        "control_before": [_event(each) for each in before],
+        "notes": notes_json(notes_of(connection, shift)),
+        "omissions": [*map(message_shown, _omissions(connection, settings, seen, alarms))],
+    }
 
-    def __init__(self, settings: Settings) -> None:
-        self._site = settings.site
-        self._zone = ZoneInfo(settings.site.zone)
-        self._units = sum(len(bus.unit) for bus in settings.bus)
 
-    def write(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> dict[str, Any]:
-        """The sheet as the store is at one instant; in a transaction."""
-        until = min(shift.end, now)
-        seen = Shift(shift.start, until)
-        alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
-        sections = {name: events.of(kinds) for name, kinds in SECTIONS.items()}
-        blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
-        before = last_events(connection, "control", shift.start)
-        return {
-            "start": iso(shift.start),
-            "end": iso(shift.end),
-            "until": iso(until),
-            "made_at": iso(now),
-            "site": self._site.name,
-            "time_zone": self._site.zone,
-            "standing": _transitions(entry for entry in alarms if entry.after not in HIDDEN),
-            "shelved": _transitions(entry for entry in alarms if entry.after == "shelved"),
-            "suppressed": _transitions(entry for entry in alarms if entry.after == "suppressed"),
-            "out_of_service": _transitions(entry for entry in alarms if entry.after == "out_of_service"),
-            "drift": _transitions(entry for entry in alarms if entry.code == DRIFT),
-            "blocked": [_event(each) for each in blocked],
-            **{name: _section(each) for name, each in sections.items()},
-            "control_before": [_event(each) for each in before],
-            "notes": notes_json(notes_of(connection, shift)),
-            "omissions": [*map(message_shown, self._omissions(connection, seen, alarms))],
-        }
-
-    def _omissions(
-        self,
-        connection: sqlite3.Connection,
-        shift: Shift,
-        alarms: Sequence[JournalEntry],
-    ) -> Iterator[Message]:
-        begins = first_event_at(connection)
-        if begins is None or begins > shift.start:
-            yield Message("shift_omits_before_record")
-        gap = first_gap(connection, shift)
-        if gap is not None:
-            last, start = (site_time(each, self._zone) for each in gap)
-            yield Message.of("shift_omits_downtime", last=last, start=start)
-        if alarms:
-            yield Message("shift_omits_quality")
-        (golden,) = connection.execute("SELECT count(*) FROM golden_set").fetchone()
-        if golden < self._units:
-            yield Message.of("shift_omits_drift", golden=golden, units=self._units)
-        yield Message("shift_omits_lapse" if self._site.control else "shift_omits_control")
+def _omissions(
+    connection: sqlite3.Connection, settings: Settings, shift: Shift, alarms: Sequence[JournalEntry]
+) -> Iterator[Message]:
+    begins = first_event_at(connection)
+    if begins is None or begins > shift.start:
+        yield Message("shift_omits_before_record")
+    gap = first_gap(connection, shift)
+    if gap is not None:
+        last, start = (site_time(each, ZoneInfo(settings.site.zone)) for each in gap)
+        yield Message.of("shift_omits_downtime", last=last, start=start)
+    if alarms:
+        yield Message("shift_omits_quality")
+    (golden,) = connection.execute("SELECT count(*) FROM golden_set").fetchone()
+    units = sum(len(bus.unit) for bus in settings.bus)
+    if golden < units:
+        yield Message.of("shift_omits_drift", golden=golden, units=units)
+    yield Message("shift_omits_lapse" if settings.site.control else "shift_omits_control")
 
 
 def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:

@@ -62,6 +62,6 @@ def _moment(text: str | None) -> UnixTime | None:
 
 
 def _title(transition: Mapping[str, Any]) -> str | Message:
-    """Of a built-in alarm as a message."""
+    """The name of an alarm; of a built-in one as a message."""
     alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
     return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else str(transition["name"])

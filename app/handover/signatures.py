@@ -21,7 +21,7 @@ SignedPart = Literal["leaving", "coming"]
 EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming": "event_shift_taken_over"}
 
 _LOGGED = """
-SELECT id, json_extract(messages, '$.what.code'), who, time, json_extract(messages, '$.what.params.start')
+SELECT json_extract(messages, '$.what.code'), who, time, id, json_extract(messages, '$.what.params.start')
 FROM events WHERE kind = 'shift' AND about IS NULL
 AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') IN (?, ?) END
 """
@@ -81,13 +81,9 @@ def signatures_of(connection: sqlite3.Connection, start: UnixTime) -> dict[Signe
 
 
 @dataclass(frozen=True, slots=True)
-class LoggedSignature:
+class LoggedSignature(Signature):
     """A signature as the audit log has it. ``start``: of its shift, by the clock of the site."""
 
-    event: int
-    part: SignedPart
-    who: str
-    at: UnixTime
     start: str
 
 
@@ -100,7 +96,7 @@ def missing_signatures(connection: sqlite3.Connection, start: str | None = None)
     query = _LOGGED if not stored else f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)"
     parts = {code: part for part, code in EVENTS.items()}
     found = connection.execute(f"{query} ORDER BY id", tuple(parts))
-    logged = (LoggedSignature(row[0], parts[row[1]], row[2], row[3], row[4] or "") for row in found)
+    logged = (LoggedSignature(parts[row[0]], row[1], row[2], row[3], row[4] or "") for row in found)
     return [each for each in logged if start in (None, each.start)]
 
 

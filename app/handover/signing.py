@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from app.audit.log import EventLog
 from app.auth.signin import SignIn, WrongSecretError
 from app.database import Database
 from app.errors import Problem
 from app.handover import signatures
+from app.handover.acts import SIGN, SIGNATURES
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover
-from app.handover.signatures import EVENTS, FrozenSheet, SignedPart
-from app.web.access import Person, Role
+from app.handover.signatures import FrozenSheet, SignedPart
+from app.web.access import Person
+from app.web.shape import StrictBody
 from bus.instants import Clock, unix_now
-from bus.messages import Message, term
+from bus.messages import Message
 
 PageWriter = Callable[[bytes], bytes]
 """Makes the page of a sheet, in the language of the site, from its JSON."""
@@ -24,15 +28,17 @@ EARLIEST_S = 1800.0
 """Before the end of a shift: people meet before it."""
 
 
-@dataclass(frozen=True, slots=True)
-class SignRequest:
-    """``part`` None: the one that is missing. ``digest``: of the sheet that was read, checked where given.
-    ``name`` with ``password``: who signs, where it is not the user of the session."""
+class ShiftSignRequest(StrictBody):
+    """Who signs what. Without a name it is the user of the session; a token names a user and the password."""
 
-    part: SignedPart | None = None
-    digest: str | None = None
-    name: str = ""
-    password: str = ""
+    part: Annotated[
+        SignedPart | None, Field(description="leaving, then coming; null: the one that is missing.")
+    ] = None
+    digest: Annotated[
+        str | None, Field(max_length=64, description="Of the signed sheet that was read; checked.")
+    ] = None
+    name: Annotated[str, Field(max_length=64)] = ""
+    password: Annotated[str, Field(max_length=1000)] = ""
 
 
 class Signing:
@@ -54,23 +60,26 @@ class Signing:
         self._page_of = page_of
         self._clock = clock
 
-    async def sign(self, person: Person, address: str, shift: Shift, request: SignRequest) -> None:
+    async def sign(self, person: Person, address: str, shift: Shift, request: ShiftSignRequest) -> None:
         """Sign the sheet of a shift. Raises Problem 409 where it is signed already or the other part is due,
         401 for a wrong password, 403 for one who may not sign, and as `Quota.check`."""
+        SIGN.check(person)
         self._handover.quota.check(shift)
-        who = await self._signer(person, address, request)
+        signer = await self._signer(person, address, request)
         signed, missing = await self._handover.signed(shift)
         if missing:
             names = ", ".join(each.who for each in missing)
             raise Problem(409, "not_in_state", Message.of("shift_signature_missing", names=names))
         part = request.part or ("leaving" if signed is None else "coming")
-        signatures.check_turn({} if signed is None else signed.signatures, part, who, self._handover.zone)
+        signatures.check_turn(
+            {} if signed is None else signed.signatures, part, signer.name, self._handover.zone
+        )
         frozen = await self._freeze(shift) if signed is None else signed.frozen
         if request.digest is not None and request.digest != frozen.digest and signed is not None:
             raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=frozen.digest)
         if signed is not None and signed.is_altered:
             raise Problem(409, "not_in_state", Message("shift_sheet_altered"))
-        await self._store(person, who, part, frozen, is_new=signed is None)
+        await self._store(signer, part, frozen, is_new=signed is None)
 
     async def _freeze(self, shift: Shift) -> FrozenSheet:
         earliest = shift.end - EARLIEST_S
@@ -80,24 +89,19 @@ class Signing:
         sheet = (await self._handover.sheet(shift)).sheet
         return FrozenSheet(shift, sheet, self._page_of(sheet))
 
-    async def _store(
-        self, person: Person, who: str, part: SignedPart, frozen: FrozenSheet, *, is_new: bool
-    ) -> None:
+    async def _store(self, signer: Person, part: SignedPart, frozen: FrozenSheet, *, is_new: bool) -> None:
         start, now = frozen.shift.start, self._clock()
 
         def store(connection: sqlite3.Connection) -> None:
             there = signatures.signatures_of(connection, start)
-            signatures.check_turn(there, part, who, self._handover.zone)
+            signatures.check_turn(there, part, signer.name, self._handover.zone)
             if is_new:
                 signatures.freeze(connection, frozen)
-            signatures.add(connection, start, part, who, now)
+            signatures.add(connection, start, part, signer.name, now)
 
         await self._events.record(
-            kind="shift",
-            who=who,
-            origin=person.via,
-            what=Message.of(
-                EVENTS[part],
+            **SIGNATURES[part].by(
+                signer,
                 start=self._handover.local(start),
                 digest=frozen.digest,
                 page_digest=frozen.page_digest,
@@ -106,21 +110,18 @@ class Signing:
             also=store,
         )
 
-    async def _signer(self, person: Person, address: str, request: SignRequest) -> str:
-        if request.name or request.password:
-            return await self._named(request.name.strip(), request.password, address)
-        if person.via != "session" or person.panel:
-            raise Problem(403, "forbidden", Message("shift_sign_needs_person"))
-        return person.name
-
-    async def _named(self, name: str, password: str, address: str) -> str:
+    async def _signer(self, person: Person, address: str, request: ShiftSignRequest) -> Person:
+        """The user of the name and password, where they are given; else that of the session."""
+        if not request.name and not request.password:
+            if person.via != "session" or person.panel:
+                raise Problem(403, "forbidden", Message("shift_sign_needs_person"))
+            return person
+        name = request.name.strip()
         try:
-            user = await self._sign_in.identify(name, password, address)
+            user = await self._sign_in.identify(name, request.password, address)
         except WrongSecretError:
             await self._sign_in.note_refusal(name, address)
             raise
-        if not user.role.includes(Role.OPERATOR):
-            role, present = term(Role.OPERATOR), term(user.role)
-            message = Message.of("role_needed", role=role, name=user.name, present=present)
-            raise Problem(403, "forbidden", message)
-        return user.name
+        signer = Person(user.name, user.role, person.via)
+        SIGN.check(signer)
+        return signer

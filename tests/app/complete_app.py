@@ -16,7 +16,7 @@ from app.auth.accounts import Accounts
 from app.feature import Services
 from app.handover.settings import ShiftSettings
 from app.main import create_app
-from app.notify_settings import NotifySettings
+from app.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings

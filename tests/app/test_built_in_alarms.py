@@ -10,7 +10,7 @@ import pytest
 
 from app.alarms.control_watch import ControlWatch
 from app.alarms.expiry_watch import ExpiryWatch
-from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
@@ -237,7 +237,7 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
         return tokens
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
-    conditions = site_conditions(lambda: Status(), AnchorStatus, lambda: False, expiry)
+    conditions = site_conditions(lambda: Status(), AnchorStatus, FailingEndpoints(), expiry)
     site = SiteAlarms(conditions, site_values(expiry), AlarmStore(database))
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))

@@ -19,7 +19,8 @@ from app.audit.log import EventLog
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
-from app.handover.service import Handover
+from app.errors import Problem
+from app.handover.service import Handover, NewNote
 from app.live.state.bus_live import LiveState
 from app.web.access import Person, Role
 from bus.contract import BusLink, Reading
@@ -95,6 +96,17 @@ async def test_the_sheet_is_made_from_the_store(house: House) -> None:
     assert found["done"]["outcomes"] == {"": 3, "unverified": 1, "verified": 2}
     assert [each["old"] for each in found["done"]["events"] if each["kind"] == "command"] == ["1"] * 3
     assert {each["code"] for each in found["omissions"]} >= {"shift_omits_drift", "shift_omits_control"}
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    shifts, person = house.services[Handover], Person("vic", role, "session")
+    for new in (NewNote("Felt changed"), NewNote("Felt changed", corrects=1)):
+        with pytest.raises(Problem, match="role operator") as refused:
+            await shifts.write(person, shifts.present(), new)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (await sheet(await house.program(Role.VIEWER)))["notes"] == []
+    assert await house.events("shift") == []
 
 
 async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_name_them(house: House) -> None:

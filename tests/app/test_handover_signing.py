@@ -17,10 +17,12 @@ from typer.testing import CliRunner
 from app.audit.log import EventLog
 from app.cli import cli
 from app.database.migrating import MIGRATIONS
+from app.errors import Problem
 from app.handover.service import Handover
+from app.handover.sheet import write_sheet
 from app.handover.signatures import missing_signatures
-from app.handover.signing import Signing
-from app.web.access import Role
+from app.handover.signing import ShiftSignRequest, Signing
+from app.web.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.played_line import BUS, played_line
@@ -122,13 +124,12 @@ async def test_a_signed_sheet_does_not_change_with_what_it_was_made_from(house: 
 async def test_a_sheet_that_an_earlier_version_signed_states_nothing_of_suppressed_alarms(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ann, sheets = await house.signed_in(Role.OPERATOR, "ann"), house.services[Handover]._sheets
-    now_written = sheets.write
+    ann = await house.signed_in(Role.OPERATOR, "ann")
 
     def as_before(*given: Any) -> dict[str, Any]:
-        return {name: value for name, value in now_written(*given).items() if name != "suppressed"}
+        return {name: value for name, value in write_sheet(*given).items() if name != "suppressed"}
 
-    monkeypatch.setattr(sheets, "write", as_before)
+    monkeypatch.setattr("app.handover.service.write_sheet", as_before)
     await sign(ann)
     monkeypatch.undo()
     found = await sheet(ann)
@@ -170,6 +171,18 @@ async def test_who_may_not_sign_signs_nothing(house: House) -> None:
     assert early.status_code == 422
     assert (await sign(operator, part="both")).status_code == 422
     assert (await sheet(operator))["signed"] is None
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    ann = await house.signed_in(Role.OPERATOR, "ann")
+    shift = await house.services[Handover].shift_of(datetime.fromisoformat(await last(ann)))
+    for request in (ShiftSignRequest(), ShiftSignRequest(name="ann", password=PASSWORD)):
+        with pytest.raises(Problem, match="role operator") as refused:
+            await house.services[Signing].sign(Person("vic", role, "session"), "192.0.2.7", shift, request)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (await sheet(ann))["signed"] is None
+    assert await house.events("shift") == []
 
 
 async def test_a_shift_is_signed_from_half_an_hour_before_its_end_on(

@@ -5,17 +5,16 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.notification.rules.delivery import (
+from app.notification.rules.delivery import (
     GATHER_S,
     GIVE_UP_S,
-    LONGEST_RETRY_S,
-    TRANSITIONS,
+    MAX_RETRY_S,
     DeliveryTurn,
     EndpointLoad,
     Retry,
     next_turn,
     retry_after_s,
-    trigger_of_failure,
+    state_after_failure,
 )
 from bus.instants import UnixTime
 
@@ -67,24 +66,18 @@ def test_new_items_go_before_those_that_were_refused() -> None:
 
 
 def test_a_clock_that_was_set_back_delays_no_retry() -> None:
-    assert turn(EndpointLoad([], [Retry(7, 1, at(-LONGEST_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
+    assert turn(EndpointLoad([], [Retry(7, 1, at(-MAX_RETRY_S - 1))], [])) == DeliveryTurn(retry=7)
     assert turn(EndpointLoad([(1, at(-3600))], [], [at(60), at(30)])) == DeliveryTurn(items=(1,))
 
 
 def test_the_wait_doubles_up_to_a_quarter_of_an_hour() -> None:
     assert [retry_after_s(n) for n in (1, 2, 3)] == [5.0, 10.0, 20.0]
-    assert retry_after_s(10_000) == LONGEST_RETRY_S
+    assert retry_after_s(10_000) == MAX_RETRY_S
 
 
 def test_a_message_is_given_up_after_a_day() -> None:
-    assert trigger_of_failure(at(GIVE_UP_S - 1), NOW) == "fail"
-    assert trigger_of_failure(at(GIVE_UP_S), NOW) == "give_up"
-
-
-def test_what_has_ended_never_leaves_again() -> None:
-    ended = {"delivered", "failed", "canceled"}
-    assert {state for state, _ in TRANSITIONS} == {"sending", "retrying"}
-    assert set(TRANSITIONS.values()) == ended | {"sending", "retrying"}
+    assert state_after_failure(at(GIVE_UP_S - 1), NOW) == "retrying"
+    assert state_after_failure(at(GIVE_UP_S), NOW) == "failed"
 
 
 retries = st.lists(
@@ -101,4 +94,4 @@ def test_there_is_always_a_turn_or_an_end_of_the_wait(
     is_idle = not items and not several
     assert is_idle == (found == DeliveryTurn())
     if found.wait_s is not None:
-        assert 0 < found.wait_s <= LONGEST_RETRY_S
+        assert 0 < found.wait_s <= MAX_RETRY_S

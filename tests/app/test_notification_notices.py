@@ -8,7 +8,9 @@ from datetime import datetime
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.alarms.notification.rules.notices import (
+from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.alarms.store import JournalEntry
+from app.notification.rules.notices import (
     LATE_S,
     Episode,
     NotificationRule,
@@ -16,8 +18,7 @@ from app.alarms.notification.rules.notices import (
     due_at,
     follow,
 )
-from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry
+from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime
 
 LOCAL = datetime(2026, 11, 22, 12)
@@ -40,7 +41,7 @@ def entry(
 def rule(
     *to: str, after_s: float = 0.0, priority: str = "high", buses: Sequence[str] = ()
 ) -> NotificationRule:
-    return NotificationRule(frozenset([priority]), frozenset(buses), after_s, lambda _: to)  # type: ignore[list-item]
+    return NotificationRule([priority], buses, after_s, DutyRoster(to))  # type: ignore[list-item]
 
 
 RISE = entry(1, "rise", "normal", "unack_active")

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.notification.rules.heartbeat import heartbeat_due
-from app.alarms.notification.rules.roster import DutyPeriod, DutyRoster, minute_of_week
+from app.notification.rules.heartbeat import heartbeat_due
+from app.notification.rules.roster import DutyPeriod, DutyRoster, minute_of_week
 
 MONDAY = datetime(2026, 11, 23)
 DAY = 1440

@@ -14,8 +14,8 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from app.alarms.notification import mail, webhook
 from app.cli import check
+from app.notification import mail, webhook
 from app.settings import load
 from tests.app.configured import faults_of
 from tests.app.notification_servers import mail_server, receiver

@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
-from app.alarms.notification import apprise_url
-from app.alarms.notification.compose import Composer, Letter, hook_body
-from app.alarms.notification.endpoints import NotificationEndpoint
-from app.alarms.notification.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.alarms.notification.senders import Senders
 from app.messages.languages import Languages
-from app.notify_settings import AppriseSettings
+from app.notification import apprise_url
+from app.notification.compose import Composer, Letter, hook_body
+from app.notification.endpoints import NotificationEndpoint
+from app.notification.notice import AlarmNotice, NoticeKind, OutboxItem
+from app.notification.outbox import NotificationDelivery
+from app.notification.secret_file import NotDeliveredError
+from app.notification.senders import Senders
+from app.notification.settings import AppriseSettings
 from app.web.formats import Formats
 from bus.instants import UnixTime
 from bus.messages import Message

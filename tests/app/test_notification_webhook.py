@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from app.alarms.notification import webhook
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.notify_settings import WebhookSettings
+from app.notification import webhook
+from app.notification.secret_file import NotDeliveredError
+from app.notification.settings import WebhookSettings
 from bus.instants import UnixTime
 from tests.app.notification_servers import certificate, receiver, server_context
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.alarms.notification.maintenance import Maintenance, recurring_of
-from app.alarms.notification.rules.recurring import RecurringMaintenance, first_at
-from app.alarms.notification.service import Notification
 from app.audit.log import EventLog
-from app.notify_settings import DAYS, MaintenanceSettings, NotifySettings, SmtpSettings
+from app.notification.maintenance import Maintenance
+from app.notification.rules.recurring import first_at, recurring_spans
+from app.notification.service import Notification
+from app.notification.settings import DAYS, DayOfWeek, MaintenanceSettings, NotifySettings, SmtpSettings
 from app.settings import load
 from app.web.access import Role
 from bus.instants import UnixTime, unix_now
@@ -30,18 +30,12 @@ CHANGES = {"spring": date(2027, 3, 28), "autumn": date(2026, 10, 25)}
 TABLE = '[[notify.maintenance]]\nstarts = "22:00"\nends = "02:00"\nuntil = 2027-03-31\nreason = "felt wash"\n'
 
 
-def minute(clock: str) -> int:
-    return 60 * int(clock[:2]) + int(clock[3:])
+def window(starts: str, ends: str, *days: DayOfWeek, until: date = date(2099, 1, 1)) -> MaintenanceSettings:
+    return MaintenanceSettings(days=days or DAYS, starts=starts, ends=ends, until=until, reason="wash")
 
 
-def window(starts: str, ends: str, *days: int, until: date = date(2099, 1, 1)) -> RecurringMaintenance:
-    return RecurringMaintenance(
-        frozenset(days or range(7)), minute(starts), minute(ends), until, (None,), "wash"
-    )
-
-
-def shown(recurring: RecurringMaintenance, first: date, last: date) -> list[tuple[str, str]]:
-    return [(utc(span.starts), utc(span.ends)) for span in recurring.spans(first, last, BERLIN)]
+def shown(recurring: MaintenanceSettings, first: date, last: date) -> list[tuple[str, str]]:
+    return [(utc(span.starts), utc(span.ends)) for span in recurring_spans(recurring, first, last, BERLIN)]
 
 
 def utc(at: UnixTime) -> str:
@@ -80,10 +74,10 @@ def test_over_the_changes_it_ends_by_the_clock_of_the_next_day() -> None:
 def test_it_begins_on_its_days_up_to_the_last() -> None:
     monday = date(2026, 11, 23)
     found = shown(
-        window("06:00", "07:00", 0, 2, until=date(2026, 11, 30)), monday, monday + timedelta(days=30)
+        window("06:00", "07:00", "mon", "wed", until=date(2026, 11, 30)), monday, monday + timedelta(days=30)
     )
     assert [start for start, _ in found] == ["23. 05:00", "25. 05:00", "30. 05:00"]
-    over_midnight = window("22:00", "02:00", 0, until=monday)
+    over_midnight = window("22:00", "02:00", "mon", until=monday)
     assert shown(over_midnight, monday, monday + timedelta(days=7)) == [("23. 21:00", "24. 01:00")]
     assert shown(window("06:00", "07:00", until=date(2020, 1, 1)), monday, monday) == []
 
@@ -105,8 +99,8 @@ def test_no_earlier_moment_shows_the_clock_or_has_passed_it(
 def test_the_configuration_is_read_and_its_faults_are_named(tmp_path: Path) -> None:
     bus = f'[[bus]]\nname = "{BUS}"\nport = "/dev/null"\n'
     assert faults_of(tmp_path, bus + TABLE) == ""
-    (recurring,) = recurring_of(load(tmp_path / "lineside.toml").notify.maintenance)
-    assert (recurring.starts, recurring.until, recurring.buses) == (1320, date(2027, 3, 31), (None,))
+    (recurring,) = load(tmp_path / "lineside.toml").notify.maintenance
+    assert (recurring.starts, recurring.until, recurring.buses) == ("22:00", date(2027, 3, 31), ())
     for wrong, words in (
         ('until = "2027-03-31"', "a day without quotes"),
         ("until = 2027-03-31T06:00:00", "a day without quotes"),
@@ -167,7 +161,7 @@ async def test_its_spans_follow_the_day(tmp_path: Path) -> None:
         daily = window("22:00", "02:00", until=date(2026, 11, 24))
         clock = [now]
         maintenance = Maintenance(
-            notification.store, house.services[EventLog], [daily], BERLIN, lambda: clock[0]
+            notification.store, house.services[EventLog], [daily], BERLIN, [BUS], lambda: clock[0]
         )
         covered = []
         for hour in range(0, 72, 6):

@@ -29,7 +29,7 @@ _EXIF = b"Exif\0\0"
 _FRAMES = frozenset((*range(0xC0, 0xD0),)) - {0xC4, 0xC8, 0xCC}
 """SOF0 to SOF15: these hold the size."""
 _JPEG_KEPT = _FRAMES | {0xC4, 0xCC, 0xDA, 0xDB, 0xDC, 0xDD, 0xEE}
-"""And tables, scans, restart intervals and Adobe's segment, which states how colors are coded."""
+"""Frames, tables, scans, restart intervals and Adobe's segment, which states how colors are coded."""
 _IN_SCAN = (0x00, *range(0xD0, 0xD8))
 """Bytes after 0xFF that are data of a scan."""
 

@@ -18,7 +18,7 @@ class NotDeliveredError(LinesideError):
 
 
 def read_secret(path: Path) -> bytes:
-    """The content without its final newline. Raises NotDeliveredError."""
+    """Return the content of a file without its final newline. Raises NotDeliveredError."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with os.fdopen(descriptor, "rb") as file:
@@ -35,7 +35,7 @@ def read_secret(path: Path) -> bytes:
 
 
 def read_secret_text(path: Path) -> str:
-    """The same as text of one line of ASCII. Raises NotDeliveredError."""
+    """Return the content of a file as one line of ASCII. Raises NotDeliveredError."""
     try:
         text = read_secret(path).decode("ascii").strip()
     except UnicodeDecodeError:

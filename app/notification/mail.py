@@ -13,14 +13,14 @@ from email.policy import SMTP as SMTP_POLICY
 from email.utils import format_datetime
 from typing import Any
 
-from app.alarms.notification.compose import Letter
-from app.alarms.notification.in_thread import in_thread
-from app.alarms.notification.secret_file import NotDeliveredError, mail_password
-from app.notify_settings import SmtpSettings
+from app.notification.compose import Letter
+from app.notification.in_thread import in_thread
+from app.notification.secret_file import NotDeliveredError, mail_password
+from app.notification.settings import SmtpSettings
 from bus.messages import Message
 
 SOCKET_S = 10.0
-LONGEST_REASON = 300
+MAX_REASON_LENGTH = 300
 
 
 class MailServer:
@@ -31,14 +31,15 @@ class MailServer:
 
     async def send(self, to: str, letter: Letter) -> None:
         """Deliver to the mail server. Raises NotDeliveredError."""
-        message = _message(self._settings.sender, to, letter)
-        await self._run(lambda server: _submit(server, message, self._settings.sender, to))
+        sender = self._settings.sender
+        message = _message(sender, to, letter)
+        await self._run(lambda server: server.send_message(message, from_addr=sender, to_addrs=[to]))
 
     async def test(self) -> None:
         """Connect, encrypt and sign in; nothing is sent. Raises NotDeliveredError."""
         await self._run(lambda _: None)
 
-    async def _run(self, work: Callable[[smtplib.SMTP], None]) -> None:
+    async def _run(self, work: Callable[[smtplib.SMTP], object]) -> None:
         connection = _Connection(self._settings)
         await in_thread(lambda: connection.run(work), stop=connection.end)
 
@@ -50,7 +51,7 @@ class _Connection:
     settings: SmtpSettings
     _server: smtplib.SMTP | None = None
 
-    def run(self, work: Callable[[smtplib.SMTP], None]) -> None:
+    def run(self, work: Callable[[smtplib.SMTP], object]) -> None:
         try:
             self._server = server = _connected(self.settings)
             try:
@@ -95,10 +96,6 @@ def _secure(server: smtplib.SMTP, settings: SmtpSettings) -> None:
         server.ehlo()
     if settings.user:
         server.login(settings.user, mail_password(settings.password_file))
-
-
-def _submit(server: smtplib.SMTP, message: EmailMessage, sender: str, to: str) -> None:
-    server.send_message(message, from_addr=sender, to_addrs=[to])
 
 
 def _message(sender: str, to: str, letter: Letter) -> EmailMessage:
@@ -152,4 +149,4 @@ def _shown(code: int, text: bytes | str) -> str:
     """What the server replied, on one line: it may hold any bytes."""
     words = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
     line = " ".join("".join(sign if sign.isprintable() else " " for sign in words).split())
-    return f"{code} {line}"[:LONGEST_REASON]
+    return f"{code} {line}"[:MAX_REASON_LENGTH]

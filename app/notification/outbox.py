@@ -5,18 +5,18 @@ from __future__ import annotations
 import secrets
 import sqlite3
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 import msgspec
 
-from app.alarms.notification.notice import AlarmNotice, NoticeKind, OutboxItem
-from app.alarms.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from app.database import Database
+from app.notification.notice import AlarmNotice, OutboxItem
+from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ITEMS = 200
-"""In one message."""
+"""Items in one message."""
 MAX_AGE_S = 90 * 86_400.0
 STANDING = "standing:"
 """Begins the key of an item of an alarm that stood at a start."""
@@ -39,10 +39,21 @@ class NotificationDelivery:
 
 
 _DELIVERY = tuple(field.name for field in fields(NotificationDelivery) if field.name != "items")
+_ITEM = tuple(field.name for field in fields(OutboxItem))
+_VALUES = ":key, :kind, :created_at, :notice, :alarm, :occurrence"
+_INTO = f"INSERT OR IGNORE INTO notification_item ({_VALUES.replace(':', '')}, endpoint)"
+_NOTIFIED = "FROM notification_item WHERE alarm = :alarm AND occurrence = :occurrence AND kind = 'alarm'"
+_OF_ENDPOINT = f"{_NOTIFIED} AND endpoint = :endpoint"
+ADD = f"{_INTO} VALUES ({_VALUES}, :endpoint)"
+"""Items that are not there yet."""
+ADD_NEW = f"{_INTO} SELECT {_VALUES}, :endpoint WHERE NOT EXISTS (SELECT 1 {_OF_ENDPOINT})"
+"""Items for addresses that were not notified of their occurrence yet."""
+ADD_TO_NOTIFIED = f"{_INTO} SELECT {_VALUES}, endpoint {_NOTIFIED} GROUP BY endpoint ORDER BY min(id)"
+"""Items for each address that was notified of their occurrence."""
 
 
 class NotificationOutbox:
-    """Access to its tables. A delivery leaves in the order of its states."""
+    """Access to the tables of the outbox."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -50,7 +61,7 @@ class NotificationOutbox:
     async def add(self, items: Iterable[OutboxItem]) -> None:
         """Put items into the outbox that are not there yet."""
         several = list(items)
-        await self._database.write(lambda connection: insert_items(connection, several))
+        await self._database.write(lambda connection: put(connection, ADD, several))
 
     async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
         """At start: what was being sent is tried again, and what is for no address that is configured is
@@ -90,17 +101,16 @@ class NotificationOutbox:
         await self._database.write(write)
 
     async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
-        """What there is for one address."""
+        """Return what there is to send to one address, and what was sent lately."""
 
         def read(connection: sqlite3.Connection) -> EndpointLoad:
-            waiting = "SELECT id, created_at FROM notification_item WHERE delivery IS NULL AND endpoint = ?"
-            standing = "substr(key, 1, ?) = ?", (len(STANDING), STANDING)
-            items, at_start = (
-                connection.execute(
-                    f"{waiting} AND {where} ORDER BY id LIMIT ?", (endpoint, *values, MAX_ITEMS)
-                ).fetchall()
-                for where, values in ((f"NOT ({standing[0]} AND ?)", (*standing[1], collects)), standing)
-            )
+            waiting = connection.execute(
+                "SELECT id, created_at, substr(key, 1, ?) = ? AS stood FROM notification_item "
+                "WHERE delivery IS NULL AND endpoint = ? ORDER BY stood, id LIMIT ?",
+                (len(STANDING), STANDING, endpoint, MAX_ITEMS),
+            ).fetchall()
+            items = [(id, at) for id, at, stood in waiting if not (stood and collects)]
+            standing = [(id, at) for id, at, stood in waiting if stood and collects]
             retries = connection.execute(
                 "SELECT id, attempts, due FROM notification_delivery "
                 "WHERE state = 'retrying' AND endpoint = ?",
@@ -112,11 +122,11 @@ class NotificationOutbox:
                 (endpoint, float(now - FLOOD_WINDOW_S)),
             )
             return EndpointLoad(
-                [tuple(row) for row in items],
+                items,
                 [Retry(*row) for row in retries],
                 [row["tried_at"] for row in sent],
                 collects,
-                [tuple(row) for row in at_start] if collects else (),
+                standing,
             )
 
         return await self._database.read(read)
@@ -141,7 +151,7 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def resume(self, id: int) -> NotificationDelivery:
-        """Try a delivery again."""
+        """Take up a delivery that is to be tried again, as being sent."""
 
         def write(connection: sqlite3.Connection) -> NotificationDelivery:
             connection.execute(
@@ -153,12 +163,22 @@ class NotificationOutbox:
         return await self._database.write(write)
 
     async def conclude(self, delivery: NotificationDelivery) -> None:
-        """Write what an attempt has led to."""
+        """Write the result of an attempt."""
         await self._database.write(self.conclusion(delivery))
 
     def conclusion(self, delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
-        """The same as a part of another transaction."""
-        return _conclusion(delivery)
+        """Return what writes the result of an attempt, as a part of another transaction."""
+        result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
+        times = float(delivery.tried_at), float(delivery.due)
+
+        def write(connection: sqlite3.Connection) -> None:
+            connection.execute(
+                "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
+                "WHERE id = ? AND state = 'sending'",
+                (delivery.state, delivery.attempts, *times, result, delivery.id),
+            )
+
+        return write
 
     async def deliveries(self, limit: int, before: int | None) -> list[NotificationDelivery]:
         """The newest deliveries first; ``before``: older than this one."""
@@ -187,26 +207,14 @@ class NotificationOutbox:
         return await self._database.read(lambda connection: _select(connection, where, values, limit))
 
 
-def _conclusion(delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
-    """The writing of what an attempt has led to."""
-    result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
-    values = (
-        delivery.state,
-        delivery.attempts,
-        float(delivery.tried_at),
-        float(delivery.due),
-        result,
-        delivery.id,
-    )
+def put(connection: sqlite3.Connection, how: str, items: Iterable[OutboxItem]) -> None:
+    """Put items into the outbox; ``how`` is `ADD`, `ADD_NEW` or `ADD_TO_NOTIFIED`."""
+    connection.executemany(how, map(_row, items))
 
-    def write(connection: sqlite3.Connection) -> None:
-        connection.execute(
-            "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
-            "WHERE id = ? AND state = 'sending'",
-            values,
-        )
 
-    return write
+def _row(item: OutboxItem) -> dict[str, object]:
+    notice = None if item.notice is None else msgspec.json.encode(item.notice).decode()
+    return {**asdict(item), "created_at": float(item.created_at), "notice": notice}
 
 
 def _select(
@@ -214,82 +222,18 @@ def _select(
 ) -> list[NotificationDelivery]:
     """The newest deliveries first, with their items."""
     query = f"SELECT {', '.join(_DELIVERY)} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
-    rows = connection.execute(query, (*values, limit)).fetchall()
-    return [_delivery(row, _items_of(connection, row["id"])) for row in rows]
-
-
-def insert_items(connection: sqlite3.Connection, items: Iterable[OutboxItem]) -> None:
-    """Put items into the outbox that are not there yet."""
-    connection.executemany(
-        "INSERT OR IGNORE INTO notification_item "
-        "(key, endpoint, kind, created_at, notice, alarm, occurrence) VALUES (?, ?, ?, ?, ?, ?, ?)",
-        [
-            (
-                item.key,
-                item.endpoint,
-                item.kind,
-                float(item.created_at),
-                None if item.notice is None else msgspec.json.encode(item.notice).decode(),
-                item.alarm,
-                item.occurrence,
-            )
-            for item in items
-        ],
-    )
-
-
-_IS_NOTIFIED = """
-SELECT 1 FROM notification_item
-WHERE alarm = ? AND occurrence = ? AND endpoint = ? AND kind = 'alarm'"""
-
-
-def insert_standing(connection: sqlite3.Connection, items: Iterable[OutboxItem]) -> None:
-    """Put items into the outbox for those addresses that were not notified of the occurrence yet."""
-    for item in items:
-        if connection.execute(_IS_NOTIFIED, (item.alarm, item.occurrence, item.endpoint)).fetchone() is None:
-            insert_items(connection, [item])
-
-
-def to_notified(connection: sqlite3.Connection, item: OutboxItem) -> list[OutboxItem]:
-    """``item`` for each address that was notified of its occurrence."""
-    rows = connection.execute(
-        "SELECT DISTINCT endpoint FROM notification_item "
-        "WHERE alarm = ? AND occurrence = ? AND kind = 'alarm' ORDER BY id",
-        (item.alarm, item.occurrence),
-    )
-    return [
-        OutboxItem(
-            item.key, row["endpoint"], item.kind, item.created_at, item.notice, item.alarm, item.occurrence
-        )
-        for row in rows.fetchall()
-    ]
+    found = []
+    for row in connection.execute(query, (*values, limit)).fetchall():
+        result = msgspec.json.decode(row["result"], type=Message) if row["result"] else None
+        items = _items_of(connection, row["id"])
+        found.append(NotificationDelivery(**{**dict(row), "result": result, "items": items}))
+    return found
 
 
 def _items_of(connection: sqlite3.Connection, delivery: int) -> tuple[OutboxItem, ...]:
-    rows = connection.execute(
-        "SELECT key, endpoint, kind, created_at, notice, alarm, occurrence, id FROM notification_item "
-        "WHERE delivery = ? ORDER BY id",
-        (delivery,),
-    )
-    return tuple(_item(row) for row in rows)
-
-
-def _item(row: sqlite3.Row) -> OutboxItem:
-    notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
-    kind: NoticeKind = row["kind"]
-    return OutboxItem(
-        row["key"],
-        row["endpoint"],
-        kind,
-        row["created_at"],
-        notice,
-        row["alarm"],
-        row["occurrence"],
-        row["id"],
-    )
-
-
-def _delivery(row: sqlite3.Row, items: tuple[OutboxItem, ...]) -> NotificationDelivery:
-    values = {name: row[name] for name in _DELIVERY}
-    result = msgspec.json.decode(values["result"], type=Message) if values["result"] else None
-    return NotificationDelivery(**values | {"result": result, "items": items})
+    query = f"SELECT {', '.join(_ITEM)} FROM notification_item WHERE delivery = ? ORDER BY id"
+    found = []
+    for row in connection.execute(query, (delivery,)):
+        notice = None if row["notice"] is None else msgspec.json.decode(row["notice"], type=AlarmNotice)
+        found.append(OutboxItem(**{**dict(row), "notice": notice}))
+    return tuple(found)

@@ -10,12 +10,13 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.notification.api import Notifying, begin
-from app.alarms.notification.dispatcher import subject_of
-from app.alarms.notification.maintenance import MAX_MINUTES
-from app.alarms.notification.overview import clock_text, duties, endpoint_statuses
 from app.errors import Problem
-from app.web.access import Engineer, Operator, Viewer
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
+from app.notification.api import Notifying
+from app.notification.dispatcher import subject_of
+from app.notification.maintenance import MAX_MINUTES
+from app.notification.settings import DAYS
+from app.web.access import Engineer, Operator, Person, Viewer
 from app.web.templating import render
 from bus.messages import Message
 from bus.text import OneLine
@@ -42,12 +43,11 @@ async def notification_page(
     return render(
         request,
         "notification/page.html",
-        endpoints=await endpoint_statuses(notification),
-        groups=duties(notification),
+        endpoints=await notification.statuses(),
+        groups=notification.duties(),
         maintenance=notification.maintenance.present(),
         windows=notification.maintenance.windows(),
-        clock_text=clock_text,
-        days={day: Message(f"day_{day}") for day in range(7)},
+        days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
         buses=notification.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
         deliveries=[
@@ -61,16 +61,18 @@ async def notification_page(
 
 @router.post("/notifications/test")
 async def send_test(
-    _: Engineer, notification: Notifying, endpoint: Annotated[str, Form(max_length=400)]
+    person: Annotated[Person, SEND_TEST.permitted],
+    notification: Notifying,
+    endpoint: Annotated[str, Form(max_length=400)],
 ) -> Response:
     """Send a test message; the page then shows its result."""
-    await notification.dispatcher.test(notification.endpoint(endpoint))
+    await notification.test(person, endpoint)
     return _to_page()
 
 
 @router.post("/notifications/maintenance")
 async def begin_maintenance(
-    person: Engineer,
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted],
     notification: Notifying,
     minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
     bus: Annotated[str, Form(max_length=80)] = "",
@@ -79,12 +81,14 @@ async def begin_maintenance(
     """Notify nothing for a time."""
     if not reason.strip():
         raise Problem(422, "invalid", Message("maintenance_needs_reason"))
-    await begin(notification, person, bus or None, minutes, reason.strip())
+    await notification.maintenance.begin(person, bus or None, minutes, reason.strip())
     return _to_page()
 
 
 @router.post("/notifications/maintenance/{maintenance_id}/end")
-async def end_maintenance(person: Engineer, notification: Notifying, maintenance_id: int) -> Response:
+async def end_maintenance(
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
+) -> Response:
     """Notify again."""
     await notification.maintenance.end(person, maintenance_id)
     return _to_page()

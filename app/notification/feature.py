@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.notification import api, pages
-from app.alarms.notification.service import Notification
-from app.alarms.site_alarms import SiteAlarms
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms
 from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
+from app.notification import api, pages
+from app.notification.acts import ACTS
+from app.notification.service import Notification
 from app.web.templating import Templates
 
 
 def make(services: Services) -> None:
     database, events, languages = services[Database], services[EventLog], services[Templates].languages
+    failing = services[FailingEndpoints]
     notification = services.add(
-        Notification(services.settings, database, events, languages, services.local_time)
+        Notification(services.settings, database, events, failing, languages, services.local_time)
     )
+    services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]
         notifier = bus.add(notification.notifier(name, alarms.list, alarms.place))
-        services.lifespan.add(f"notification of {name}", notifier.follow)
+        services.lifespan.add(f"notification of {name}", notifier.follow, start=notifier.load)
     of_site = notification.notifier(None, services[SiteAlarms].list, lambda _: "")
-    works = (of_site.follow, notification.dispatcher.follow)
-    services.lifespan.add("notification", *works, start=notification.load)
+    services.lifespan.add("notification of the site", of_site.follow, start=of_site.load)
 
 
-FEATURE = Feature(make, (api.router, pages.router))
+FEATURE = Feature(make, (api.router, pages.router), ACTS)

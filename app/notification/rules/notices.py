@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from app.alarms.rules.states import AlarmState
 from app.alarms.store import JournalEntry
 from app.conditions.priority import AlarmPriority
+from app.notification.rules.roster import DutyRoster
 from bus.instants import UnixTime
 
 UNACKNOWLEDGED: frozenset[AlarmState] = frozenset(("unack_active", "rtn_unack", "latched_unack"))
@@ -18,12 +19,12 @@ LATE_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class NotificationRule:
-    """``recipients``: the endpoints at a local time; ``after_s``: while not acknowledged by then."""
+    """``buses``: empty for all; ``after_s``: while not acknowledged by then; ``roster``: of endpoints."""
 
-    priorities: frozenset[AlarmPriority]
-    buses: frozenset[str]
+    priorities: Sequence[AlarmPriority]
+    buses: Sequence[str]
     after_s: float
-    recipients: Callable[[datetime], tuple[str, ...]]
+    roster: DutyRoster
 
     def concerns(self, episode: Episode) -> bool:
         """Whether an alarm of this priority and place is notified."""
@@ -108,7 +109,7 @@ def due(
         return episode, []
     first: dict[str, float] = {}
     for rule in sorted(due_now, key=lambda rule: rule.after_s):
-        for endpoint in rule.recipients(local):
+        for endpoint in rule.roster.on_duty(local):
             first.setdefault(endpoint, rule.after_s)
     notices = [PlannedNotice(episode, after_s, endpoint) for endpoint, after_s in first.items()]
     return replace(episode, notified_after_s=max(rule.after_s for rule in due_now)), notices

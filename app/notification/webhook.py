@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.alarms.notification.secret_file import NotDeliveredError, read_secret, read_secret_text
-from app.notify_settings import WebhookSettings, check_web_url
+from app.notification.secret_file import NotDeliveredError, read_secret, read_secret_text
+from app.notification.settings import WebhookSettings, check_web_url
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -55,7 +55,8 @@ async def _exchange(
     place = _place(url)
     try:
         # No proxy and no password of the environment: they lead out of the plant.
-        client = httpx.AsyncClient(verify=_context(settings), trust_env=False, timeout=SOCKET_S)
+        context = ssl.create_default_context(cafile=settings.ca_file)
+        client = httpx.AsyncClient(verify=context, trust_env=False, timeout=SOCKET_S)
         async with (
             client,
             client.stream(
@@ -71,10 +72,6 @@ async def _exchange(
         raise NotDeliveredError(Message.of("notify_timed_out", **place)) from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
         raise NotDeliveredError(Message.of("notify_not_connected", **place, reason=_cause(error))) from None
-
-
-def _context(settings: WebhookSettings) -> ssl.SSLContext:
-    return ssl.create_default_context(cafile=settings.ca_file)
 
 
 def _url_of(settings: WebhookSettings) -> str:

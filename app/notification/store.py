@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import secrets
 import sqlite3
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 
-from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import MAX_AGE_S, insert_items, insert_standing, to_notified
-from app.alarms.notification.rules.notices import Episode, QuietSpan, opened_by
 from app.alarms.store import JournalEntry
 from app.database import Database
+from app.notification.notice import OutboxItem
+from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
+from app.notification.rules.notices import Episode, QuietSpan, opened_by
 from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000
-"""Of the journal that are followed in one pass."""
-_ENTRY = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+"""Entries of the journal that are followed in one pass."""
+_ENTRY = ", ".join(field.name for field in fields(JournalEntry))
 _EPISODE = tuple(field.name for field in fields(Episode))
 
 
@@ -55,19 +55,17 @@ class NotificationStore:
         """The transitions of a bus (None: of the site) after an entry, oldest first, and the last entry that
         was looked at."""
 
+        query = (
+            f"SELECT {_ENTRY} FROM alarm_journal WHERE id > ? AND id <= ? AND bus IS ? ORDER BY id LIMIT ?"
+        )
+
         def read(connection: sqlite3.Connection) -> tuple[list[JournalEntry], int]:
-            connection.execute("BEGIN")
-            try:
-                last = _last_entry(connection)
-                query = (
-                    f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE id > ? AND bus IS ? "
-                    "ORDER BY id LIMIT ?"
-                )
-                rows = [] if last <= cursor else connection.execute(query, (cursor, bus, MAX_ENTRIES))
-                entries = [JournalEntry(*row) for row in rows]
-            finally:
-                connection.execute("COMMIT")
-            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else max(cursor, last)
+            last = _last_entry(connection)
+            if last <= cursor:
+                return [], cursor
+            rows = connection.execute(query, (cursor, last, bus, MAX_ENTRIES))
+            entries = [JournalEntry(*row) for row in rows]
+            return entries, entries[-1].id if len(entries) == MAX_ENTRIES else last
 
         return await self._database.read(read)
 
@@ -75,7 +73,7 @@ class NotificationStore:
         """The newest episode of each alarm, by its key, that began up to an entry of the journal."""
         keys = list(alarms)
         query = (
-            f"SELECT {', '.join(_ENTRY)}, id FROM alarm_journal WHERE alarm = ? AND id <= ? "
+            f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND id <= ? "
             "AND after IN ('unack_active', 'latched_unack') AND trigger NOT IN ('clear', 'silence') "
             "ORDER BY id DESC LIMIT 1"
         )
@@ -102,17 +100,14 @@ class NotificationStore:
         marks = ", ".join("?" * (len(_EPISODE) + 1))
 
         def write(connection: sqlite3.Connection) -> None:
-            connection.execute(
-                "INSERT OR REPLACE INTO notification_cursor (source, entry) VALUES (?, ?)", (source, cursor)
-            )
+            connection.execute("INSERT OR REPLACE INTO notification_cursor VALUES (?, ?)", (source, cursor))
             connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
             connection.executemany(
                 f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
             )
-            insert_items(connection, items)
-            insert_standing(connection, standing)
-            for each in cleared:
-                insert_items(connection, to_notified(connection, each))
+            put(connection, ADD, items)
+            put(connection, ADD_NEW, standing)
+            put(connection, ADD_TO_NOTIFIED, cleared)
 
         await self._database.write(write)
 
@@ -139,27 +134,16 @@ class NotificationStore:
         return await self._database.write(write)
 
 
-def quiet_beginning(span: QuietSpan, who: str, reason: str) -> Callable[[sqlite3.Connection], None]:
-    """The writing of a maintenance that begins."""
-    values = (span.bus, float(span.starts), float(span.ends), who, reason)
-
-    def write(connection: sqlite3.Connection) -> None:
-        connection.execute(
-            "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)", values
-        )
-
-    return write
+def begin_quiet(connection: sqlite3.Connection, span: QuietSpan, who: str, reason: str) -> None:
+    """Store a maintenance that begins."""
+    query = "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)"
+    connection.execute(query, (span.bus, float(span.starts), float(span.ends), who, reason))
 
 
-def quiet_ending(id: int, now: UnixTime) -> Callable[[sqlite3.Connection], None]:
-    """The writing of a maintenance that ends before its time."""
-
-    def write(connection: sqlite3.Connection) -> None:
-        connection.execute(
-            "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?", (float(now), id, float(now))
-        )
-
-    return write
+def end_quiet(connection: sqlite3.Connection, id: int, now: UnixTime) -> None:
+    """Store that a maintenance ends before its time."""
+    query = "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?"
+    connection.execute(query, (float(now), id, float(now)))
 
 
 def _last_entry(connection: sqlite3.Connection) -> int:

@@ -23,7 +23,7 @@ class AlarmNotice(msgspec.Struct, frozen=True):
     code: str
     name: Message
     place: str
-    """Empty for the site."""
+    """The name of the unit; empty for an alarm of the site."""
     bus: str | None
     unit: int | None
     priority: AlarmPriority
@@ -33,7 +33,7 @@ class AlarmNotice(msgspec.Struct, frozen=True):
     cause: Message
     response: Message
     escalated: bool = False
-    """It was not acknowledged within the time of a rule."""
+    """Whether it was not acknowledged within the time of a rule."""
 
 
 @dataclass(frozen=True, slots=True)

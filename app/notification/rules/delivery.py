@@ -9,21 +9,11 @@ from typing import Literal
 from bus.instants import UnixTime
 
 DeliveryState = Literal["sending", "retrying", "delivered", "failed", "canceled"]
-DeliveryTrigger = Literal["begin", "succeed", "fail", "give_up", "restart", "remove"]
-
-TRANSITIONS: dict[tuple[DeliveryState, DeliveryTrigger], DeliveryState] = {
-    ("sending", "succeed"): "delivered",
-    ("sending", "fail"): "retrying",
-    ("sending", "give_up"): "failed",
-    ("sending", "restart"): "retrying",
-    ("sending", "remove"): "canceled",
-    ("retrying", "begin"): "sending",
-    ("retrying", "remove"): "canceled",
-}
-"""Every transition. A delivery begins as ``sending``, on disk before the first byte leaves. ``restart``: the
-server ended in between, and whether the message left is not known: it is sent with the same id."""
+"""A delivery begins as ``sending``, on disk before the first byte leaves. Where the server ends in between,
+whether the message left is not known: it is ``retrying``, with the same id. ``canceled``: its address is not
+configured any more. What is delivered, failed or canceled never leaves again."""
 FIRST_RETRY_S = 5.0
-LONGEST_RETRY_S = 900.0
+MAX_RETRY_S = 900.0
 GIVE_UP_S = 86_400.0
 FLOOD_WINDOW_S = 600.0
 GATHER_S = 3.0
@@ -34,12 +24,12 @@ FAILING_ATTEMPTS = 2
 
 def retry_after_s(attempts: int) -> float:
     """The time up to the next attempt after so many: 5, 10, 20 … seconds, at most 15 minutes."""
-    return min(LONGEST_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
+    return min(MAX_RETRY_S, FIRST_RETRY_S * 2.0 ** min(attempts - 1, 20))
 
 
-def trigger_of_failure(created_at: UnixTime, now: UnixTime) -> DeliveryTrigger:
+def state_after_failure(created_at: UnixTime, now: UnixTime) -> DeliveryState:
     """A message is given up after a day."""
-    return "give_up" if now - created_at >= GIVE_UP_S else "fail"
+    return "failed" if now - created_at >= GIVE_UP_S else "retrying"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +43,7 @@ class Retry:
     def wait_s(self, now: UnixTime) -> float:
         """A wait longer than any backoff is one of a clock that was set back: it is over."""
         wait_s = self.due - now
-        return wait_s if 0 < wait_s <= LONGEST_RETRY_S else 0.0
+        return wait_s if 0 < wait_s <= MAX_RETRY_S else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.rules.notices import UNACKNOWLEDGED
 from app.conditions.priority import PRIORITIES
 from app.messages.languages import Language
+from app.notification.notice import OutboxItem
+from app.notification.outbox import NotificationDelivery
+from app.notification.rules.notices import UNACKNOWLEDGED
 from app.web.formats import Formats
 from app.web.shape import iso, message_shown
 from bus.instants import UnixTime

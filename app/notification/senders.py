@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from app.alarms.notification import apprise_url, webhook
-from app.alarms.notification.compose import Composer, hook_body
-from app.alarms.notification.endpoints import NotificationEndpoint
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.notify_settings import AppriseSettings, SmtpSettings, WebhookSettings
+from app.notification import apprise_url, webhook
+from app.notification.compose import Composer, hook_body
+from app.notification.endpoints import NotificationEndpoint
+from app.notification.outbox import NotificationDelivery
+from app.notification.secret_file import NotDeliveredError
+from app.notification.settings import AppriseSettings, SmtpSettings, WebhookSettings
 from bus.instants import UnixTime
 from bus.messages import Message
 
 if TYPE_CHECKING:
-    from app.alarms.notification.mail import MailServer
+    from app.notification.mail import MailServer
 
 ATTEMPT_S = 30.0
 """For everything: name, connection, TLS, sign-in, message."""
@@ -26,17 +26,15 @@ MAIL_CONNECTIONS = 4
 log = structlog.get_logger()
 
 
-def _mail_server(settings: SmtpSettings) -> MailServer:
-    from app.alarms.notification.mail import MailServer  # most sites send no mail: it delays their start
-
-    return MailServer(settings)
-
-
 class Senders:
     """``smtp``: the mail server; None: there is none."""
 
     def __init__(self, smtp: SmtpSettings | None, composer: Composer, attempt_s: float = ATTEMPT_S) -> None:
-        self._server = None if smtp is None else _mail_server(smtp)
+        self._server: MailServer | None = None
+        if smtp is not None:
+            from app.notification.mail import MailServer  # most sites send no mail: it delays their start
+
+            self._server = MailServer(smtp)
         self._composer = composer
         self._attempt_s = attempt_s
         self._mail = asyncio.Semaphore(MAIL_CONNECTIONS)

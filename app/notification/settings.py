@@ -74,6 +74,12 @@ def minute_of_day(clock: str) -> int:
     return 60 * int(hours) + int(minutes)
 
 
+def clock_of(minute: int) -> str:
+    """390 → ``06:30``; of a minute of the week, the time of its day."""
+    hours, minutes = divmod(minute % (24 * 60), 60)
+    return f"{hours:02}:{minutes:02}"
+
+
 class SmtpSettings(StrictModel):
     """The mail server. ``to``: notified of ``priorities`` at once and at any time."""
 
@@ -189,8 +195,14 @@ class NotifySettings(StrictModel):
     rule: Annotated[tuple[RuleSettings, ...], Field(max_length=100)] = ()
     maintenance: Annotated[tuple[MaintenanceSettings, ...], Field(max_length=20)] = ()
 
+    @property
+    def certificates(self) -> set[Path]:
+        """The files of certificates that it names."""
+        named = [None if self.smtp is None else self.smtp.ca_file, *(each.ca_file for each in self.webhook)]
+        return {path for path in named if path is not None}
+
     def in_folder(self, folder: Path) -> NotifySettings:
-        """The same with absolute paths; relative ones are beside the configuration."""
+        """Return these settings with absolute paths; relative ones are beside the configuration."""
         return self.model_copy(
             update={
                 "smtp": self.smtp and _in_folder(self.smtp, folder),

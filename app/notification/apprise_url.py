@@ -5,10 +5,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from app.alarms.notification.compose import Letter
-from app.alarms.notification.in_thread import in_thread
-from app.alarms.notification.secret_file import NotDeliveredError, read_secret_text
-from app.notify_settings import AppriseSettings
+from app.notification.compose import Letter
+from app.notification.in_thread import in_thread
+from app.notification.secret_file import NotDeliveredError, read_secret_text
+from app.notification.settings import AppriseSettings
 from bus.messages import Message
 
 

@@ -10,13 +10,13 @@ from itertools import count
 
 from app.alarms.alarm_list import AlarmList
 from app.alarms.definition import SITE
-from app.alarms.notification.endpoints import NotificationPlan
-from app.alarms.notification.maintenance import Maintenance
-from app.alarms.notification.notice import OutboxItem, notice_of
-from app.alarms.notification.outbox import STANDING
-from app.alarms.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
-from app.alarms.notification.store import NotificationStore
 from app.alarms.store import JournalEntry
+from app.notification.endpoints import NotificationPlan
+from app.notification.maintenance import Maintenance
+from app.notification.notice import OutboxItem, notice_of
+from app.notification.outbox import STANDING
+from app.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
+from app.notification.store import NotificationStore
 from bus.instants import Clock, UnixTime, unix_now
 
 TICK_S = 1.0
@@ -54,8 +54,8 @@ class AlarmNotifier:
         self._open: dict[str, Episode] = {}
 
     async def follow(self) -> None:
-        """Without end. Call :meth:`load` first: notification that was never on begins with the present, so an
-        alarm that rises before it would be passed over."""
+        """Follow the journal without end. Call :meth:`load` first: notification that was never on begins with
+        the present, so an alarm that rises before it would be passed over."""
         if not self._plan.endpoints:
             await asyncio.Event().wait()
         for passes in count():
@@ -65,7 +65,7 @@ class AlarmNotifier:
             await asyncio.sleep(TICK_S)
 
     async def load(self) -> None:
-        """Go on where the last run ended."""
+        """Read how far the last run has followed the journal; once at start."""
         self._cursor, episodes = await self._store.load(self._source)
         self._open = {key: each for key, each in episodes.items() if key in self._alarms}
 

@@ -58,7 +58,7 @@ class DutyRoster:
 
 
 def minute_of_week(local: datetime) -> int:
-    """Monday 00:00 is 0."""
+    """Return the minute of the week; Monday 00:00 is 0."""
     return local.weekday() * MINUTES_OF_DAY + local.hour * 60 + local.minute
 
 

@@ -8,30 +8,27 @@ from fastapi import APIRouter, Query
 from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.alarms.notification.endpoints import EndpointKind
-from app.alarms.notification.maintenance import MAX_MINUTES, MaintenanceWindow
-from app.alarms.notification.notice import NoticeKind
-from app.alarms.notification.outbox import NotificationDelivery
-from app.alarms.notification.overview import EndpointStatus, clock_text, duties, endpoint_statuses
-from app.alarms.notification.rules.delivery import DeliveryState
-from app.alarms.notification.service import Notification
-from app.alarms.notification.store import QuietRow
-from app.notify_settings import DAYS, DayOfWeek
-from app.web.access import Engineer
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
+from app.notification.endpoints import EndpointKind
+from app.notification.maintenance import MAX_MINUTES, MaintenanceWindow
+from app.notification.notice import NoticeKind
+from app.notification.outbox import NotificationDelivery
+from app.notification.rules.delivery import DeliveryState
+from app.notification.service import EndpointStatus, Notification
+from app.notification.settings import DAYS, DayOfWeek
+from app.notification.store import QuietRow
+from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute
-from app.web.services import service, unknown_bus
+from app.web.services import service
 from app.web.shape import (
     Instant,
     MaybeInstant,
-    MaybeMessage,
     MessageShown,
     StrictBody,
     iso,
     maybe_shown,
     message_shown,
 )
-from bus.instants import UnixTime
-from bus.messages import in_english
 from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/notifications", tags=["alarms"], route_class=ApiRoute)
@@ -53,7 +50,7 @@ class NotificationTestRequest(StrictBody):
 
 
 class MaintenanceRequest(StrictBody):
-    """Of a bus or, without one, of everything."""
+    """A maintenance of a bus or, without one, of everything."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
@@ -72,8 +69,7 @@ class NotificationEndpointShown(TypedDict):
         bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
     ]
     tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
-    result: Annotated[str, Field(description="Why the last attempt failed, English; empty: it did not.")]
-    result_message: MaybeMessage
+    result: Annotated[MessageShown | None, Field(description="Why the last attempt failed; null: no reason.")]
     waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
 
 
@@ -129,8 +125,7 @@ class NotificationDeliveryShown(TypedDict):
     attempts: Annotated[int, Field(description="How often it was tried, 0 or more.")]
     created_at: Annotated[Instant, Field(description="ISO 8601.")]
     tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
-    result: Annotated[str, Field(description="Why it was not delivered, English; empty: no reason.")]
-    result_message: MaybeMessage
+    result: Annotated[MessageShown | None, Field(description="Why it was not delivered; null: no reason.")]
     kinds: Annotated[list[NotificationKind], Field(description="Of its notices; several are a digest.")]
     alarms: Annotated[list[str], Field(description="Ids of the occurrences that it is about.")]
 
@@ -152,14 +147,14 @@ class NotificationTest(TypedDict):
 async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
     """Every address with its last result, who is on duty, and maintenance."""
     return {
-        "endpoints": [_endpoint(each) for each in await endpoint_statuses(notification)],
+        "endpoints": [_endpoint(each) for each in await notification.statuses()],
         "groups": [
             {
                 "name": each.name,
-                "on_duty": list(each.present),
+                "on_duty": each.present,
                 "gaps": [message_shown(gap) for gap in each.gaps],
             }
-            for each in duties(notification)
+            for each in notification.duties()
         ],
         "maintenance": [_maintenance(row) for row in notification.maintenance.present()],
         "recurring": [_recurring(window) for window in notification.maintenance.windows()],
@@ -181,49 +176,40 @@ async def get_notification_deliveries(
 
 @router.post("/test")
 async def send_test_notification(
-    _: Engineer, notification: Notifying, body: NotificationTestRequest
+    person: Annotated[Person, SEND_TEST.permitted], notification: Notifying, body: NotificationTestRequest
 ) -> NotificationTest:
     """Send a test message on the way of all others, and wait for its first attempt."""
-    delivery = await notification.dispatcher.test(notification.endpoint(body.endpoint))
+    delivery = await notification.test(person, body.endpoint)
     return {"delivery": None if delivery is None else _delivery(delivery)}
 
 
 @router.post("/maintenance")
 async def begin_maintenance(
-    person: Engineer, notification: Notifying, body: MaintenanceRequest
+    person: Annotated[Person, BEGIN_MAINTENANCE.permitted], notification: Notifying, body: MaintenanceRequest
 ) -> list[MaintenanceShown]:
     """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
-    await begin(notification, person, body.bus, body.minutes, body.reason)
+    await notification.maintenance.begin(person, body.bus, body.minutes, body.reason)
     return [_maintenance(row) for row in notification.maintenance.present()]
 
 
 @router.post("/maintenance/{maintenance_id}/end")
 async def end_maintenance(
-    person: Engineer, notification: Notifying, maintenance_id: int
+    person: Annotated[Person, END_MAINTENANCE.permitted], notification: Notifying, maintenance_id: int
 ) -> list[MaintenanceShown]:
     """Notify again, before its time."""
     await notification.maintenance.end(person, maintenance_id)
     return [_maintenance(row) for row in notification.maintenance.present()]
 
 
-async def begin(
-    notification: Notification, person: Engineer, bus: str | None, minutes: int, reason: str
-) -> None:
-    """Begin a maintenance. Raises Problem 404 for a bus that is not configured."""
-    if bus is not None and bus not in notification.buses:
-        raise unknown_bus(bus, notification.buses)
-    await notification.maintenance.begin(person, bus, minutes, reason)
-
-
 def _endpoint(status: EndpointStatus) -> NotificationEndpointShown:
+    endpoint, last = status.endpoint, status.last
     return {
-        "key": status.key,
-        "kind": status.kind,
-        "address": status.address,
+        "key": endpoint.key,
+        "kind": endpoint.kind,
+        "address": endpoint.address,
         "works": status.works,
-        "tried_at": _time(status.tried_at),
-        "result": in_english(status.result),
-        "result_message": maybe_shown(status.result),
+        "tried_at": None if last is None else iso(last.tried_at),
+        "result": None if last is None else maybe_shown(last.result),
         "waiting": status.waiting,
     }
 
@@ -243,15 +229,15 @@ def _maintenance(row: QuietRow) -> MaintenanceShown:
 def _recurring(window: MaintenanceWindow) -> RecurringMaintenanceShown:
     recurring, span = window.recurring, window.span
     return {
-        "days": [DAYS[day] for day in sorted(recurring.days)],
-        "starts": clock_text(recurring.starts),
-        "ends": clock_text(recurring.ends),
+        "days": [day for day in DAYS if day in recurring.days],
+        "starts": recurring.starts,
+        "ends": recurring.ends,
         "last_day": recurring.until.isoformat(),
-        "buses": [bus for bus in recurring.buses if bus is not None],
+        "buses": list(recurring.buses),
         "reason": recurring.reason,
         "present": window.is_present,
-        "since": _time(span.starts if span else None),
-        "until": _time(span.ends if span else None),
+        "since": iso(span.starts) if span else None,
+        "until": iso(span.ends) if span else None,
     }
 
 
@@ -263,13 +249,8 @@ def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:
         "state": delivery.state,
         "attempts": delivery.attempts,
         "created_at": iso(delivery.created_at),
-        "tried_at": _time(delivery.tried_at) if delivery.attempts else None,
-        "result": in_english(delivery.result),
-        "result_message": maybe_shown(delivery.result),
+        "tried_at": iso(delivery.tried_at) if delivery.attempts else None,
+        "result": maybe_shown(delivery.result),
         "kinds": list(dict.fromkeys(item.kind for item in delivery.items)),
         "alarms": [item.notice.id for item in delivery.items if item.notice is not None],
     }
-
-
-def _time(at: UnixTime | None) -> str | None:
-    return None if at is None else iso(at)

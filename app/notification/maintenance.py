@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
+from functools import partial
 from zoneinfo import ZoneInfo
 
-from app.alarms.notification.outbox import MAX_AGE_S
-from app.alarms.notification.rules.notices import QuietSpan
-from app.alarms.notification.rules.recurring import RecurringMaintenance
-from app.alarms.notification.store import NotificationStore, QuietRow, quiet_beginning, quiet_ending
 from app.audit.log import EventLog
 from app.errors import Problem
-from app.notify_settings import DAYS, MaintenanceSettings, minute_of_day
+from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE
+from app.notification.outbox import MAX_AGE_S
+from app.notification.rules.notices import QuietSpan
+from app.notification.rules.recurring import recurring_spans
+from app.notification.settings import MaintenanceSettings
+from app.notification.store import NotificationStore, QuietRow, begin_quiet, end_quiet
 from app.web.access import Person
+from app.web.services import unknown_bus
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -31,48 +34,35 @@ _AHEAD = timedelta(days=14)
 class MaintenanceWindow:
     """A recurring maintenance, and its span that is under way or comes next; None: there are no more."""
 
-    recurring: RecurringMaintenance
+    recurring: MaintenanceSettings
     span: QuietSpan | None
     is_present: bool
 
 
-def recurring_of(settings: Iterable[MaintenanceSettings]) -> list[RecurringMaintenance]:
-    """Those of the configuration."""
-    return [
-        RecurringMaintenance(
-            days=frozenset(map(DAYS.index, each.days)),
-            starts=minute_of_day(each.starts),
-            ends=minute_of_day(each.ends),
-            until=each.until,
-            buses=each.buses or (None,),
-            reason=each.reason,
-        )
-        for each in settings
-    ]
-
-
 class Maintenance:
     """``rows``: those of the last weeks, as an alarm may count its times from the end of one; ``recurring``:
-    those of the configuration, by the clock of ``zone``."""
+    those of the configuration, by the clock of ``zone``; ``buses``: the names of all."""
 
     def __init__(
         self,
         store: NotificationStore,
         events: EventLog,
-        recurring: Sequence[RecurringMaintenance],
+        recurring: Sequence[MaintenanceSettings],
         zone: ZoneInfo,
+        buses: Sequence[str],
         clock: Clock = unix_now,
     ) -> None:
         self._store = store
         self._events = events
         self._recurring = recurring
         self._zone = zone
+        self._buses = buses
         self._clock = clock
         self._spans_of: tuple[date, list[QuietSpan]] | None = None
         self.rows: list[QuietRow] = []
 
     async def load(self) -> None:
-        """Once at start."""
+        """Read the stored maintenance; once at start."""
         self.rows = await self._store.quiet(self._clock())
 
     def spans(self) -> list[QuietSpan]:
@@ -86,21 +76,21 @@ class Maintenance:
         return [self._window(each, day, now) for each in self._recurring]
 
     def present(self) -> list[QuietRow]:
-        """Those under way."""
+        """The maintenance that is under way, begun by people."""
         now = self._clock()
         return [row for row in self.rows if row.span.starts <= now < row.span.ends]
 
-    def _window(self, recurring: RecurringMaintenance, day: date, now: UnixTime) -> MaintenanceWindow:
-        spans = recurring.spans(day - timedelta(days=1), day + _AHEAD, self._zone)
+    def _window(self, recurring: MaintenanceSettings, day: date, now: UnixTime) -> MaintenanceWindow:
+        spans = recurring_spans(recurring, day - timedelta(days=1), day + _AHEAD, self._zone)
         span = next((span for span in spans if now < span.ends), None)
         return MaintenanceWindow(recurring, span, span is not None and span.starts <= now)
 
     def _recurring_spans(self) -> list[QuietSpan]:
-        """Found once a day: notification looks at them each second."""
+        """The spans are found once a day: notification looks at them each second."""
         day = self._day(self._clock())
         if self._spans_of is None or self._spans_of[0] != day:
             first = day - timedelta(seconds=MAX_AGE_S)
-            spans = (each.spans(first, day, self._zone) for each in self._recurring)
+            spans = (recurring_spans(each, first, day, self._zone) for each in self._recurring)
             self._spans_of = day, [span for several in spans for span in several]
         return self._spans_of[1]
 
@@ -108,30 +98,30 @@ class Maintenance:
         return datetime.fromtimestamp(float(at), self._zone).date()
 
     async def begin(self, person: Person, bus: str | None, minutes: int, reason: str) -> None:
-        """From now on, of a bus or (None) of everything."""
+        """Notify nothing from now on, of a bus or (None) of all. Raises Problem 403, 404."""
+        BEGIN_MAINTENANCE.check(person)
+        if bus is not None and bus not in self._buses:
+            raise unknown_bus(bus, self._buses)
         now = self._clock()
         span = QuietSpan(now, now + minutes * MINUTE_S, bus)
         await self._events.record(
-            kind="notification",
-            **person.author,
+            **BEGIN_MAINTENANCE.by(person, n=minutes),
             bus=bus,
-            what=Message.of("event_maintenance_begun", n=minutes),
             message=reason,
-            also=quiet_beginning(span, person.name, reason),
+            also=partial(begin_quiet, span=span, who=person.name, reason=reason),
         )
         await self.load()
 
     async def end(self, person: Person, id: int) -> None:
-        """Before its time. Raises Problem 404 for one that is not under way."""
+        """End a maintenance before its time. Raises Problem 403, 404 for one that is not under way."""
+        END_MAINTENANCE.check(person)
         row = next((row for row in self.present() if row.id == id), None)
         if row is None:
             raise Problem(404, "not_found", Message("maintenance_not_present"))
         await self._events.record(
-            kind="notification",
-            **person.author,
+            **END_MAINTENANCE.by(person),
             bus=row.span.bus,
-            what=Message("event_maintenance_ended"),
             message=row.reason,
-            also=quiet_ending(id, self._clock()),
+            also=partial(end_quiet, id=id, now=self._clock()),
         )
         await self.load()

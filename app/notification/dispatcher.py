@@ -11,22 +11,22 @@ from datetime import datetime
 
 import structlog
 
-from app.alarms.notification.endpoints import NotificationEndpoint, NotificationPlan
-from app.alarms.notification.notice import OutboxItem
-from app.alarms.notification.outbox import NotificationDelivery, NotificationOutbox
-from app.alarms.notification.rules.delivery import (
-    FAILING_ATTEMPTS,
-    TRANSITIONS,
-    next_turn,
-    retry_after_s,
-    trigger_of_failure,
-)
-from app.alarms.notification.rules.heartbeat import heartbeat_due
-from app.alarms.notification.secret_file import NotDeliveredError
-from app.alarms.notification.senders import Senders
+from app.alarms.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.errors import StoreError
-from app.notify_settings import minute_of_day
+from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.notice import OutboxItem
+from app.notification.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.rules.delivery import (
+    FAILING_ATTEMPTS,
+    next_turn,
+    retry_after_s,
+    state_after_failure,
+)
+from app.notification.rules.heartbeat import heartbeat_due
+from app.notification.secret_file import NotDeliveredError
+from app.notification.senders import Senders
+from app.notification.settings import minute_of_day
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -38,7 +38,7 @@ log = structlog.get_logger()
 
 
 class Dispatcher:
-    """``failing``: the addresses that cannot be reached, and why."""
+    """``failing`` holds, always current, the keys of the addresses that cannot be reached."""
 
     def __init__(
         self,
@@ -46,14 +46,15 @@ class Dispatcher:
         outbox: NotificationOutbox,
         senders: Senders,
         events: EventLog,
+        failing: FailingEndpoints,
         local_time: Callable[[], datetime],
         clock: Clock = unix_now,
     ) -> None:
         self.plan = plan
-        self.failing: dict[str, Message] = {}
         self._outbox = outbox
         self._senders = senders
         self._events = events
+        self._failing = failing
         self._local_time = local_time
         self._clock = clock
         self._failures = dict.fromkeys(plan.endpoints, 0)
@@ -61,12 +62,8 @@ class Dispatcher:
         self.attempted = asyncio.Event()
         """Set after the next attempt; another one is in its place then."""
 
-    def is_failing(self) -> bool:
-        """Whether an address cannot be reached."""
-        return bool(self.failing)
-
     def wake(self) -> None:
-        """Something new is in the outbox."""
+        """Look at the outbox at once: something new is in it."""
         for each in self._wakes.values():
             each.set()
 
@@ -101,15 +98,15 @@ class Dispatcher:
     async def _find_failing(self) -> None:
         for key in self.plan.endpoints:
             last = await self._outbox.last_of(key)
-            is_over = last is None or last.state in ("delivered", "canceled")
-            self._failures[key] = 0 if is_over or last is None else last.attempts
-            self._judge(key, None if last is None else last.result)
+            is_open = last is not None and last.state not in ("delivered", "canceled")
+            self._count_failures(key, last.attempts if last is not None and is_open else 0)
 
-    def _judge(self, key: str, result: Message | None) -> None:
-        if self._failures[key] >= FAILING_ATTEMPTS and result is not None:
-            self.failing[key] = result
+    def _count_failures(self, key: str, failures: int) -> None:
+        self._failures[key] = failures
+        if failures >= FAILING_ATTEMPTS:
+            self._failing.add(key)
         else:
-            self.failing.pop(key, None)
+            self._failing.discard(key)
 
     async def _serve(self, endpoint: NotificationEndpoint) -> None:
         while True:
@@ -146,13 +143,12 @@ class Dispatcher:
             failure = error.message
         ended = _ended(delivery, failure, self._clock())
         await self._conclude(endpoint, ended)
-        self._failures[endpoint.key] = 0 if failure is None else self._failures[endpoint.key] + 1
-        self._judge(endpoint.key, failure)
+        self._count_failures(endpoint.key, 0 if failure is None else self._failures[endpoint.key] + 1)
         attempted, self.attempted = self.attempted, asyncio.Event()
         attempted.set()
 
     async def _conclude(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """Until it is on disk: a message that has left must not leave again as the store was busy."""
+        """Try until the result is on disk: a message that has left must not leave again for a busy store."""
         while True:
             try:
                 await self._record(endpoint, ended)
@@ -163,7 +159,7 @@ class Dispatcher:
                 return
 
     async def _record(self, endpoint: NotificationEndpoint, ended: NotificationDelivery) -> None:
-        """The first failure is an event, and the end; those between would hide everything else."""
+        """Write the result; the first failure and the end are events, which attempts between would hide."""
         if ended.state == "retrying" and ended.attempts > 1:
             await self._outbox.conclude(ended)
             return
@@ -195,7 +191,7 @@ class Dispatcher:
 
 
 def subject_of(delivery: NotificationDelivery) -> Message:
-    """What it is about, for the events."""
+    """What a message is about, for events and the page."""
     first = delivery.items[0] if delivery.items else None
     if first is None or len(delivery.items) > 1:
         return Message.of("notify_several", n=len(delivery.items))
@@ -207,10 +203,9 @@ def subject_of(delivery: NotificationDelivery) -> Message:
 
 def _ended(delivery: NotificationDelivery, failure: Message | None, now: UnixTime) -> NotificationDelivery:
     attempts = delivery.attempts + 1
-    trigger = "succeed" if failure is None else trigger_of_failure(delivery.created_at, now)
     return replace(
         delivery,
-        state=TRANSITIONS["sending", trigger],
+        state="delivered" if failure is None else state_after_failure(delivery.created_at, now),
         attempts=attempts,
         tried_at=now,
         due=now + retry_after_s(attempts),
