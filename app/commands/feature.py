@@ -6,6 +6,7 @@ from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.rights import Rights
 from app.auth.signin import SignIn
+from app.commands.acts import ACTS
 from app.commands.api import commands, trace
 from app.commands.api import safeguards as safeguards_api
 from app.commands.catalogue import ROLES_BY_COMMAND
@@ -56,4 +57,5 @@ FEATURE = Feature(
         bus.router,
         unit.router,
     ),
+    ACTS,
 )

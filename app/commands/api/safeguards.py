@@ -9,6 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
+from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
 from app.commands.api.schemas import CommandBlockShown, ControlShown
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
@@ -18,7 +19,7 @@ from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
-from app.web.access import Engineer, Operator, Viewer, name_of
+from app.web.access import Person, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import bus_service
 from app.web.shape import StrictBody, iso
@@ -78,7 +79,11 @@ async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int)
 
 @router.put("/units/{unit:int}/limits")
 async def set_speed_limits(
-    person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: SpeedLimits
+    person: Annotated[Person, SET_LIMITS.permitted],
+    bus: BusInPath,
+    guards: Guards,
+    unit: int,
+    body: SpeedLimits,
 ) -> SpeedLimits:
     """Replace the limits of this unit. They apply immediately on every interface."""
     unit_of_bus_or_404(bus, unit)
@@ -95,7 +100,11 @@ async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int
 
 @router.post("/units/{unit:int}/block")
 async def block_commands(
-    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: CommandBlockRequest
+    person: Annotated[Person, BLOCK.permitted],
+    bus: BusInPath,
+    guards: Guards,
+    unit: int,
+    body: CommandBlockRequest,
 ) -> CommandBlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
     unit_of_bus_or_404(bus, unit)
@@ -104,7 +113,9 @@ async def block_commands(
 
 
 @router.delete("/units/{unit:int}/block")
-async def unblock_commands(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
+async def unblock_commands(
+    person: Annotated[Person, UNBLOCK.permitted], bus: BusInPath, guards: Guards, unit: int
+) -> CommandBlockShown:
     """Lift the block of commands; the event records the user."""
     unit_of_bus_or_404(bus, unit)
     await guards.lift(person, unit)
@@ -118,19 +129,23 @@ async def get_control(_: Viewer, guards: Guards) -> ControlShown:
 
 
 @router.post("/control")
-async def take_control(person: Operator, guards: Guards) -> ControlShown:
+async def take_control(person: Annotated[Person, TAKE_CONTROL.permitted], guards: Guards) -> ControlShown:
     """Take control, if it is free."""
     return _control_json(guards, await guards.take(person))
 
 
 @router.post("/control/hand-over")
-async def hand_over_control(person: Operator, guards: Guards, body: HandOverRequest) -> ControlShown:
+async def hand_over_control(
+    person: Annotated[Person, HAND_OVER_CONTROL.permitted], guards: Guards, body: HandOverRequest
+) -> ControlShown:
     """Hand control over to another user who may command the line. An admin may do so without control."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 
 
 @router.delete("/control")
-async def release_control(person: Operator, guards: Guards) -> ControlShown:
+async def release_control(
+    person: Annotated[Person, RELEASE_CONTROL.permitted], guards: Guards
+) -> ControlShown:
     """Release control."""
     await guards.release(person)
     return _control_json(guards, None)

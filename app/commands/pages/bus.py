@@ -7,12 +7,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
+from app.commands.acts import FORCE_CONTROL, TAKE_CONTROL
 from app.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.commands.forms.page_context import Page, PageContext, new_id
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.web.access import Operator, Person, Role, Viewer
+from app.web.access import Person, Role, Viewer
 from app.web.arrival import Deadline
 from bus.contract import ChangeBaud, ScanBus, UnitFigures
 from bus.errors import unit_error
@@ -109,7 +110,7 @@ async def control_now(person: Viewer, page: Page, bus: str) -> Response:
 
 @router.post("/{bus}/control")
 async def control(
-    person: Operator,
+    person: Annotated[Person, TAKE_CONTROL.permitted],
     page: Page,
     bus: str,
     do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
@@ -153,8 +154,8 @@ def _control(page: PageContext, person: Person, bus: str) -> dict[str, Any]:
 def _others(page: PageContext, person: Person, bus: str) -> list[str]:
     """Users with an open page who may set a line and do not hold this one."""
     holder = page.guards(bus).holder()
-    here = {name for name, role in page.people().items() if Role(role).includes(Role.OPERATOR)}
-    if person.role.includes(Role.ADMIN):
+    here = {name for name, role in page.people().items() if Role(role).includes(TAKE_CONTROL.role)}
+    if person.role.includes(FORCE_CONTROL.role):
         here.add(person.account)
     return sorted(here - {holder})
 

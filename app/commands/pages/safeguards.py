@@ -7,11 +7,12 @@ from typing import Annotated
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
+from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
 from app.commands.forms.page_context import Page
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower
-from app.web.access import Engineer, Operator
+from app.web.access import Person
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
 from bus.errors import CallerError
@@ -25,7 +26,7 @@ SEE_OTHER = 303
 
 @router.post("/units/{bus}/{unit:int}/limits")
 async def set_limits(
-    person: Engineer,
+    person: Annotated[Person, SET_LIMITS.permitted],
     page: Page,
     bus: str,
     unit: int,
@@ -65,7 +66,7 @@ def _raw(live: UnitLive, text: str) -> int | None:
 
 @router.post("/units/{bus}/{unit:int}/block")
 async def block(
-    person: Operator,
+    person: Annotated[Person, BLOCK.permitted],
     page: Page,
     bus: str,
     unit: int,
@@ -80,7 +81,7 @@ async def block(
 
 
 @router.post("/units/{bus}/{unit:int}/unblock")
-async def unblock(person: Operator, page: Page, bus: str, unit: int) -> Response:
+async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: Page, bus: str, unit: int) -> Response:
     """Lift the block of commands; the event records the user."""
     page.unit(bus, unit)
     await page.guards(bus).lift(person, unit)

@@ -16,7 +16,7 @@ from app.commands.check import check
 from app.commands.rules.objection import ObjectionError, RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
-from app.commands.safeguards.control import ControlledError
+from app.commands.safeguards.control import controlled
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
 from app.commands.service.idempotency import IdempotencyCache, KeptCommand
@@ -160,13 +160,9 @@ class CommandService:
     def _require_right(self, person: Person, action: Action) -> None:
         """The role of the kind, whichever way the command came, then control of the bus."""
         refuse_without(kind_of_command(action).role, person)
-        try:
-            if action.writes:
-                self._guards.use_control(person.account)
-        except ControlledError as error:
-            raise Problem(
-                409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
-            ) from error
+        objection = self._guards.use_control(person.account) if action.writes else None
+        if objection is not None:
+            raise controlled(Message.of("nothing_sent", reason=objection))
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         context = RuleContext(
