@@ -17,10 +17,10 @@ from app.commands.api.bodies import (
     CommandRequestBody,
     OutputRequest,
     ParameterRequest,
+    Quantity,
     SpeedRequest,
     SpeedsRequest,
 )
-from app.commands.api.quantity import QuantityConverter
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.api.schemas import CommandResult
 from app.commands.catalogue import (
@@ -38,6 +38,7 @@ from app.commands.catalogue import (
     timeout_s_for,
 )
 from app.commands.service.command_service import CommandService
+from app.commands.service.typed_value import TypedValue
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
 from app.live.api.routes import Live
@@ -95,9 +96,14 @@ class CommandCall:
         bus = bus_or_404(self.live, self.bus)
         return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
 
-    def typed(self, unit: int, deadline: Deadline) -> QuantityConverter:
+    def typed(self, unit: int, deadline: Deadline) -> TypedValue:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return QuantityConverter(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
+        return TypedValue(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
+
+    async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> int:
+        """The raw setpoint of a unit. Raises Problem 404."""
+        typed = self.typed(unit, deadline)
+        return await typed.setpoint(given.typed) if given.raw is None else given.raw
 
     async def send(
         self,
@@ -150,7 +156,7 @@ async def set_speed(
 ) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
-    raw = await call.typed(unit, deadline).setpoint(body)
+    raw = await call.setpoint(unit, body, deadline)
     return await call.send(SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
 
 
@@ -175,7 +181,7 @@ async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: Spee
     """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
     deadline = call.deadline(body, len(body.setpoints))
     setpoints = {
-        int(key): await call.typed(int(key), deadline).setpoint(quantity)
+        int(key): await call.setpoint(int(key), quantity, deadline)
         for key, quantity in body.setpoints.items()
     }
     return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline)
@@ -249,5 +255,5 @@ async def write_parameter(
     typed = call.typed(unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
-    raw = await typed.parameter(number, body)
+    raw = await typed.parameter(number, body.typed) if body.raw is None else body.raw
     return await call.send(WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
 from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
-from app.commands.forms.page_context import Page
+from app.commands.forms.page_context import OfUnit
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower
@@ -27,23 +27,20 @@ SEE_OTHER = 303
 @router.post("/units/{bus}/{unit:int}/limits")
 async def set_limits(
     person: Annotated[Person, SET_LIMITS.permitted],
-    page: Page,
-    bus: str,
-    unit: int,
+    page: OfUnit,
     lowest: TypedLimit = "",
     highest: TypedLimit = "",
     largest_step: TypedLimit = "",
     per_minute: TypedLimit = "",
 ) -> Response:
     """All four at once; an empty field is no limit."""
-    live = page.unit(bus, unit)
     try:
-        limits = Limits(*(_raw(live, text) for text in (lowest, highest, largest_step, per_minute)))
+        limits = Limits(*(_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute)))
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return page.not_so(page.translator.t(error.message), "#limits-result")
-    await page.guards(bus).set_limits(person, unit, limits)
+        return page.explain(error, "#limits-result")
+    await page.guards.set_limits(person, page.id, limits)
     return page.render("unit/_limits_set.html")
 
 
@@ -67,22 +64,18 @@ def _raw(live: UnitLive, text: str) -> int | None:
 @router.post("/units/{bus}/{unit:int}/block")
 async def block(
     person: Annotated[Person, BLOCK.permitted],
-    page: Page,
-    bus: str,
-    unit: int,
+    page: OfUnit,
     reason: Annotated[OneLine, Form(max_length=200)] = "",
 ) -> Response:
     """Refuse every write to this unit, with the reason shown on every page."""
-    page.unit(bus, unit)
     if not reason.strip():
         raise Problem(422, "invalid", Message("block_needs_reason"))
-    await page.guards(bus).block(person, unit, reason.strip())
-    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
+    await page.guards.block(person, page.id, reason.strip())
+    return RedirectResponse(page.on_line.href, SEE_OTHER)
 
 
 @router.post("/units/{bus}/{unit:int}/unblock")
-async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: Page, bus: str, unit: int) -> Response:
+async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: OfUnit) -> Response:
     """Lift the block of commands; the event records the user."""
-    page.unit(bus, unit)
-    await page.guards(bus).lift(person, unit)
-    return RedirectResponse(f"/units/{bus}/{unit}", SEE_OTHER)
+    await page.guards.lift(person, page.id)
+    return RedirectResponse(page.on_line.href, SEE_OTHER)
