@@ -6,14 +6,14 @@ import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 
 from app.commands.authority import Authority, while_permitted
 from app.commands.catalogue import kind_of_command
 from app.commands.check import check
-from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import controlled
@@ -33,7 +33,6 @@ from bus.contract import Action, Command, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
-STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
 
@@ -172,10 +171,7 @@ class CommandService:
             moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
-        try:
-            check(action, context)
-        except ObjectionError as error:
-            raise problem_of(error) from error
+        check(action, context)
 
     def _start(self, request: CommandRequest) -> KeptCommand:
         already = self._cache.find(request.person, request.key)
@@ -263,12 +259,3 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
         if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
             steps[new.unit] = abs(new.raw - present)
     return steps
-
-
-def problem_of(objection: ObjectionError) -> Problem:
-    """The refusal of a command by a rule."""
-    extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
-    if objection.nearest is not None:
-        extra["nearest"] = objection.nearest
-    message = Message.of("nothing_sent", reason=objection.message)
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, message, **extra)
