@@ -41,15 +41,15 @@ from app.commands.service.command_service import CommandService
 from app.commands.service.typed_value import TypedValue
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
-from app.live.api.routes import Live
 from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
-from app.live.lookup import bus_or_404, unit_or_404
-from app.live.state.bus_live import LiveState
+from app.live.lookup import unit_of_bus_or_404
+from app.live.state.bus_live import BusLive
 from app.web.access import Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.arrival import Deadline, made_at
 from app.web.schema_problem import problems
+from app.web.services import bus_service
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (
@@ -75,6 +75,8 @@ RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
     **problems(404, 409, 423, 504),
 }
 
+BusInPath = Annotated[BusLive, bus_service(BusLive)]
+
 
 @dataclass(frozen=True, slots=True)
 class CommandCall:
@@ -82,9 +84,8 @@ class CommandCall:
 
     request: Request
     person: Person
-    live: LiveState
+    bus: BusLive
     commands: CommandService
-    bus: str
     key: str | None
     made_at: Monotonic
     query_timeout_s: float | None
@@ -93,12 +94,11 @@ class CommandCall:
     def deadline(self, body: CommandRequestBody, staged_units: int = 0) -> Deadline:
         """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
-        bus = bus_or_404(self.live, self.bus)
-        return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
+        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units) if given is None else given)
 
     def typed(self, unit: int, deadline: Deadline) -> TypedValue:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return TypedValue(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
+        return TypedValue(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
 
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> int:
         """The raw setpoint of a unit. Raises Problem 404."""
@@ -118,8 +118,7 @@ class CommandCall:
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
         secret = kind_of_command(action).is_secret(action)
-        bus = bus_or_404(self.live, self.bus)
-        return command_response(self.request, bus, result, unit, secret=secret, frames=self.frames)
+        return command_response(self.request, self.bus, result, unit, secret=secret, frames=self.frames)
 
 
 def calling(kind: CommandKind[Any]) -> Any:
@@ -129,15 +128,14 @@ def calling(kind: CommandKind[Any]) -> Any:
 
     async def command_call(
         request: Request,
-        live: Live,
+        bus: BusInPath,
         commands: Commands,
-        bus: str,
         person: Person = sender,
         timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
         key: RequestKey = None,
         frames: bool = wants_frames,
     ) -> CommandCall:
-        return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s, frames)
+        return CommandCall(request, person, bus, commands, key, made_at(request), timeout_s, frames)
 
     return Depends(command_call)
 
@@ -192,7 +190,7 @@ async def write_output(
     call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputRequest
 ) -> Response:
     """87h, verified by the bit in ST2."""
-    unit_or_404(call.live, call.bus, unit)
+    unit_of_bus_or_404(call.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
     return await call.send(WriteOutput(unit=unit, number=number, on=body.on), body, unit)
@@ -224,7 +222,7 @@ async def get_parameters(
     With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
     was never read is read now if the unit responds.
     """
-    found = unit_or_404(call.live, call.bus, unit)
+    found = unit_of_bus_or_404(call.bus, unit)
     if refresh:
         await _read(call, unit, list(PARAMETERS), gaps=gaps)
     elif never_read := [number for number in PARAMETERS if number not in found.parameters]:

@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
 from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
+from app.commands.api.commands import BusInPath
 from app.commands.api.schemas import CommandBlockShown, ControlShown
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
@@ -18,7 +19,6 @@ from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
 from app.live.lookup import unit_of_bus_or_404
-from app.live.state.bus_live import BusLive
 from app.web.access import Person, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import bus_service
@@ -67,7 +67,6 @@ class HandOverRequest(StrictBody):
 
 
 Guards = Annotated[Safeguards, bus_service(Safeguards)]
-BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 
 @router.get("/units/{unit:int}/limits")
