@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import product
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -13,9 +14,9 @@ from prometheus_client.registry import Collector
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
+from app.audit.anchoring import AnchorStatus
 from app.conditions.priority import PRIORITIES
-from app.live.state.bus_live import BusLive
-from app.metrics.api import MetricSources
+from app.live.state.bus_live import BusLive, LiveState
 
 _COUNTED = {
     "polls": "Status requests sent to a unit",
@@ -33,25 +34,28 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 }
 
 
-class _LineCollector(Collector):
-    """One reading of everything."""
+@dataclass(frozen=True, eq=False)
+class LineCollector(Collector):
+    """What is measured, at one moment. ``pages``: how many are open; ``commands``: their number by outcome;
+    ``anchor``: how well the audit log is anchored."""
 
-    def __init__(self, measured: MetricSources) -> None:
-        self._measured = measured
+    live: LiveState
+    pages: int
+    commands: Mapping[str, int]
+    alarms: LineAlarms
+    anchor: AnchorStatus
 
     def collect(self) -> Iterator[Metric]:
-        measured = self._measured
-        yield from _of_units(measured.live.buses.items())
-        yield from _of_buses(measured.live.buses.items())
-        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
+        yield from _of_units(self.live.buses.items())
+        yield from _of_buses(self.live.buses.items())
+        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=self.pages)
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
-        for outcome, count in measured.counts.commands.items():
+        for outcome, count in self.commands.items():
             commands.add_metric([outcome], count)
         yield commands
-        yield _alarm_states(measured.alarms)
-        yield from _of_alarms(measured.alarms)
-        anchor = measured.anchor()
-        degraded = 1 if anchor.altered or anchor.unwritten else 0
+        yield _alarm_states(self.alarms)
+        yield from _of_alarms(self.alarms)
+        degraded = 1 if self.anchor.altered or self.anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
@@ -111,8 +115,8 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def text(measured: MetricSources) -> bytes:
+def text(line: LineCollector) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_LineCollector(measured))
+    registry.register(line)
     return generate_latest(registry)

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from app.alarms.line_alarms import LineAlarms
-from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
 from app.feature import Feature, Services
-from app.live.browsers.hub import Hub
-from app.live.state.bus_live import LiveState
-from app.metrics import api
+from app.metrics.api import CommandCounts, router
 
 
 def make(services: Services) -> None:
-    live, hub, alarms = services[LiveState], services[Hub], services[LineAlarms]
-    anchoring = services[Anchoring]
-    counts = api.Counts(services[EventLog])
-    services.add(api.MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms))
+    services.add(CommandCounts(services[EventLog]))
 
 
-FEATURE = Feature(make, (api.router,))
+FEATURE = Feature(make, (router,))
