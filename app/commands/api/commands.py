@@ -44,7 +44,7 @@ from app.errors import Problem
 from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
 from app.live.lookup import unit_of_bus_or_404
-from app.live.state.bus_live import BusLive
+from app.live.state.bus_live import BusLive, UnitLive
 from app.web.access import Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.arrival import Deadline, made_at
@@ -76,6 +76,13 @@ RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
 }
 
 BusInPath = Annotated[BusLive, bus_service(BusLive)]
+
+
+async def _unit_in_path(bus: BusInPath, unit: int) -> UnitLive:
+    return unit_of_bus_or_404(bus, unit)
+
+
+UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
 from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
-from app.commands.api.commands import BusInPath
+from app.commands.api.commands import UnitInPath
 from app.commands.api.schemas import CommandBlockShown, ControlShown
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
@@ -18,7 +18,6 @@ from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
-from app.live.lookup import unit_of_bus_or_404
 from app.web.access import Person, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import bus_service
@@ -70,55 +69,48 @@ Guards = Annotated[Safeguards, bus_service(Safeguards)]
 
 
 @router.get("/units/{unit:int}/limits")
-async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SpeedLimits:
+async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> SpeedLimits:
     """Limits of the setpoint of this unit, set by an engineer."""
-    unit_of_bus_or_404(bus, unit)
-    return SpeedLimits(**asdict(guards.limits.of(unit)))
+    return SpeedLimits(**asdict(guards.limits.of(unit.settings.id)))
 
 
 @router.put("/units/{unit:int}/limits")
 async def set_speed_limits(
     person: Annotated[Person, SET_LIMITS.permitted],
-    bus: BusInPath,
     guards: Guards,
-    unit: int,
+    unit: UnitInPath,
     body: SpeedLimits,
 ) -> SpeedLimits:
     """Replace the limits of this unit. They apply immediately on every interface."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.set_limits(person, unit, Limits(**body.model_dump()))
+    await guards.set_limits(person, unit.settings.id, Limits(**body.model_dump()))
     return body
 
 
 @router.get("/units/{unit:int}/block")
-async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
+async def get_command_block(_: Viewer, guards: Guards, unit: UnitInPath) -> CommandBlockShown:
     """Whether commands to this unit are blocked, the reason and the user."""
-    unit_of_bus_or_404(bus, unit)
-    return _block_json(guards, unit)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.post("/units/{unit:int}/block")
 async def block_commands(
     person: Annotated[Person, BLOCK.permitted],
-    bus: BusInPath,
     guards: Guards,
-    unit: int,
+    unit: UnitInPath,
     body: CommandBlockRequest,
 ) -> CommandBlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.block(person, unit, body.reason)
-    return _block_json(guards, unit)
+    await guards.block(person, unit.settings.id, body.reason)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.delete("/units/{unit:int}/block")
 async def unblock_commands(
-    person: Annotated[Person, UNBLOCK.permitted], bus: BusInPath, guards: Guards, unit: int
+    person: Annotated[Person, UNBLOCK.permitted], guards: Guards, unit: UnitInPath
 ) -> CommandBlockShown:
     """Lift the block of commands; the event records the user."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.lift(person, unit)
-    return _block_json(guards, unit)
+    await guards.lift(person, unit.settings.id)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.get("/control")
@@ -181,15 +173,14 @@ class SetpointRangeShown(StrictBody):
 
 
 @router.get("/units/{unit:int}/setpoint-range")
-async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
+async def get_setpoint_range(_: Viewer, guards: Guards, unit: UnitInPath) -> SetpointRangeShown:
     """Range of the setpoints of this unit, as on every page and for every write."""
-    found = unit_of_bus_or_404(bus, unit)
-    allowed = setpoint_range(found, guards.limits.of(unit))
+    allowed = setpoint_range(unit, guards.limits.of(unit.settings.id))
     return SetpointRangeShown(
         kind=allowed.kind,
         lowest_raw=allowed.lowest,
         highest_raw=allowed.highest,
-        lowest=setpoint_text(found, allowed.lowest),
-        highest=setpoint_text(found, allowed.highest),
+        lowest=setpoint_text(unit, allowed.lowest),
+        highest=setpoint_text(unit, allowed.highest),
         basis=allowed.basis,
     )
