@@ -16,7 +16,7 @@ from starlette.responses import Response
 from app.commands.catalogue import kind_of_command, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, outcome_text
 from app.commands.review.ramp import present_setpoint, ramp_parameters_missing
-from app.commands.review.risks import SetpointChange, change_of, facts_of, obstacle_of
+from app.commands.review.risks import SetpointChange, change_of, obstacle_of
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -196,7 +196,7 @@ class BusPage(PageContext):
     def obstacle(self, unit: int) -> Message | None:
         """Why a unit cannot take a command now; None where nothing is known against it."""
         block = self.guards.block_reason(unit)
-        return obstacle_of(facts_of(self.bus, self.bus.units[unit], unix_now(), block=block))
+        return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
 
     def not_taking_part(self, taking_part: Iterable[int]) -> tuple[list[tuple[str, Message]], list[str]]:
         """The units that are not part of a change: those that could take no setpoint now, each with the
