@@ -34,7 +34,6 @@ from app.commands.catalogue import (
     WRITE_OUTPUT,
     WRITE_PARAMETER,
     CommandKind,
-    kind_of_command,
     timeout_s_for,
 )
 from app.commands.service.command_service import CommandService
@@ -124,8 +123,7 @@ class CommandCall:
         result = await self.commands.send(
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
-        secret = kind_of_command(action).is_secret(action)
-        return command_response(self.request, self.bus, result, unit, secret=secret, frames=self.frames)
+        return command_response(self.request, self.bus, result, unit, frames=self.frames)
 
 
 def calling(kind: CommandKind[Any]) -> Any:

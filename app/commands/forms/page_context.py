@@ -20,7 +20,6 @@ from app.commands.review.risks import SetpointChange, change_of, obstacle_of
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.service.prior_read import read_first
 from app.commands.service.typed_value import TypedValue
 from app.commands.values import setpoint_message
 from app.errors import Problem
@@ -163,7 +162,7 @@ class BusPage(PageContext):
 
         async def read(unit: int, numbers: list[int]) -> None:
             with suppress(Problem):
-                await read_first(self.commands.send, self.person, unit, numbers, deadline)
+                await self.commands.read(self.person, unit, numbers, deadline)
 
         missing = {unit: ramp_parameters_missing(self.bus.units[unit]) for unit in units}
         await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))

@@ -33,11 +33,6 @@ class CommandRequest:
     key: str | None = None
     """The sender's key, by which it gets the result again; keys of different senders are independent."""
 
-    @property
-    def unit(self) -> int | None:
-        """The one unit it is about, if it is about one."""
-        return self.action.only_unit
-
 
 def without_secret(action: Action, result: Result) -> Result:
     """``result`` as it may be stored and shown: of a secret not what was read back, nor the frames, nor words

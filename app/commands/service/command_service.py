@@ -19,8 +19,8 @@ from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import controlled
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
-from app.commands.service.idempotency import IdempotencyCache, KeptCommand
-from app.commands.service.prior_read import UnreadError, read_ranges
+from app.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
+from app.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.commands.service.record import CommandRecord
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel, ProgressListener
@@ -29,12 +29,14 @@ from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
 from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
-from bus.contract import Action, Command, Result
+from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
+RANGE_PASSES = 2
+"""Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
 
 
 class WriteSubscriber(Protocol):
@@ -95,11 +97,10 @@ class CommandService:
         id = id or None
         kept = self._cache.find(person, id)
         if kept is None and id is not None:
-            earlier = await self._record.earlier(person.sender, id)
+            earlier = await self._record.earlier(person, id, self._bus, action)
             kept = self._cache.find(person, id)
             if kept is None and earlier is not None:
-                _refuse_other(id, self._record.is_same(earlier, self._bus, action))
-                return msgspec.structs.replace(earlier.result, id=id)
+                return msgspec.structs.replace(earlier, id=id)
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
@@ -111,7 +112,7 @@ class CommandService:
             except UnreadError as unread:
                 return unread.result(id or request.id, unix_now(), action.units)
             kept = self._start(request)
-        _refuse_other(id, (kept.bus, kept.action) == (self._bus, action))
+        refuse_other(id, same=(kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
@@ -128,7 +129,24 @@ class CommandService:
 
         Raises Problem 503 or 504 where it cannot be had in time.
         """
-        await read_ranges(self.send, person, self._live, action, self._guards.limits.of, deadline)
+        for _ in range(RANGE_PASSES):
+            missing = unread_by_unit(self._live, action, self._guards.limits.of)
+            if not missing:
+                return
+            reads = (self.read(person, unit, numbers, deadline) for unit, numbers in missing.items())
+            await asyncio.gather(*reads)
+        for unit, numbers in unread_by_unit(self._live, action, self._guards.limits.of).items():
+            raise unread(unit, numbers)
+
+    async def read(
+        self, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
+    ) -> dict[int, int | None]:
+        """The raw value of each parameter as the unit gives it now, None where it does not have it.
+
+        Raises Problem 503 or 504 where one cannot be had in time.
+        """
+        action = ReadParameters(unit=unit, numbers=list(numbers))
+        return read_values(unit, numbers, await self.send(person, action, deadline=deadline))
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`send` alone, for a review. Raises the same Problems."""
@@ -243,11 +261,6 @@ class CommandService:
             if block is not None:
                 return block.refusal(unit)
         return self._guards.objection(request.person.account)
-
-
-def _refuse_other(id: str | None, same: bool) -> None:
-    if not same:
-        raise Problem(422, "invalid", Message.of("id_used", id=str(id)), id=id)
 
 
 def _steps(action: Action, live: BusLive) -> dict[int, int]:

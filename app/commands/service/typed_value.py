@@ -6,7 +6,6 @@ Where those are not known yet they are read first, within the time of the comman
 from __future__ import annotations
 
 from app.commands.service.command_service import CommandService
-from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive
 from app.web.access import Person
@@ -52,5 +51,5 @@ class TypedValue:
         known = {number: self._unit.parameter_raw(number) for number in numbers}
         if missing:
             unit = self._unit.settings.id
-            known |= await read_first(self._commands.send, self._person, unit, missing, self._deadline)
+            known |= await self._commands.read(self._person, unit, missing, self._deadline)
         return known
