@@ -108,10 +108,9 @@ class CommandService:
                 new_command_id(id), person, self._bus, action, deadline, origin, listener, id
             )
             try:
-                await self._check(request, confirm)
-            except UnreadError as unread:
-                return unread.result(id or request.id, unix_now(), action.units)
-            kept = self._start(request)
+                kept = await self._accept(request, confirm)
+            except UnreadError as error:
+                return error.result(id or request.id, unix_now(), action.units)
         refuse_other(id, same=(kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
@@ -155,15 +154,6 @@ class CommandService:
         self._require_right(person, action)
         self._apply_rules(action, confirm)
 
-    async def _check(self, request: CommandRequest, confirm: bool) -> None:
-        async with self._rejection_recorded(request):
-            request.deadline.refuse_passed()
-            await self._rights.check(request.person)
-            # Before anything is read for it: a user without the right learns that, not the unit's values.
-            self._require_right(request.person, request.action)
-            await self.read_ranges(request.person, request.action, request.deadline)
-            self._apply_rules(request.action, confirm)
-
     @asynccontextmanager
     async def _rejection_recorded(self, request: CommandRequest) -> AsyncIterator[None]:
         """A write that a Problem ends before anything is sent is an event with its reason."""
@@ -191,7 +181,15 @@ class CommandService:
         )
         check(action, context)
 
-    def _start(self, request: CommandRequest) -> KeptCommand:
+    async def _accept(self, request: CommandRequest, confirm: bool) -> KeptCommand:
+        """Check a command and start it, unless another request with its key has done so meanwhile."""
+        async with self._rejection_recorded(request):
+            request.deadline.refuse_passed()
+            await self._rights.check(request.person)
+            # Before anything is read for it: a user without the right learns that, not the unit's values.
+            self._require_right(request.person, request.action)
+            await self.read_ranges(request.person, request.action, request.deadline)
+            self._apply_rules(request.action, confirm)
         already = self._cache.find(request.person, request.key)
         if already is not None:
             return already
