@@ -33,7 +33,6 @@ from app.web.arrival import Deadline, made_at, refuse_late
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
-from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
@@ -97,13 +96,10 @@ class PageContext:
         return self.render(template, command_id=new_id(), reviewed_at=unix_now(), **context)
 
     def explain(
-        self, error: CallerError | Problem, place: str, reason: Message | None = None, nearest: object = ""
+        self, reason: Message, place: str, *, nearest: str | Message = "", status: int = 422
     ) -> Response:
-        """Why there is no review, at the CSS selector ``place``; ``reason`` where it is not the message of
-        ``error``. A press on ``nearest`` enters it."""
-        status = error.status if isinstance(error, Problem) else 422
-        context = {"reason": reason or error.message, "nearest": nearest}
-        response = self.render("unit/_no_review.html", status=status, **context)
+        """Why there is no review, at the CSS selector ``place``. A press on ``nearest`` enters it."""
+        response = self.render("unit/_no_review.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response
 

@@ -67,7 +67,7 @@ async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)]
         raw = _integer(value)
         page.check(WriteAnalogOutput(unit=page.id, raw=raw))
     except (CallerError, Problem) as error:
-        return page.explain(error, "#analog-error")
+        return page.explain(error.message, "#analog-error")
     return page.review(
         "unit/_review_analog.html",
         unit=page.on_line,

@@ -135,7 +135,7 @@ def _explain(page: UnitPage, parameter: Parameter, error: CallerError | Problem)
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     place = f"#parameter-{parameter.number}-error"
     if nearest is None or parameter.secret:
-        return page.explain(error, place)
+        return page.explain(error.message, place)
     # The rule speaks of raw values; what was typed here is what the unit shows.
     shown = parameter_message(parameter, nearest, page.unit)
-    return page.explain(error, place, Message.of("parameter_out_of_range", value=shown), shown)
+    return page.explain(Message.of("parameter_out_of_range", value=shown), place, nearest=shown)

@@ -55,7 +55,7 @@ async def review_setpoints(request: Request, page: Page) -> Response:
         setpoints = await _typed_setpoints(of_bus, form)
         await of_bus.judge(SetLine(setpoints=setpoints), of_bus.deadline(len(setpoints)))
     except (CallerError, Problem) as error:
-        return page.explain(error, f"#setpoints-error-{of_bus.name}")
+        return page.explain(error.message, f"#setpoints-error-{of_bus.name}")
     await of_bus.know_ramps(setpoints)
     changes = [of_bus.change(unit, raw) for unit, raw in setpoints.items()]
     left_out, unchanged = of_bus.not_taking_part(setpoints)

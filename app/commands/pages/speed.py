@@ -56,7 +56,8 @@ async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
 
 def _explain(page: UnitPage, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
-    return page.explain(error, ERROR_PLACE, nearest=page.setpoint(nearest))
+    status = error.status if isinstance(error, Problem) else 422
+    return page.explain(error.message, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
 
 
 @router.post("/speed", dependencies=[permitted_writer(SET_SPEED)])

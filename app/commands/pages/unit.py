@@ -77,7 +77,7 @@ async def set_limits(
         if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
             raise CallerError(Message("limits_reversed"))
     except (CallerError, Problem) as error:
-        return page.explain(error, "#limits-result")
+        return page.explain(error.message, "#limits-result")
     await page.guards.set_limits(person, page.id, limits)
     return page.render("unit/_limits_set.html")
 
