@@ -68,7 +68,7 @@ class CommandKind(Generic[A]):
     wording: Callable[[A, BusLive], Wording]
     """What it is called in the events."""
     part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
-    """The same for each unit of a change of several."""
+    """What a change of several is called for each of its units."""
     units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
         action.units if action.writes else ()
     )

@@ -36,7 +36,7 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 
 @dataclass(frozen=True, eq=False)
 class LineCollector(Collector):
-    """What is measured, at one moment. ``pages``: how many are open; ``commands``: their number by outcome;
+    """Figures of the line at one moment. ``pages``: how many are open; ``commands``: their number by outcome;
     ``anchor``: how well the audit log is anchored."""
 
     live: LiveState

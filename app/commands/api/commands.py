@@ -37,7 +37,7 @@ from app.commands.catalogue import (
     timeout_s_for,
 )
 from app.commands.service.command_service import CommandService
-from app.commands.service.typed_value import TypedValue
+from app.commands.service.value_converter import ValueConverter
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
 from app.live.api.schemas import ParameterShown
@@ -102,9 +102,9 @@ class CommandCall:
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
         return Deadline(self.made_at, timeout_s_for(self.bus, staged_units) if given is None else given)
 
-    def typed(self, unit: int, deadline: Deadline) -> TypedValue:
+    def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return TypedValue(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
+        return ValueConverter(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
 
     async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> int:
         """The raw setpoint of a unit. Raises Problem 404."""

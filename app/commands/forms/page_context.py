@@ -20,7 +20,7 @@ from app.commands.review.risks import SetpointChange, change_of, obstacle_of
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
-from app.commands.service.typed_value import TypedValue
+from app.commands.service.value_converter import ValueConverter
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.browsers.hub import Hub
@@ -73,11 +73,11 @@ class PageContext:
         return person
 
     def of_bus(self, bus: str) -> BusPage:
-        """The same request, about one bus. Raises Problem 404."""
+        """This request, for one bus. Raises Problem 404."""
         return BusPage(self.request, bus)
 
     def buses(self) -> list[BusPage]:
-        """The same request, about each bus."""
+        """This request, for each bus."""
         return [self.of_bus(name) for name in self.live.buses]
 
     def fields(self) -> dict[str, str]:
@@ -135,9 +135,9 @@ class BusPage(PageContext):
         """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
         return Deadline(self.made_at, timeout_s_for(self.bus, staged_units))
 
-    def typed(self, unit: int, deadline: Deadline | None = None) -> TypedValue:
+    def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
         """Converts what was typed for a unit."""
-        return TypedValue(self.commands, self.person, self.bus.units[unit], deadline or self.deadline())
+        return ValueConverter(self.commands, self.person, self.bus.units[unit], deadline or self.deadline())
 
     def check(self, action: Action) -> None:
         """The checks of a command that need no reading. Raises Problem for what would not be sent."""

@@ -25,7 +25,7 @@ from bus.errors import CallerError
 from bus.messages import Message
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}/parameters", include_in_schema=False)
-Number = Annotated[int, Path(ge=1, le=40)]
+ParameterPath = Annotated[int, Path(ge=1, le=40)]
 CONFIRMING_WORD = "WRITE"
 
 
@@ -70,7 +70,7 @@ def _row(page: UnitPage, number: int) -> dict[str, Any]:
 
 @router.post("/{number:int}/review", dependencies=[permitted(WRITE_PARAMETER)])
 async def review_parameter(
-    page: OfUnit, number: Number, value: Annotated[str, Form(max_length=40)] = ""
+    page: OfUnit, number: ParameterPath, value: Annotated[str, Form(max_length=40)] = ""
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
     parameter = PARAMETERS[number]
@@ -101,7 +101,7 @@ async def review_parameter(
 @router.post("/{number:int}", dependencies=[permitted_writer(WRITE_PARAMETER)])
 async def write_parameter(
     page: OfUnit,
-    number: Number,
+    number: ParameterPath,
     raw: Annotated[int, Form(ge=0)],
     confirmed: Confirmed,
     typed: Annotated[str, Form(max_length=20)] = "",

@@ -20,19 +20,19 @@ from bus.settings import BAUDS
 
 
 def check_line(action: SetLine, _: RuleContext) -> None:
-    """It names at least one unit."""
+    """A change of the line names at least one unit."""
     if not action.setpoints:
         raise objection("invalid", Message("setpoints_missing"))
 
 
 def check_output(action: WriteOutput, _: RuleContext) -> None:
-    """A unit has six."""
+    """A unit has six outputs."""
     if action.number not in OUTPUT_NUMBERS:
         raise objection("invalid", Message("no_such_output"), unit=action.unit)
 
 
 def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
-    """#29 to #30, as far as they are known."""
+    """The analog output takes #29 to #30, as far as they are known."""
     live = now.bus.units[action.unit]
     low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
     lowest = 0 if low is None else low
@@ -51,7 +51,7 @@ def check_analog_output(action: WriteAnalogOutput, now: RuleContext) -> None:
 
 
 def check_parameter(action: WriteParameter, now: RuleContext) -> None:
-    """Its range and choices (manual, the parameter list), and what the unit allows now."""
+    """A parameter has its range and choices (manual, the parameter list), and the unit must allow it now."""
     parameter = PARAMETERS.get(action.number)
     if parameter is None:
         raise objection("invalid", Message("no_such_parameter"), unit=action.unit)
@@ -70,7 +70,7 @@ def _check_value(parameter: Parameter, action: WriteParameter) -> None:
 
 
 def check_baud(action: ChangeBaud, _: RuleContext) -> None:
-    """One that a unit can be set to (#18)."""
+    """A unit can be set to few baud rates (#18)."""
     if action.baud not in BAUDS:
         nearest = min(BAUDS, key=lambda baud: abs(baud - action.baud))
         raise objection(

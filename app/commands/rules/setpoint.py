@@ -84,7 +84,7 @@ def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | 
 
 
 def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
-    """As the unit shows it; the bare integer while its decimals are not known."""
+    """A setpoint as the unit shows it; the bare integer while its decimals are not known."""
     sign, size = ("-" if raw < 0 else ""), abs(raw)
     if kind == "ratio":
         return sign + ratio_text(size)

@@ -33,7 +33,7 @@ AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 
 @dataclass(eq=False, repr=False)
 class Safeguards:
-    """Of one bus. Call :meth:`load` once before the first command."""
+    """The safeguards of one bus. Call :meth:`load` once before the first command."""
 
     _bus: str
     database: InitVar[Database]

@@ -44,6 +44,6 @@ def without_secret(action: Action, result: Result) -> Result:
 
 
 def _masked(result: Result | UnitOutcome) -> Message | None:
-    """Its message, unless that states the value that was read back instead of the requested one."""
+    """The message of a result, unless it states the value that was read back instead of the requested one."""
     differs = result.read_back is not None and result.outcome != "verified"
     return SECRET_DIFFERS if differs else result.message

@@ -205,7 +205,8 @@ class CommandService:
         return kept
 
     async def _carry_out(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
-        """Its steps, which were noted for ``at``, count no more when no unit acted."""
+        """Send a command once its intent is on disk. Its ``steps``, noted for ``at``, count no more where no
+        unit acted."""
         kind = kind_of_command(request.action)
         result: Result | None = None
         try:

@@ -71,7 +71,7 @@ def refuse_other(key: str | None, *, same: bool) -> None:
 
 
 def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
-    """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
+    """Store that the result of a command with a key is open. Raises sqlite3.IntegrityError for a key that
     its sender has used."""
     if request.key is None:
         return
@@ -82,7 +82,7 @@ def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing
 
 
 def end(connection: sqlite3.Connection, request: CommandRequest, result: Result) -> None:
-    """Its result, without the frames, which are in the events."""
+    """Store the result of a command with a key, without the frames, which are in the events."""
     if request.key is None:
         return
     stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))

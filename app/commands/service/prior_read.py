@@ -18,7 +18,7 @@ class UnreadError(Problem):
     """What a command needs to know of a unit cannot be read: 503 ``bus_closed`` or 504 ``unverified``."""
 
     def result(self, id: str, at: UnixTime, units: Sequence[int]) -> Result:
-        """The same as what became of a command for ``units`` of which nothing was sent."""
+        """The result of a command for ``units`` of which nothing was sent."""
         outcome: Outcome = "bus_closed" if self.code == "bus_closed" else "unverified"
         parts = [UnitOutcome(unit, "not_sent", Message("unit_untouched")) for unit in units]
         return Result(id, at, outcome, self.message, units=parts)

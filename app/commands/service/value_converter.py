@@ -19,7 +19,7 @@ from bus.messages import Message
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
 
-class TypedValue:
+class ValueConverter:
     """Converts for one unit within the time of the command. Raises CallerError for text that is no number."""
 
     def __init__(self, commands: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
