@@ -8,7 +8,6 @@ from typing import Literal
 from msgspec.structs import replace
 
 from app.commands.catalogue import kind_of_command
-from app.feed.channel import ProgressListener
 from app.web.access import Person
 from app.web.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
@@ -29,7 +28,6 @@ class CommandRequest:
     action: Action
     deadline: Deadline
     origin: CommandOrigin | Message
-    listener: ProgressListener | None = None
     key: str | None = None
     """The sender's key, by which it gets the result again; keys of different senders are independent."""
 

@@ -23,7 +23,7 @@ from app.commands.service.idempotency import IdempotencyCache, KeptCommand, refu
 from app.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.commands.service.record import CommandRecord
 from app.errors import Problem, StoreError
-from app.feed.channel import Channel, ProgressListener
+from app.feed.channel import Channel
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
@@ -78,7 +78,6 @@ class CommandService:
         confirm: bool = False,
         id: str | None = None,
         origin: CommandOrigin | Message = "api",
-        listener: ProgressListener | None = None,
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
         belongs to its sender: the same id of another sender is another command.
@@ -104,9 +103,7 @@ class CommandService:
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
-            request = CommandRequest(
-                new_command_id(id), person, self._bus, action, deadline, origin, listener, id
-            )
+            request = CommandRequest(new_command_id(id), person, self._bus, action, deadline, origin, id)
             try:
                 kept = await self._accept(request, confirm)
             except UnreadError as error:
@@ -118,10 +115,6 @@ class CommandService:
     async def reserve(self) -> None:
         """A user may be about to write: reserve the next turn of the wire."""
         await self._channel.reserve()
-
-    async def cancel(self, id: str) -> None:
-        """Give a command up where nothing is half done; its result still comes."""
-        await self._channel.cancel(id)
 
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
         """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`send` does.
@@ -239,7 +232,7 @@ class CommandService:
         deadline = unix_now() + request.deadline.left_s
         command = Command(id=request.id, deadline=deadline, action=request.action)
         return await while_permitted(
-            self._channel.send(command, request.listener),
+            self._channel.send(command),
             lambda: self._why_no_longer(request),
             lambda: self._channel.cancel(request.id),
         )
