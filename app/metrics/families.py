@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -14,9 +13,9 @@ from prometheus_client.registry import Collector
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
-from app.audit.anchoring import AnchorStatus
 from app.conditions.priority import PRIORITIES
-from app.live.state.bus_live import BusLive, LiveState
+from app.live.state.bus_live import BusLive
+from app.metrics.sources import MetricSources
 
 _COUNTED = {
     "polls": "Status requests sent to a unit",
@@ -34,28 +33,25 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class LineCollector(Collector):
-    """Figures of the line at one moment. ``pages``: how many are open; ``commands``: their number by outcome;
-    ``anchor``: how well the audit log is anchored."""
+class _LineCollector(Collector):
+    """Collects every family at one moment."""
 
-    live: LiveState
-    pages: int
-    commands: Mapping[str, int]
-    alarms: LineAlarms
-    anchor: AnchorStatus
+    def __init__(self, measured: MetricSources) -> None:
+        self._measured = measured
 
     def collect(self) -> Iterator[Metric]:
-        yield from _of_units(self.live.buses.items())
-        yield from _of_buses(self.live.buses.items())
-        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=self.pages)
+        measured = self._measured
+        yield from _of_units(measured.live.buses.items())
+        yield from _of_buses(measured.live.buses.items())
+        yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
-        for outcome, count in self.commands.items():
+        for outcome, count in measured.commands.by_outcome.items():
             commands.add_metric([outcome], count)
         yield commands
-        yield _alarm_states(self.alarms)
-        yield from _of_alarms(self.alarms)
-        degraded = 1 if self.anchor.altered or self.anchor.unwritten else 0
+        yield _alarm_states(measured.alarms)
+        yield from _of_alarms(measured.alarms)
+        anchor = measured.anchor()
+        degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
         yield GaugeMetricFamily("lineside_audit_degraded", words, value=degraded)
 
@@ -115,8 +111,8 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     yield from (is_open, scan, use)
 
 
-def text(line: LineCollector) -> bytes:
+def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(line)
+    registry.register(_LineCollector(measured))
     return generate_latest(registry)
