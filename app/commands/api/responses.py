@@ -34,12 +34,7 @@ _OF_A_PROBLEM = {"code", *ReasonShown.__annotations__}
 
 
 def command_response(
-    request: Request,
-    bus: BusLive,
-    result: Result,
-    unit: int | None = None,
-    *,
-    frames: bool = False,
+    request: Request, bus: BusLive, result: Result, unit: int | None = None, *, frames: bool = False
 ) -> Response:
     """200 with the result, or the problem it stands for; the members are the same in both. ``frames``: with
     what carried the command."""

@@ -76,10 +76,7 @@ async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> Speed
 
 @router.put("/units/{unit:int}/limits")
 async def set_speed_limits(
-    person: Annotated[Person, SET_LIMITS.permitted],
-    guards: Guards,
-    unit: UnitInPath,
-    body: SpeedLimits,
+    person: Annotated[Person, SET_LIMITS.permitted], guards: Guards, unit: UnitInPath, body: SpeedLimits
 ) -> SpeedLimits:
     """Replace the limits of this unit. They apply immediately on every interface."""
     await guards.set_limits(person, unit.settings.id, Limits(**body.model_dump()))
@@ -94,10 +91,7 @@ async def get_command_block(_: Viewer, guards: Guards, unit: UnitInPath) -> Comm
 
 @router.post("/units/{unit:int}/block")
 async def block_commands(
-    person: Annotated[Person, BLOCK.permitted],
-    guards: Guards,
-    unit: UnitInPath,
-    body: CommandBlockRequest,
+    person: Annotated[Person, BLOCK.permitted], guards: Guards, unit: UnitInPath, body: CommandBlockRequest
 ) -> CommandBlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
     await guards.block(person, unit.settings.id, body.reason)

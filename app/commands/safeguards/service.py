@@ -23,7 +23,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
-from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -42,7 +42,6 @@ class Safeguards:
     find: AccountLookup
     rights: Withdrawals
     sessions: InitVar[SessionEnds]
-    monotonic: MonotonicClock = monotonic_now
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
@@ -93,19 +92,19 @@ class Safeguards:
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
-        return self.control.holding(self.monotonic())
+        return self.control.holding(monotonic_now())
 
     def lapses_at(self, holding: Holding) -> UnixTime:
         """When control lapses by the wall clock, as that is now, unless its holder sends another command."""
-        return unix_now() + holding.left_s(self.monotonic())
+        return unix_now() + holding.left_s(monotonic_now())
 
     def objection(self, account: str) -> Message | None:
         """Why ``account`` may not write now, as another has control; None where it may."""
-        return self.control.objection(account, self.monotonic())
+        return self.control.objection(account, monotonic_now())
 
     def use_control(self, account: str) -> Message | None:
         """Renew control for a write; the same as :meth:`objection` where another has control."""
-        return self.control.use(account, self.monotonic())
+        return self.control.use(account, monotonic_now())
 
     def holder(self) -> str:
         """The account of the holder; empty where control is free."""
@@ -117,7 +116,7 @@ class Safeguards:
         TAKE_CONTROL.check(person)
         await self.rights.check(person)
         before = self.holding()
-        holding = self.control.take(person.account, self.monotonic(), unix_now())
+        holding = self.control.take(person.account, monotonic_now(), unix_now())
         if before is None:
             await self._record(TAKE_CONTROL, person, None, person.account)
         return holding
@@ -129,7 +128,7 @@ class Safeguards:
         to = await self._who_may_hold(person, to)
         before = self.holding()
         by_force = person.role.includes(FORCE_CONTROL.role)
-        holding = self.control.hand_over(person.account, to, self.monotonic(), unix_now(), by_force=by_force)
+        holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
         old = before.holder if before is not None else None
         await self._record(HAND_OVER_CONTROL, person, old, to)
         return holding
@@ -146,12 +145,12 @@ class Safeguards:
     async def release(self, person: Person) -> None:
         """Release control. Raises Problem 403 and 409."""
         RELEASE_CONTROL.check(person)
-        self.control.release(person.account, self.monotonic())
+        self.control.release(person.account, monotonic_now())
         await self._record(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, self.monotonic()):
+        if not self.control.revoke(account, monotonic_now()):
             return
         who, is_token = name_of(account)
         await self._events.record(
