@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from app.commands import wording
-from app.commands.rules import action_checks, setpoint
+from app.commands.rules import action_checks
 from app.commands.rules.objection import RuleContext
-from app.commands.rules.setpoint import NewSetpoint, staged_setpoints
+from app.commands.rules.setpoint import NewSetpoint, by_unit, of_write_parameter, staged_setpoints
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
 from app.web.access import Role
@@ -58,9 +58,6 @@ READ_S, READ_IN_GAPS_S = 30.0, 600.0
 SCAN_S = 180.0
 
 
-def _no_check(_: Action, _now: RuleContext) -> None: ...
-
-
 @dataclass(frozen=True, slots=True)
 class CommandKind(Generic[A]):
     """One kind of command. The functions get the request, and the bus as it is now."""
@@ -71,15 +68,15 @@ class CommandKind(Generic[A]):
     wording: Callable[[A, BusLive], Wording]
     """What it is called in the events."""
     part_wordings: Callable[[A, BusLive], Mapping[int, Wording]] = lambda _, _bus: {}
-    """The same for each unit of a change of several."""
+    """What a change of several is called for each of its units."""
     units_written: Callable[[A, BusLive], Sequence[int]] = lambda action, _: (
         action.units if action.writes else ()
     )
     """The units at which it, or its broadcast, can change something."""
     setpoints: Callable[[A, BusLive], Iterable[NewSetpoint]] = lambda _, _bus: ()
     """The setpoints that it would bring about, as far as they are known; each is judged."""
-    check: Callable[[A, RuleContext], None] = _no_check
-    """The kind's own check. Raises ObjectionError."""
+    check: Callable[[A, RuleContext], None] = lambda _, _now: None
+    """The kind's own check. Raises Problem."""
     danger: Callable[[A], str] = lambda _: ""
     """Why it must be confirmed; empty where it need not be."""
     timeout_s: Callable[[A, BusLive], float] = lambda _, bus: timeout_s_for(bus)
@@ -94,30 +91,42 @@ class CommandKind(Generic[A]):
 SET_SPEED = CommandKind(
     SetSpeed,
     Role.OPERATOR,
-    wording=wording.of_set_speed,
-    setpoints=setpoint.of_set_speed,
+    wording=lambda action, bus: wording.of_setpoint(
+        Message("event_set_speed" if action.execute else "event_stage_speed"), bus, action.unit, action.raw
+    ),
+    setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
 )
 EXECUTE_SPEED = CommandKind(
     ExecuteSpeed,
     Role.OPERATOR,
-    wording=wording.of_execute_speed,
-    setpoints=setpoint.of_execute_speed,
+    wording=lambda action, bus: wording.of_setpoint(
+        Message("event_execute_speed"), bus, action.unit, bus.units[action.unit].staged
+    ),
+    setpoints=lambda action, bus: [
+        each for each in by_unit(staged_setpoints(bus)) if each.unit == action.unit
+    ],
 )
 EXECUTE_ALL = CommandKind(
     ExecuteAll,
     Role.OPERATOR,
-    wording=wording.of_execute_all,
-    part_wordings=wording.parts_of_execute_all,
+    wording=lambda _, bus: wording.of_several(Message("event_execute_all"), bus, staged_setpoints(bus)),
+    part_wordings=lambda _, bus: wording.of_each(
+        Message("event_execute_with_all"), bus, staged_setpoints(bus)
+    ),
     units_written=lambda _, bus: list(staged_setpoints(bus)),
-    setpoints=setpoint.of_execute_all,
+    setpoints=lambda _, bus: by_unit(staged_setpoints(bus)),
 )
 SET_LINE = CommandKind(
     SetLine,
     Role.OPERATOR,
-    wording=wording.of_set_line,
-    part_wordings=wording.parts_of_set_line,
+    wording=lambda action, bus: wording.of_several(
+        Message.of("event_set_line", n=len(action.setpoints)), bus, action.setpoints
+    ),
+    part_wordings=lambda action, bus: wording.of_each(
+        Message.of("event_set_speed_of_several", n=len(action.setpoints)), bus, action.setpoints
+    ),
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
-    setpoints=setpoint.of_set_line,
+    setpoints=lambda action, _: by_unit(action.setpoints),
     check=action_checks.check_line,
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
 )
@@ -139,7 +148,7 @@ WRITE_PARAMETER = CommandKind(
     WriteParameter,
     Role.ENGINEER,
     wording=wording.of_write_parameter,
-    setpoints=setpoint.of_write_parameter,
+    setpoints=of_write_parameter,
     check=action_checks.check_parameter,
     danger=lambda action: danger_of_writing(PARAMETERS[action.number], action.raw),
     writes_parameters=True,

@@ -6,10 +6,10 @@ from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.rights import Rights
 from app.auth.signin import SignIn
-from app.commands.api import commands, trace
-from app.commands.api import safeguards as safeguards_api
+from app.commands.acts import ACTS
+from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
-from app.commands.pages import bus, outputs, parameters, safeguards, setpoints, speed, unit, zero
+from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
@@ -45,15 +45,15 @@ FEATURE = Feature(
     make,
     (
         commands.router,
-        safeguards_api.router,
+        safeguards.router,
         trace.router,
         setpoints.router,
         zero.router,
         speed.router,
         outputs.router,
         parameters.router,
-        safeguards.router,
         bus.router,
         unit.router,
     ),
+    ACTS,
 )

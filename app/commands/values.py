@@ -38,7 +38,7 @@ def measure_of_setpoint(unit: UnitLive) -> str:
 
 
 def measure_of_value(unit: UnitLive, parameter: Parameter, raw: int) -> str | Message:
-    """Of a value of a parameter: "" of a choice, which has a name, and of a ratio."""
+    """Measure of a value of a parameter; "" of a choice, which has a name, and of a ratio."""
     if raw in parameter.choices:
         return ""
     if parameter.scale is Scale.SPEED or (parameter.scale is Scale.SPEED_OR_RATIO and not follower(unit)):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from app.commands.rules.setpoint import commanded_setpoint, staged_setpoints
+from app.commands.rules.setpoint import commanded_setpoint
 from app.commands.values import parameter_message, setpoint_message
 from app.live.state.bus_live import BusLive
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS, output_is_on
-from bus.contract import ExecuteAll, ExecuteSpeed, SetLine, SetSpeed, WriteOutput, WriteParameter
+from bus.contract import WriteOutput, WriteParameter
 from bus.messages import Message, listed, term
 
 _ON_OFF = (term("off"), term("on"))
@@ -25,27 +25,6 @@ class Wording:
     new: str | Message = ""
     old_raw: int | None = None
     new_raw: int | None = None
-
-
-def of_set_speed(action: SetSpeed, bus: BusLive) -> Wording:
-    """84h or 82h."""
-    what = Message("event_set_speed") if action.execute else Message("event_stage_speed")
-    return _of_setpoint(what, bus, action.unit, action.raw)
-
-
-def of_execute_speed(action: ExecuteSpeed, bus: BusLive) -> Wording:
-    """83h to one unit."""
-    return _of_setpoint(Message("event_execute_speed"), bus, action.unit, bus.units[action.unit].staged)
-
-
-def of_set_line(action: SetLine, bus: BusLive) -> Wording:
-    """82h to each unit, 83h to all."""
-    return _of_line(Message.of("event_set_line", n=len(action.setpoints)), action.setpoints, bus)
-
-
-def of_execute_all(_: ExecuteAll, bus: BusLive) -> Wording:
-    """83h to all units."""
-    return _of_line(Message("event_execute_all"), staged_setpoints(bus), bus)
 
 
 def of_write_output(action: WriteOutput, bus: BusLive) -> Wording:
@@ -78,32 +57,26 @@ def of_write_parameter(action: WriteParameter, bus: BusLive) -> Wording:
     return Wording(what, old, new, raw, action.raw)
 
 
-def parts_of_set_line(action: SetLine, bus: BusLive) -> dict[int, Wording]:
-    """What the change means for each unit."""
-    what = Message.of("event_set_speed_of_several", n=len(action.setpoints))
-    return _of_parts(what, action.setpoints, bus)
-
-
-def parts_of_execute_all(_: ExecuteAll, bus: BusLive) -> dict[int, Wording]:
-    """What the broadcast means for each unit that is known to hold a staged speed."""
-    return _of_parts(Message("event_execute_with_all"), staged_setpoints(bus), bus)
-
-
-def _of_parts(what: Message, setpoints: Mapping[int, int], bus: BusLive) -> dict[int, Wording]:
-    return {unit: _of_setpoint(what, bus, unit, setpoints[unit]) for unit in sorted(setpoints)}
-
-
-def _of_setpoint(what: Message, bus: BusLive, unit: int, raw: int | None) -> Wording:
+def of_setpoint(what: Message, bus: BusLive, unit: int, raw: int | None) -> Wording:
+    """A new setpoint of a unit; ``raw`` None where it is not known."""
     live = bus.units[unit]
     old = commanded_setpoint(live, bus)
     return Wording(what, setpoint_message(old, live), setpoint_message(raw, live), old, raw)
 
 
-def _of_line(what: Message, setpoints: Mapping[int, int], bus: BusLive) -> Wording:
-    units = {unit: bus.units[unit] for unit in sorted(setpoints)}
-    old = {unit: setpoint_message(commanded_setpoint(live, bus), live) for unit, live in units.items()}
-    new = {unit: setpoint_message(setpoints[unit], live) for unit, live in units.items()}
-    return Wording(what, _by_unit(old), _by_unit(new))
+def of_each(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> dict[int, Wording]:
+    """What a change of several means for each unit."""
+    return {unit: of_setpoint(what, bus, unit, setpoints[unit]) for unit in sorted(setpoints)}
+
+
+def of_several(what: Message, bus: BusLive, setpoints: Mapping[int, int]) -> Wording:
+    """The new setpoints of several units."""
+    units = of_each(what, bus, setpoints)
+    return Wording(
+        what,
+        _by_unit({unit: words.old for unit, words in units.items()}),
+        _by_unit({unit: words.new for unit, words in units.items()}),
+    )
 
 
 def _by_unit(values: dict[int, str | Message]) -> Message:

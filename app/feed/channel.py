@@ -10,7 +10,6 @@ the command ends at once. The worker drops a late command by its own check of th
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,8 +30,6 @@ Checks are counted, not seconds, so that a stall of the app does not count as a 
 AWAY_LOOKS = 20
 """The same for one whose connection broke, which may need a moment to come back."""
 
-ProgressListener = Callable[[Progress], None]
-
 
 class MessageSink(Protocol):
     """What the channel needs of a worker's WebSocket."""
@@ -49,7 +46,6 @@ class _OpenCommand:
     due_at: Monotonic
     """Its deadline, on the monotonic clock like ``give_up_at``."""
     give_up_at: Monotonic
-    listener: ProgressListener | None
     sent_to: MessageSink | None = None
     """Only what this connection reports of it counts."""
 
@@ -94,13 +90,13 @@ class Channel:
         """Any message shows that the worker lives."""
         self._words += 1
 
-    async def send(self, command: Command, listener: ProgressListener | None = None) -> Result:
+    async def send(self, command: Command) -> Result:
         """Send ``command`` and wait for its result. Never raises for a failure on the way."""
         if self._connection is None:
             return Result(id=command.id, at=unix_now(), outcome="bus_closed", message=NO_WORKER)
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         open_command = _OpenCommand(
-            command, self._worker, result, _due_at(command), self._last_moment(command), listener
+            command, self._worker, result, _due_at(command), self._last_moment(command)
         )
         self._open[command.id] = open_command
         try:
@@ -135,8 +131,6 @@ class Channel:
             open_command.result.set_result(result_for(update, open_command.command.action))
             return
         open_command.give_up_at = max(open_command.give_up_at, monotonic_now() + self._patience_s)
-        if open_command.listener is not None:
-            open_command.listener(update)
 
     def _last_moment(self, command: Command) -> Monotonic:
         return _due_at(command) + self._patience_s

@@ -15,7 +15,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
 from app.conditions.priority import PRIORITIES
 from app.live.state.bus_live import BusLive
-from app.metrics.api import MetricSources
+from app.metrics.sources import MetricSources
 
 _COUNTED = {
     "polls": "Status requests sent to a unit",
@@ -34,7 +34,7 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 
 
 class _LineCollector(Collector):
-    """One reading of everything."""
+    """Collects every family at one moment."""
 
     def __init__(self, measured: MetricSources) -> None:
         self._measured = measured
@@ -45,7 +45,7 @@ class _LineCollector(Collector):
         yield from _of_buses(measured.live.buses.items())
         yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
-        for outcome, count in measured.counts.commands.items():
+        for outcome, count in measured.commands.by_outcome.items():
             commands.add_metric([outcome], count)
         yield commands
         yield _alarm_states(measured.alarms)

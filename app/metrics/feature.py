@@ -8,14 +8,15 @@ from app.audit.log import EventLog
 from app.feature import Feature, Services
 from app.live.browsers.hub import Hub
 from app.live.state.bus_live import LiveState
-from app.metrics import api
+from app.metrics.api import router
+from app.metrics.sources import CommandCounts, MetricSources
 
 
 def make(services: Services) -> None:
     live, hub, alarms = services[LiveState], services[Hub], services[LineAlarms]
     anchoring = services[Anchoring]
-    counts = api.Counts(services[EventLog])
-    services.add(api.MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms))
+    counts = CommandCounts(services[EventLog])
+    services.add(MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms))
 
 
-FEATURE = Feature(make, (api.router,))
+FEATURE = Feature(make, (router,))

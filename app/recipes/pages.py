@@ -9,8 +9,7 @@ from starlette.responses import RedirectResponse
 
 from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
-from app.commands.forms.page_context import Page
-from app.commands.forms.review import keep_their_setpoint, know_ramps
+from app.commands.forms.page_context import Confirmed, Page
 from app.commands.review.ramp import present_setpoint
 from app.commands.review.risks import by_remark
 from app.commands.service.writer import permitted
@@ -26,7 +25,6 @@ from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_raw, speed_raw
 from bus.errors import CallerError
-from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -89,12 +87,12 @@ async def review(
 ) -> Response:
     """The second step before loading."""
     recipe = await recipe_or_404(book, recipe_id)
-    bus = page.bus(recipe.bus)
-    units = [one.unit for one in recipe.setpoints if one.unit in bus.units]
-    await know_ramps(page, person, recipe.bus, units)
+    of_bus = page.of_bus(recipe.bus)
+    bus = of_bus.bus
+    await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
     run = book.try_out(person, recipe)
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
-    left_out, unchanged = keep_their_setpoint(page, recipe.bus, [step.unit for step in run.steps])
+    left_out, unchanged = of_bus.not_taking_part(step.unit for step in run.steps)
     return page.review(
         "recipes/_review.html",
         recipe=recipe,
@@ -115,21 +113,20 @@ async def load(
     page: Page,
     book: Book,
     recipe_id: int,
-    id: Annotated[str, Form(min_length=8)],
-    reviewed_at: Annotated[UnixTime, Form()],
+    confirmed: Confirmed,
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
     recipe = await recipe_or_404(book, recipe_id)
-    bus, form = page.bus(recipe.bus), await request.form()
+    of_bus, form = page.of_bus(recipe.bus), await request.form()
     try:
-        page.refuse_lapsed(reviewed_at)
-        setpoints = reviewed(bus, form)
-        if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in bus.units}:
+        confirmed.refuse_lapsed()
+        setpoints = reviewed(of_bus.bus, form)
+        if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in of_bus.bus.units}:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
-        result = await book.load(person, recipe, page.made_at, confirm=True, command_id=id)
+        result = await book.load(person, recipe, page.made_at, confirm=True, command_id=confirmed.id)
     except Problem as problem:
         return page.refused(problem, recipe.name)
-    return proven(page, recipe.bus, recipe.name, setpoints, result, form)
+    return proven(of_bus, recipe.name, setpoints, result, form)
 
 
 @router.post("/recipes/retire")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.commands.review.ramp import ramp_of
-from app.commands.review.risks import RiskInputs, facts_of, obstacle_of, risks_of
+from app.commands.review.risks import obstacle_of, risks_of
 from app.commands.values import in_measure, measure_of_setpoint
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
@@ -125,7 +125,6 @@ def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now:
     present = present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
-    facts = facts_of(bus, unit, now, ramp=ramp, setpoint=setpoint.raw)
     old = (
         "" if unit.reading is None or present is None else setpoint_text(unit, replace(setpoint, raw=present))
     )
@@ -137,7 +136,7 @@ def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now:
         old=old,
         new=new,
         ramp_s=ramp_s,
-        obstacle=_obstacle(setpoint, unit, facts) or refusal(setpoint.unit, setpoint.raw),
+        obstacle=_obstacle(setpoint, bus, unit, now) or refusal(setpoint.unit, setpoint.raw),
         effect=Message(
             _effect(setpoint, present, ramp_s),
             {
@@ -147,7 +146,7 @@ def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now:
             },
         ),
         measure=measure,
-        risks=risks_of(facts),
+        risks=risks_of(bus, unit, now, ramp, setpoint.raw),
     )
 
 
@@ -164,8 +163,8 @@ def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None)
     return "recipe_slows_down" if ramp_s is None else "recipe_slows_down_within"
 
 
-def _obstacle(setpoint: RecipeSetpoint, unit: UnitLive, facts: RiskInputs) -> Message | None:
-    if obstacle := obstacle_of(facts):
+def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixTime) -> Message | None:
+    if obstacle := obstacle_of(bus, unit, now):
         return obstacle
     kind = setpoint_kind(unit)
     if kind is None:

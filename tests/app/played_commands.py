@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from app.commands import check
-from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.rules.objection import RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
-from app.commands.service.command_service import WriteSubscriber, problem_of
+from app.commands.service.command_service import WriteSubscriber
 from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
@@ -88,10 +88,7 @@ class PlayedCommands:
         now = RuleContext(
             self.live.buses["dry-end"], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
-        try:
-            check.check(action, now)
-        except ObjectionError as error:
-            raise problem_of(error) from error
+        check.check(action, now)
 
     @property
     def _timed_out(self) -> bool:

@@ -20,7 +20,6 @@ from bus.contract import (
     Cancel,
     ChangeBaud,
     Command,
-    Progress,
     ReadParameters,
     SetLine,
     SetSpeed,
@@ -74,21 +73,6 @@ async def test_an_outcome_that_cannot_be_stored_is_returned(
     worker.play = responding("verified")
     monkeypatch.setattr(stage.events, "conclude", full)
     assert (await stage.commands.send(ANNA, COMMAND)).outcome == "verified"
-
-
-async def test_progress_is_reported_and_a_change_can_be_canceled(stage: Stage, worker: PlayedWorker) -> None:
-    progressed: list[Progress] = []
-    sending = asyncio.create_task(stage.commands.send(ANNA, COMMAND, id="mine", listener=progressed.append))
-    command = await worker.receive(Command)
-    assert isinstance(command, Command)
-    await worker.update(
-        Progress(id=command.id, at=1.0, stage="sent"), Progress(id="mine", at=1.0, stage="sent")
-    )
-    await stage.commands.cancel(command.id)
-    assert await worker.receive(Cancel) == Cancel(id=command.id)
-    await worker.update(result_of(command, "not_sent", message=term("given up")))
-    assert (await sending).outcome == "not_sent"
-    assert [progress.stage for progress in progressed] == ["sent"]
 
 
 async def test_the_outcome_is_stored_after_the_client_disconnects(stage: Stage, worker: PlayedWorker) -> None:

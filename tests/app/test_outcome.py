@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.forms.outcome import outcome_text, problem_text
+from app.commands.forms.outcome import outcome_text
 from app.errors import Problem
 from app.web.arrival import Deadline
 from bus.contract import Result, UnitOutcome
@@ -34,19 +34,19 @@ from tests.app.screens import translator
     ],
 )
 def test_every_outcome_has_its_words(result: Result, tone: str, text: str) -> None:
-    outcome = outcome_text(result, str, translator())
-    assert (outcome.tone, outcome.text) == (tone, text)
+    outcome = outcome_text(result)
+    assert (outcome.tone, str(outcome.text)) == (tone, text)
 
 
 def test_a_withdrawn_part_of_a_change_is_shown_in_the_reader_s_language() -> None:
     taken_back = Message.of("staged_withdrawn", present=1200)
     part = UnitOutcome(unit=3, outcome="not_sent", message=taken_back)
-    assert outcome_text(part, str, translator()).text == str(taken_back)
-    assert "vorbereitet; nicht ausgeführt" in outcome_text(part, str, translator("de")).text
+    assert outcome_text(part).text == taken_back
+    assert "vorbereitet; nicht ausgeführt" in translator("de").t(outcome_text(part).text)
 
 
 def test_a_refusal_before_sending_is_shown_in_the_reader_s_language() -> None:
     with pytest.raises(Problem) as late:
         Deadline(monotonic_now() - 4, 2.0).refuse_passed()
-    text = problem_text(late.value, translator("de")).text
+    text = translator("de").t(late.value.message)
     assert text.startswith("der Befehl kam zu spät: er ist 4,0 s alt, erlaubt waren 2 s")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.commands.review.ramp import Ramp
-from app.commands.review.risks import by_remark, facts_of, obstacle_of, risks_of, risks_of_writing
+from app.commands.review.risks import by_remark, obstacle_of, risks_of, risks_of_writing
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, Update
 from bus.messages import Message
@@ -25,15 +25,10 @@ def after(*updates: Update) -> LiveState:
 def remarks(live: LiveState, *, block: str = "", ramp: Ramp | None = KNOWN) -> tuple[str, list[str]]:
     """Return the codes of the remarks about unit 1."""
     bus = live.buses["dry"]
-    facts = facts_of(
-        bus,
-        bus.units[1],
-        NOW,
-        block=Message.of("block_by", reason=block, who="anna") if block else None,
-        ramp=ramp,
-    )
-    obstacle = obstacle_of(facts)
-    return "" if obstacle is None else obstacle.code, [risk.code for risk in risks_of(facts)]
+    reason = Message.of("block_by", reason=block, who="anna") if block else None
+    obstacle = obstacle_of(bus, bus.units[1], NOW, block=reason)
+    risks = risks_of(bus, bus.units[1], NOW, ramp)
+    return "" if obstacle is None else obstacle.code, [risk.code for risk in risks]
 
 
 @pytest.mark.parametrize(
@@ -80,9 +75,12 @@ def test_the_dialect_decides_which_level_is_an_emergency_stop() -> None:
 
 def test_the_numbers_are_params() -> None:
     bus = after(reading(at=96.4)).buses["dry"]
-    facts = facts_of(bus, bus.units[1], NOW, block="{age}", ramp=Ramp(7, 0, 0.0))
-    assert obstacle_of(facts) == Message.of("obstacle_blocked", block="{age}")
-    assert [risk.params for risk in risks_of(facts)] == [{"age": 4}, {"number": 7}]
+    obstacle = obstacle_of(bus, bus.units[1], NOW, block="{age}")
+    assert obstacle == Message.of("obstacle_blocked", block="{age}")
+    assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [
+        {"age": 4},
+        {"number": 7},
+    ]
 
 
 def test_one_remark_names_all_its_units() -> None:

@@ -17,7 +17,7 @@ TypedValue = str | int | float
 
 
 class CommandRequestBody(StrictBody):
-    """Of any command."""
+    """What the body of every command may hold."""
 
     timeout_s: Annotated[
         TimeoutS | None, Field(description="Time that it may wait for the wire, 0.05 to 30 s; else 2 s.")

@@ -17,10 +17,10 @@ from app.commands.api.bodies import (
     CommandRequestBody,
     OutputRequest,
     ParameterRequest,
+    Quantity,
     SpeedRequest,
     SpeedsRequest,
 )
-from app.commands.api.quantity import QuantityConverter
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.api.schemas import CommandResult
 from app.commands.catalogue import (
@@ -34,21 +34,21 @@ from app.commands.catalogue import (
     WRITE_OUTPUT,
     WRITE_PARAMETER,
     CommandKind,
-    kind_of_command,
     timeout_s_for,
 )
 from app.commands.service.command_service import CommandService
+from app.commands.service.value_converter import ValueConverter
 from app.commands.service.writer import Commands, permitted, permitted_writer
 from app.errors import Problem
-from app.live.api.routes import Live
 from app.live.api.schemas import ParameterShown
 from app.live.api.view import parameter_json
-from app.live.lookup import bus_or_404, unit_or_404
-from app.live.state.bus_live import LiveState
+from app.live.lookup import unit_of_bus_or_404
+from app.live.state.bus_live import BusLive, UnitLive
 from app.web.access import Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.arrival import Deadline, made_at
 from app.web.schema_problem import problems
+from app.web.services import bus_service
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS
 from bus.contract import (
@@ -74,6 +74,15 @@ RESULT_RESPONSES: dict[int | str, dict[str, Any]] = {
     **problems(404, 409, 423, 504),
 }
 
+BusInPath = Annotated[BusLive, bus_service(BusLive)]
+
+
+async def _unit_in_path(bus: BusInPath, unit: int) -> UnitLive:
+    return unit_of_bus_or_404(bus, unit)
+
+
+UnitInPath = Annotated[UnitLive, Depends(_unit_in_path)]
+
 
 @dataclass(frozen=True, slots=True)
 class CommandCall:
@@ -81,9 +90,8 @@ class CommandCall:
 
     request: Request
     person: Person
-    live: LiveState
+    bus: BusLive
     commands: CommandService
-    bus: str
     key: str | None
     made_at: Monotonic
     query_timeout_s: float | None
@@ -92,12 +100,16 @@ class CommandCall:
     def deadline(self, body: CommandRequestBody, staged_units: int = 0) -> Deadline:
         """By the body's ``timeout_s``, else the query's, else what a change of so many units may take."""
         given = body.timeout_s if body.timeout_s is not None else self.query_timeout_s
-        bus = bus_or_404(self.live, self.bus)
-        return Deadline(self.made_at, timeout_s_for(bus, staged_units) if given is None else given)
+        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units) if given is None else given)
 
-    def typed(self, unit: int, deadline: Deadline) -> QuantityConverter:
+    def typed(self, unit: int, deadline: Deadline) -> ValueConverter:
         """Conversion of typed values for a unit. Raises Problem 404."""
-        return QuantityConverter(self.commands, self.person, unit_or_404(self.live, self.bus, unit), deadline)
+        return ValueConverter(self.commands, self.person, unit_of_bus_or_404(self.bus, unit), deadline)
+
+    async def setpoint(self, unit: int, given: Quantity, deadline: Deadline) -> int:
+        """The raw setpoint of a unit. Raises Problem 404."""
+        typed = self.typed(unit, deadline)
+        return await typed.setpoint(given.typed) if given.raw is None else given.raw
 
     async def send(
         self,
@@ -111,9 +123,7 @@ class CommandCall:
         result = await self.commands.send(
             self.person, action, deadline=deadline, confirm=body.confirm, id=self.key
         )
-        secret = kind_of_command(action).is_secret(action)
-        bus = bus_or_404(self.live, self.bus)
-        return command_response(self.request, bus, result, unit, secret=secret, frames=self.frames)
+        return command_response(self.request, self.bus, result, unit, frames=self.frames)
 
 
 def calling(kind: CommandKind[Any]) -> Any:
@@ -123,15 +133,14 @@ def calling(kind: CommandKind[Any]) -> Any:
 
     async def command_call(
         request: Request,
-        live: Live,
+        bus: BusInPath,
         commands: Commands,
-        bus: str,
         person: Person = sender,
         timeout_s: Annotated[float | None, Query(ge=0.05, le=30)] = None,
         key: RequestKey = None,
         frames: bool = wants_frames,
     ) -> CommandCall:
-        return CommandCall(request, person, live, commands, bus, key, made_at(request), timeout_s, frames)
+        return CommandCall(request, person, bus, commands, key, made_at(request), timeout_s, frames)
 
     return Depends(command_call)
 
@@ -150,7 +159,7 @@ async def set_speed(
 ) -> Response:
     """84h (``execute``) or 82h. Staging is acknowledged; executing is verified by 81h."""
     deadline = call.deadline(body)
-    raw = await call.typed(unit, deadline).setpoint(body)
+    raw = await call.setpoint(unit, body, deadline)
     return await call.send(SetSpeed(unit=unit, raw=raw, execute=body.execute), body, unit, deadline)
 
 
@@ -175,7 +184,7 @@ async def set_speeds(call: Annotated[CommandCall, calling(SET_LINE)], body: Spee
     """Stage all, require every acknowledgement, broadcast, read back: all units change or none."""
     deadline = call.deadline(body, len(body.setpoints))
     setpoints = {
-        int(key): await call.typed(int(key), deadline).setpoint(quantity)
+        int(key): await call.setpoint(int(key), quantity, deadline)
         for key, quantity in body.setpoints.items()
     }
     return await call.send(SetLine(setpoints=setpoints), body, deadline=deadline)
@@ -186,7 +195,7 @@ async def write_output(
     call: Annotated[CommandCall, calling(WRITE_OUTPUT)], unit: int, number: int, body: OutputRequest
 ) -> Response:
     """87h, verified by the bit in ST2."""
-    unit_or_404(call.live, call.bus, unit)
+    unit_of_bus_or_404(call.bus, unit)
     if number not in OUTPUT_NUMBERS:
         raise Problem(404, "unknown_output", Message("no_such_output"), unit=unit)
     return await call.send(WriteOutput(unit=unit, number=number, on=body.on), body, unit)
@@ -218,7 +227,7 @@ async def get_parameters(
     With ``gaps`` only the gaps of the scan are used: slower, and polling keeps its rate. A parameter that
     was never read is read now if the unit responds.
     """
-    found = unit_or_404(call.live, call.bus, unit)
+    found = unit_of_bus_or_404(call.bus, unit)
     if refresh:
         await _read(call, unit, list(PARAMETERS), gaps=gaps)
     elif never_read := [number for number in PARAMETERS if number not in found.parameters]:
@@ -249,5 +258,5 @@ async def write_parameter(
     typed = call.typed(unit, deadline)
     if number not in PARAMETERS:
         raise Problem(404, "unknown_parameter", Message("no_such_parameter"), unit=unit)
-    raw = await typed.parameter(number, body)
+    raw = await typed.parameter(number, body.typed) if body.raw is None else body.raw
     return await call.send(WriteParameter(unit=unit, number=number, raw=raw), body, unit, deadline)

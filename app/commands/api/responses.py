@@ -34,19 +34,13 @@ _OF_A_PROBLEM = {"code", *ReasonShown.__annotations__}
 
 
 def command_response(
-    request: Request,
-    bus: BusLive,
-    result: Result,
-    unit: int | None = None,
-    *,
-    secret: bool = False,
-    frames: bool = False,
+    request: Request, bus: BusLive, result: Result, unit: int | None = None, *, frames: bool = False
 ) -> Response:
     """200 with the result, or the problem it stands for; the members are the same in both. ``frames``: with
     what carried the command."""
-    body = result_json(bus, result, unit, secret=secret)
+    body = result_json(bus, result, unit)
     if frames:
-        body["frames"] = [] if secret else [frame_json(frame) for frame in result.frames]
+        body["frames"] = [frame_json(frame) for frame in result.frames]
     status = STATUS[result.outcome]
     if status == 200:
         return JSONResponse(body)
@@ -54,12 +48,10 @@ def command_response(
     return respond(request, Problem(status, result.outcome, outcome_message(result), **members))
 
 
-def result_json(
-    bus: BusLive, result: Result, unit: int | None = None, *, secret: bool = False
-) -> dict[str, Any]:
+def result_json(bus: BusLive, result: Result, unit: int | None = None) -> dict[str, Any]:
     """``units``: of a command to several the result of each, keyed by its number as text; of one to ``unit``
-    the members are its own. The value of a secret is left out."""
-    by_unit = {str(part.unit): _unit_json(part, secret) for part in result.units}
+    the members are its own."""
+    by_unit = {str(part.unit): _unit_json(part) for part in result.units}
     alone = {} if unit is None else by_unit.pop(str(unit), {})
     return {
         **alone,
@@ -68,7 +60,7 @@ def result_json(
         "bus": bus.settings.name,
         "unit": unit,
         "code": result.outcome,
-        **_outcome_json(result, secret),
+        **_outcome_json(result),
         "skew_s": result.skew_s,
         "units": by_unit,
     }
@@ -95,10 +87,10 @@ def frame_json(frame: Frame) -> FrameShown:
     }
 
 
-def _unit_json(result: UnitOutcome, secret: bool) -> dict[str, Any]:
+def _unit_json(result: UnitOutcome) -> dict[str, Any]:
     return {
         "unit": result.unit,
-        **_outcome_json(result, secret),
+        **_outcome_json(result),
         "sent_at": _moment(result.sent_at),
         "acknowledged_at": _moment(result.acknowledged_at),
         "proven_at": _moment(result.proven_at),
@@ -106,11 +98,11 @@ def _unit_json(result: UnitOutcome, secret: bool) -> dict[str, Any]:
     }
 
 
-def _outcome_json(result: Result | UnitOutcome, secret: bool) -> OutcomeMembers:
+def _outcome_json(result: Result | UnitOutcome) -> OutcomeMembers:
     return {
         "outcome": result.outcome,
         **reason_shown(outcome_message(result)),
-        "read_back": None if secret else result.read_back,
+        "read_back": result.read_back,
         "unit_error": result.unit_error,
         "unit_error_name": None if result.unit_error is None else unit_error_name(result.unit_error),
     }

@@ -9,6 +9,8 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 
+from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
+from app.commands.api.commands import UnitInPath
 from app.commands.api.schemas import CommandBlockShown, ControlShown
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
@@ -16,9 +18,7 @@ from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
-from app.live.lookup import unit_of_bus_or_404
-from app.live.state.bus_live import BusLive
-from app.web.access import Engineer, Operator, Viewer, name_of
+from app.web.access import Person, Viewer, name_of
 from app.web.api_route import ApiRoute
 from app.web.services import bus_service
 from app.web.shape import StrictBody, iso
@@ -66,49 +66,45 @@ class HandOverRequest(StrictBody):
 
 
 Guards = Annotated[Safeguards, bus_service(Safeguards)]
-BusInPath = Annotated[BusLive, bus_service(BusLive)]
 
 
 @router.get("/units/{unit:int}/limits")
-async def get_speed_limits(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SpeedLimits:
+async def get_speed_limits(_: Viewer, guards: Guards, unit: UnitInPath) -> SpeedLimits:
     """Limits of the setpoint of this unit, set by an engineer."""
-    unit_of_bus_or_404(bus, unit)
-    return SpeedLimits(**asdict(guards.limits.of(unit)))
+    return SpeedLimits(**asdict(guards.limits.of(unit.settings.id)))
 
 
 @router.put("/units/{unit:int}/limits")
 async def set_speed_limits(
-    person: Engineer, bus: BusInPath, guards: Guards, unit: int, body: SpeedLimits
+    person: Annotated[Person, SET_LIMITS.permitted], guards: Guards, unit: UnitInPath, body: SpeedLimits
 ) -> SpeedLimits:
     """Replace the limits of this unit. They apply immediately on every interface."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.set_limits(person, unit, Limits(**body.model_dump()))
+    await guards.set_limits(person, unit.settings.id, Limits(**body.model_dump()))
     return body
 
 
 @router.get("/units/{unit:int}/block")
-async def get_command_block(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
+async def get_command_block(_: Viewer, guards: Guards, unit: UnitInPath) -> CommandBlockShown:
     """Whether commands to this unit are blocked, the reason and the user."""
-    unit_of_bus_or_404(bus, unit)
-    return _block_json(guards, unit)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.post("/units/{unit:int}/block")
 async def block_commands(
-    person: Operator, bus: BusInPath, guards: Guards, unit: int, body: CommandBlockRequest
+    person: Annotated[Person, BLOCK.permitted], guards: Guards, unit: UnitInPath, body: CommandBlockRequest
 ) -> CommandBlockShown:
     """Block every write to this unit, on every interface, until the block is lifted."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.block(person, unit, body.reason)
-    return _block_json(guards, unit)
+    await guards.block(person, unit.settings.id, body.reason)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.delete("/units/{unit:int}/block")
-async def unblock_commands(person: Operator, bus: BusInPath, guards: Guards, unit: int) -> CommandBlockShown:
+async def unblock_commands(
+    person: Annotated[Person, UNBLOCK.permitted], guards: Guards, unit: UnitInPath
+) -> CommandBlockShown:
     """Lift the block of commands; the event records the user."""
-    unit_of_bus_or_404(bus, unit)
-    await guards.lift(person, unit)
-    return _block_json(guards, unit)
+    await guards.lift(person, unit.settings.id)
+    return _block_json(guards, unit.settings.id)
 
 
 @router.get("/control")
@@ -118,19 +114,23 @@ async def get_control(_: Viewer, guards: Guards) -> ControlShown:
 
 
 @router.post("/control")
-async def take_control(person: Operator, guards: Guards) -> ControlShown:
+async def take_control(person: Annotated[Person, TAKE_CONTROL.permitted], guards: Guards) -> ControlShown:
     """Take control, if it is free."""
     return _control_json(guards, await guards.take(person))
 
 
 @router.post("/control/hand-over")
-async def hand_over_control(person: Operator, guards: Guards, body: HandOverRequest) -> ControlShown:
+async def hand_over_control(
+    person: Annotated[Person, HAND_OVER_CONTROL.permitted], guards: Guards, body: HandOverRequest
+) -> ControlShown:
     """Hand control over to another user who may command the line. An admin may do so without control."""
     return _control_json(guards, await guards.hand_over(person, body.to))
 
 
 @router.delete("/control")
-async def release_control(person: Operator, guards: Guards) -> ControlShown:
+async def release_control(
+    person: Annotated[Person, RELEASE_CONTROL.permitted], guards: Guards
+) -> ControlShown:
     """Release control."""
     await guards.release(person)
     return _control_json(guards, None)
@@ -167,15 +167,14 @@ class SetpointRangeShown(StrictBody):
 
 
 @router.get("/units/{unit:int}/setpoint-range")
-async def get_setpoint_range(_: Viewer, bus: BusInPath, guards: Guards, unit: int) -> SetpointRangeShown:
+async def get_setpoint_range(_: Viewer, guards: Guards, unit: UnitInPath) -> SetpointRangeShown:
     """Range of the setpoints of this unit, as on every page and for every write."""
-    found = unit_of_bus_or_404(bus, unit)
-    allowed = setpoint_range(found, guards.limits.of(unit))
+    allowed = setpoint_range(unit, guards.limits.of(unit.settings.id))
     return SetpointRangeShown(
         kind=allowed.kind,
         lowest_raw=allowed.lowest,
         highest_raw=allowed.highest,
-        lowest=setpoint_text(found, allowed.lowest),
-        highest=setpoint_text(found, allowed.highest),
+        lowest=setpoint_text(unit, allowed.lowest),
+        highest=setpoint_text(unit, allowed.highest),
         basis=allowed.basis,
     )

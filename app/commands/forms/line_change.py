@@ -11,13 +11,14 @@ from collections.abc import Mapping
 from starlette.datastructures import FormData
 from starlette.responses import Response
 
-from app.commands.forms.outcome import OutcomeText, ResultRow
-from app.commands.forms.page_context import PageContext
+from app.commands.forms.outcome import OutcomeText, outcome_text
+from app.commands.forms.page_context import BusPage
 from app.commands.review.ramp import present_setpoint
+from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
 from bus.contract import Result
-from bus.messages import Message
+from bus.messages import Message, joined
 
 
 def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
@@ -42,56 +43,44 @@ def followers_of(live: BusLive) -> set[int]:
 
 
 def proven(
-    page: PageContext, bus: str, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
+    page: BusPage, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
 ) -> Response:
-    """The outcome of each unit, and the way back where all of them are verified."""
-    live = page.bus(bus)
-    proofs = _proofs(page, live, setpoints, result)
+    """The outcome of each unit in floor order, and the way back where all of them are verified."""
+    by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
+    proofs = [
+        (
+            units[number].settings.name,
+            setpoint_message(raw, units[number]),
+            page.outcome(by_unit.get(number, result), number),
+        )
+        for number, raw in setpoints.items()
+    ]
     return page.render(
         "setpoints/_done.html",
         title=title,
-        bus=bus,
-        outcome=_outcome_of_all(page, result, proofs),
+        bus=page.name,
+        outcome=_outcome_of_all(result, len(setpoints)),
         proofs=proofs,
-        former=_former(page, live, setpoints, form) if result.outcome == "verified" else {},
+        former=_former(page.bus, setpoints, form) if result.outcome == "verified" else {},
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
 
 
-def _former(page: PageContext, live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str]:
+def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str | Message]:
     """What each unit had before, as it shows it; nothing where that is not known of all."""
     was = {number: str(form.get(f"was-{number}", "")) for number in setpoints}
     if not all(text.isdecimal() for text in was.values()):
         return {}
-    return {number: page.setpoint(int(text), live.units[number]) for number, text in was.items()}
+    return {number: setpoint_message(int(text), live.units[number]) for number, text in was.items()}
 
 
-def _outcome_of_all(page: PageContext, result: Result, proofs: list[ResultRow]) -> OutcomeText:
+def _outcome_of_all(result: Result, units: int) -> OutcomeText:
     """The outcome of the change: how many of its units are verified."""
-    outcome = page.outcome(result)
+    outcome = outcome_text(result)
     if result.outcome == "verified":
-        return OutcomeText(
-            "good", page.translator.tn("verified", "verified at each of {n} units", len(proofs))
-        )
+        return OutcomeText("good", Message.of("result_of_all", n=units))
     if result.outcome != "unverified":
         return outcome
-    proven = sum(unit.outcome == "verified" for unit in result.units)
-    counted = page.translator.tn(
-        "{good} of {n} unit verified", "{good} of {n} units verified", len(proofs), good=proven
-    )
-    return OutcomeText(outcome.tone, f"{counted}; {outcome.text}")
-
-
-def _proofs(
-    page: PageContext, live: BusLive, setpoints: Mapping[int, int], result: Result
-) -> list[ResultRow]:
-    """(name, requested, result) of each unit, in floor order."""
-    by_unit = {outcome.unit: outcome for outcome in result.units}
-    return [
-        (
-            live.units[number].settings.name,
-            page.setpoint(raw, live.units[number]),
-            page.outcome(by_unit.get(number, result), live.units[number]),
-        )
-        for number, raw in setpoints.items()
-    ]
+    good = sum(unit.outcome == "verified" for unit in result.units)
+    counted = Message.of("result_of_some", n=units, good=good)
+    return OutcomeText(outcome.tone, joined((counted, outcome.text)) or counted)

@@ -1,26 +1,34 @@
-"""Shared by every form of the pages: the user, the language, and whether the review is still valid."""
+"""A request of a page that reviews or sends commands: of the site, of one bus, of one unit."""
 
 from __future__ import annotations
 
+import asyncio
 import uuid
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import Depends
+from fastapi import Depends, Form
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command, timeout_s_for
-from app.commands.forms.outcome import OutcomeText, outcome_text, problem_text
+from app.commands.forms.outcome import OutcomeText, outcome_text
+from app.commands.review.ramp import present_setpoint, ramp_parameters_missing
+from app.commands.review.risks import SetpointChange, change_of, obstacle_of
+from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
+from app.commands.service.value_converter import ValueConverter
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.browsers.hub import Hub
-from app.live.lookup import bus_or_404, unit_or_404
+from app.live.lookup import unit_of_bus_or_404
 from app.live.pages import UnitOnLine, unit_on_line
 from app.live.screen.fields import Translator
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
-from app.web.access import Person
+from app.web.access import Person, not_signed_in, person_of
 from app.web.arrival import Deadline, made_at, refuse_late
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
@@ -32,44 +40,49 @@ REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
 
 
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """What a confirmed review posts: the id of its command, and when it was shown."""
+
+    id: str
+    reviewed_at: UnixTime
+
+    def refuse_lapsed(self) -> None:
+        """Raises Problem 409 for a review that is over. Nothing is sent."""
+        if not unix_now() - self.reviewed_at <= REVIEW_LASTS_S:  # of NaN too
+            raise Problem(409, "lapsed", Message("review_lapsed"))
+
+
 class PageContext:
-    """One request of a page: its unit or bus, its language, and the way to the wire."""
+    """A request of a page: its user, its language, and the live state of the site."""
 
     def __init__(self, request: Request) -> None:
-        self.request = request
         templates = templates_of(request)
         language = templates.language_of(request)
+        self.request = request
         self.translator = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
         self.made_at = made_at(request)
 
-    def bus(self, name: str) -> BusLive:
-        """Raises Problem 404."""
-        return bus_or_404(self.live, name)
+    @property
+    def person(self) -> Person:
+        """Raises Problem 401."""
+        person = person_of(self.request)
+        if person is None:
+            raise not_signed_in()
+        return person
 
-    def commands(self, bus: str) -> CommandService:
-        """Raises Problem 404."""
-        return bus_service_of(self.request, bus, CommandService)
+    def of_bus(self, bus: str) -> BusPage:
+        """This request, for one bus. Raises Problem 404."""
+        return BusPage(self.request, bus)
 
-    def guards(self, bus: str) -> Safeguards:
-        """Raises Problem 404."""
-        return bus_service_of(self.request, bus, Safeguards)
-
-    def unit(self, bus: str, unit: int) -> UnitLive:
-        """Raises Problem 404."""
-        return unit_or_404(self.live, bus, unit)
-
-    def shown(self, bus: str, unit: int) -> UnitOnLine:
-        """A unit as the templates want it."""
-        return unit_on_line(bus, self.unit(bus, unit))
+    def buses(self) -> list[BusPage]:
+        """This request, for each bus."""
+        return [self.of_bus(name) for name in self.live.buses]
 
     def fields(self) -> dict[str, str]:
         """All texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
-
-    def setpoint(self, raw: int | None, unit: UnitLive) -> str:
-        """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
-        return self.translator.t(setpoint_message(raw, unit))
 
     def people(self) -> dict[str, str]:
         """Return the role of each user with an open page, keyed by user name."""
@@ -82,42 +95,17 @@ class PageContext:
         """The second step: what will be done once this is confirmed, and the id it will be done under."""
         return self.render(template, command_id=new_id(), reviewed_at=unix_now(), **context)
 
-    def not_so(self, reason: str, place: str, *, nearest: str = "", status: int = 422) -> Response:
-        """Why there is no review, shown at the CSS selector ``place``; ``nearest`` would get one."""
-        response = self.render("unit/_not_so.html", reason=reason, nearest=nearest, status=status)
+    def explain(
+        self, reason: Message, place: str, *, nearest: str | Message = "", status: int = 422
+    ) -> Response:
+        """Why there is no review, at the CSS selector ``place``. A press on ``nearest`` enters it."""
+        response = self.render("unit/_no_review.html", reason=reason, nearest=nearest, status=status)
         response.headers["HX-Retarget"] = place
         return response
 
-    def refuse_lapsed(self, reviewed_at: UnixTime) -> None:
-        """Raises Problem 409 for a review that is over. Nothing is sent."""
-        if not unix_now() - reviewed_at <= REVIEW_LASTS_S:  # of NaN too
-            raise Problem(409, "lapsed", Message("review_lapsed"))
-
-    def deadline(self, bus: BusLive, staged_units: int = 0) -> Deadline:
-        """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
-        return Deadline(self.made_at, timeout_s_for(bus, staged_units))
-
-    async def send(
-        self, person: Person, bus: str, action: Action, id: str, deadline: Deadline | None = None
-    ) -> Result:
-        """Send the reviewed command, once; ``deadline`` where it is not that of its kind.
-
-        Raises Problem where it is not sent.
-        """
-        timeout_s = kind_of_command(action).timeout_s(action, self.bus(bus))
-        deadline = deadline or Deadline(self.made_at, timeout_s)
-        commands = self.commands(bus)
-        return await commands.send(person, action, deadline=deadline, confirm=True, id=id, origin="page")
-
-    def outcome(self, result: Result | UnitOutcome, unit: UnitLive | None = None) -> OutcomeText:
-        """What became of it; what was read back is a setpoint in the decimals of ``unit``, else as it is."""
-        if unit is None:
-            return outcome_text(result, str, self.translator)
-        return outcome_text(result, lambda raw: self.setpoint(raw, unit), self.translator)
-
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""
-        return self.done(title, problem_text(problem, self.translator), status=problem.status)
+        return self.done(title, OutcomeText("bad", problem.message), status=problem.status)
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
@@ -125,15 +113,148 @@ class PageContext:
         return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 
 
+class BusPage(PageContext):
+    """A request of a page about one bus, and the way to its wire. Raises Problem 404 for one that is not
+    configured."""
+
+    def __init__(self, request: Request, bus: str) -> None:
+        super().__init__(request)
+        self.name = bus
+        self.bus = bus_service_of(request, bus, BusLive)
+        self.commands = bus_service_of(request, bus, CommandService)
+        self.guards = bus_service_of(request, bus, Safeguards)
+
+    def shown(self, unit: int) -> UnitOnLine:
+        """A unit as the templates want it."""
+        return unit_on_line(self.name, self.bus.units[unit])
+
+    def limits(self, unit: int) -> Limits:
+        return self.guards.limits.of(unit)
+
+    def deadline(self, staged_units: int = 0) -> Deadline:
+        """Deadline of the command that this request sends. ``staged_units``: number of units of a change."""
+        return Deadline(self.made_at, timeout_s_for(self.bus, staged_units))
+
+    def typed(self, unit: int, deadline: Deadline | None = None) -> ValueConverter:
+        """Converts what was typed for a unit."""
+        return ValueConverter(self.commands, self.person, self.bus.units[unit], deadline or self.deadline())
+
+    def check(self, action: Action) -> None:
+        """The checks of a command that need no reading. Raises Problem for what would not be sent."""
+        self.commands.check(self.person, action, confirm=True)
+
+    async def judge(self, action: Action, deadline: Deadline | None = None) -> None:
+        """All checks of a command; what they need to know of the units is read first, within its time.
+
+        Raises Problem for what would not be sent.
+        """
+        await self.commands.read_ranges(self.person, action, deadline or self.deadline())
+        self.check(action)
+
+    async def know_ramps(self, units: Iterable[int]) -> None:
+        """Read the ramp parameters that were never read; a ramp stays unknown where the unit does not
+        respond."""
+        deadline = self.deadline()
+
+        async def read(unit: int, numbers: list[int]) -> None:
+            with suppress(Problem):
+                await self.commands.read(self.person, unit, numbers, deadline)
+
+        missing = {unit: ramp_parameters_missing(self.bus.units[unit]) for unit in units}
+        await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
+
+    async def send(self, action: Action, id: str, deadline: Deadline | None = None) -> Result:
+        """Send the reviewed command, once; ``deadline`` where it is not that of its kind.
+
+        Raises Problem where it is not sent.
+        """
+        timeout_s = kind_of_command(action).timeout_s(action, self.bus)
+        deadline = deadline or Deadline(self.made_at, timeout_s)
+        return await self.commands.send(
+            self.person, action, deadline=deadline, confirm=True, id=id, origin="page"
+        )
+
+    async def carry_out(self, action: Action, confirmation: Confirmation) -> Result:
+        """Send what was confirmed while its review lasts. Raises Problem where it is not sent."""
+        confirmation.refuse_lapsed()
+        return await self.send(action, confirmation.id)
+
+    def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
+        """What became of a setpoint; what was read back is in the decimals of ``unit``."""
+        return outcome_text(result, lambda raw: setpoint_message(raw, self.bus.units[unit]))
+
+    def change(self, unit: int, raw: int) -> SetpointChange:
+        """What a new setpoint means for a unit."""
+        block = self.guards.block_reason(unit)
+        return change_of(self.bus, self.bus.units[unit], raw, self.limits(unit), unix_now(), block=block)
+
+    def obstacle(self, unit: int) -> Message | None:
+        """Why a unit cannot take a command now; None where nothing is known against it."""
+        block = self.guards.block_reason(unit)
+        return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
+
+    def not_taking_part(self, taking_part: Iterable[int]) -> tuple[list[tuple[str, Message]], list[str]]:
+        """The units that are not part of a change: those that could take no setpoint now, each with the
+        reason, and the names of the rest."""
+        left_out, unchanged, taking = [], [], set(taking_part)
+        for number in (unit for unit in self.bus.units if unit not in taking):
+            name, obstacle = self.bus.units[number].settings.name, self.obstacle(number)
+            if obstacle is None:
+                unchanged.append(name)
+            else:
+                left_out.append((name, obstacle))
+        return left_out, unchanged
+
+
+class UnitPage(BusPage):
+    """A request of a page about one unit. Raises Problem 404 for one that is not configured."""
+
+    def __init__(self, request: Request, bus: str, unit: int) -> None:
+        super().__init__(request, bus)
+        self.id = unit
+        self.unit: UnitLive = unit_of_bus_or_404(self.bus, unit)
+        self.title = self.unit.settings.name
+        self.on_line = self.shown(unit)
+
+    def setpoint(self, raw: int | None) -> str:
+        """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
+        return self.translator.t(setpoint_message(raw, self.unit))
+
+    @property
+    def present(self) -> int | None:
+        """The present setpoint, raw; None where it is not known."""
+        return present_setpoint(self.bus, self.unit)
+
+
 def new_id() -> str:
     """The identity of a command: a form that is posted twice is carried out once."""
     return uuid.uuid4().hex
 
 
-async def page_context_of(request: Request) -> PageContext:
-    """This request's. Raises Problem 503 for a press that was held up on its way."""
+async def _page_of_site(request: Request) -> PageContext:
+    # A press that was held up on its way ends here, as a Problem 503.
     refuse_late(request)
     return PageContext(request)
 
 
-Page = Annotated[PageContext, Depends(page_context_of)]
+async def _page_of_bus(request: Request, bus: str) -> BusPage:
+    refuse_late(request)
+    return BusPage(request, bus)
+
+
+async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
+    """The request with its unit. Raises Problem 503 for a press that was held up on its way, and 404."""
+    refuse_late(request)
+    return UnitPage(request, bus, unit)
+
+
+async def _confirmation_of(
+    id: Annotated[str, Form(max_length=64)], reviewed_at: Annotated[UnixTime, Form()]
+) -> Confirmation:
+    return Confirmation(id, reviewed_at)
+
+
+Page = Annotated[PageContext, Depends(_page_of_site)]
+OfBus = Annotated[BusPage, Depends(_page_of_bus)]
+OfUnit = Annotated[UnitPage, Depends(unit_page_of)]
+Confirmed = Annotated[Confirmation, Depends(_confirmation_of)]

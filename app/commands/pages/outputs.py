@@ -8,124 +8,83 @@ from fastapi import APIRouter, Form, Path
 from starlette.responses import Response
 
 from app.commands.catalogue import WRITE_ANALOG_OUTPUT, WRITE_OUTPUT
-from app.commands.forms.outcome import OutcomeText
-from app.commands.forms.page_context import Page, PageContext
-from app.commands.forms.review import facts
-from app.commands.review.risks import obstacle_of
+from app.commands.forms.outcome import OutcomeText, outcome_text
+from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
-from app.live.state.bus_live import UnitLive
-from app.web.access import Person
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW
 from bus.catalogue.status import output_is_on
 from bus.catalogue.values import analog_output_volts
 from bus.contract import WriteAnalogOutput, WriteOutput
 from bus.errors import CallerError
-from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import Message, term
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 OutputPath = Annotated[int, Path(ge=1, le=6)]
-ON, OFF = "on", "off"
 
 
-def output_name(live: UnitLive, number: int) -> str:
-    """The label of the output, or its number."""
-    return live.settings.labels.output.get(number, "")
-
-
-@router.get("/outputs/{number:int}")
-async def review_output(
-    person: Annotated[Person, permitted(WRITE_OUTPUT)], page: Page, bus: str, unit: int, number: OutputPath
-) -> Response:
+@router.get("/outputs/{number:int}", dependencies=[permitted(WRITE_OUTPUT)])
+async def review_output(page: OfUnit, number: OutputPath) -> Response:
     """The other state of an output, to be confirmed."""
-    live = page.unit(bus, unit)
+    reading = page.unit.reading
     try:
-        if live.reading is None:
+        if reading is None:
             raise Problem(409, "unknown", Message("output_unknown"))
-        on = not output_is_on(live.reading.outputs, number)
-        page.commands(bus).check(person, WriteOutput(unit=unit, number=number, on=on), confirm=True)
+        on = not output_is_on(reading.outputs, number)
+        page.check(WriteOutput(unit=page.id, number=number, on=on))
     except Problem as problem:
-        return page.refused(problem, live.settings.name)
+        return page.refused(problem, page.title)
     return page.review(
         "unit/_review_output.html",
-        unit=page.shown(bus, unit),
+        unit=page.on_line,
         number=number,
-        name=output_name(live, number),
+        name=page.unit.settings.labels.output.get(number, ""),
         on=on,
-        obstacle=obstacle_of(facts(page, bus, unit)),
+        obstacle=page.obstacle(page.id),
     )
 
 
-@router.post("/outputs/{number:int}")
+@router.post("/outputs/{number:int}", dependencies=[permitted_writer(WRITE_OUTPUT)])
 async def set_output(
-    person: Annotated[Person, permitted_writer(WRITE_OUTPUT)],
-    page: Page,
-    bus: str,
-    unit: int,
-    number: OutputPath,
-    on: Annotated[bool, Form()],
-    id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[UnixTime, Form()],
+    page: OfUnit, number: OutputPath, on: Annotated[bool, Form()], confirmed: Confirmed
 ) -> Response:
     """87h, verified by the bit in ST2."""
-    live = page.unit(bus, unit)
     try:
-        page.refuse_lapsed(reviewed_at)
-        result = await page.send(person, bus, WriteOutput(unit=unit, number=number, on=on), id)
+        result = await page.carry_out(WriteOutput(unit=page.id, number=number, on=on), confirmed)
     except Problem as problem:
-        return page.refused(problem, live.settings.name)
-    outcome = page.outcome(result)
+        return page.refused(problem, page.title)
+    outcome = outcome_text(result)
     if result.outcome == "verified":
-        state = page.translator.t(ON if on else OFF)
-        outcome = OutcomeText(
-            "good", page.translator.t("verified: output {n} is {state}", n=number, state=state)
-        )
-    return page.done(live.settings.name, outcome)
+        state = term("on") if on else term("off")
+        outcome = OutcomeText("good", Message.of("result_output", n=number, state=state))
+    return page.done(page.title, outcome)
 
 
-@router.post("/analog-output/review")
-async def review_analog(
-    person: Annotated[Person, permitted(WRITE_ANALOG_OUTPUT)],
-    page: Page,
-    bus: str,
-    unit: int,
-    value: Annotated[str, Form(max_length=10)] = "",
-) -> Response:
+@router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
+async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
     """A value of the analog output, in volts too, to be confirmed."""
-    live = page.unit(bus, unit)
     try:
         raw = _integer(value)
-        page.commands(bus).check(person, WriteAnalogOutput(unit=unit, raw=raw), confirm=True)
+        page.check(WriteAnalogOutput(unit=page.id, raw=raw))
     except (CallerError, Problem) as error:
-        return page.not_so(page.translator.t(error.message), "#analog-error")
+        return page.explain(error.message, "#analog-error")
     return page.review(
         "unit/_review_analog.html",
-        unit=page.shown(bus, unit),
+        unit=page.on_line,
         raw=raw,
-        volts=_volts(page, live, raw),
-        obstacle=obstacle_of(facts(page, bus, unit)),
+        volts=_volts(page, raw),
+        obstacle=page.obstacle(page.id),
     )
 
 
-@router.post("/analog-output")
-async def set_analog(
-    person: Annotated[Person, permitted_writer(WRITE_ANALOG_OUTPUT)],
-    page: Page,
-    bus: str,
-    unit: int,
-    raw: Annotated[int, Form(ge=0)],
-    id: Annotated[str, Form(max_length=64)],
-    reviewed_at: Annotated[UnixTime, Form()],
-) -> Response:
+@router.post("/analog-output", dependencies=[permitted_writer(WRITE_ANALOG_OUTPUT)])
+async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: Confirmed) -> Response:
     """88h. The best outcome is acknowledged: there is nothing to read back."""
-    live = page.unit(bus, unit)
     try:
-        page.refuse_lapsed(reviewed_at)
-        result = await page.send(person, bus, WriteAnalogOutput(unit=unit, raw=raw), id)
+        result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed)
     except Problem as problem:
-        return page.refused(problem, live.settings.name)
-    return page.done(live.settings.name, page.outcome(result))
+        return page.refused(problem, page.title)
+    return page.done(page.title, outcome_text(result))
 
 
 def _integer(text: str) -> int:
@@ -134,8 +93,8 @@ def _integer(text: str) -> int:
     return int(text)
 
 
-def _volts(page: PageContext, live: UnitLive, raw: int) -> str:
-    low, high = live.parameter_raw(ANALOG_OUT_LOW), live.parameter_raw(ANALOG_OUT_HIGH)
+def _volts(page: UnitPage, raw: int) -> str:
+    low, high = page.unit.parameter_raw(ANALOG_OUT_LOW), page.unit.parameter_raw(ANALOG_OUT_HIGH)
     if low is None or high is None or low == high:
         return ""
     return page.translator.formats.number(analog_output_volts(raw, low, high), 3)

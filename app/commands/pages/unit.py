@@ -1,52 +1,57 @@
-"""The unit page."""
+"""The unit page, with the limits and the command block of its unit."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
-from starlette.responses import Response
+from fastapi import APIRouter, Form
+from starlette.responses import RedirectResponse, Response
 
-from app.commands.forms.page_context import Page, PageContext
-from app.commands.review.ramp import nudges, present_setpoint
+from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
+from app.commands.forms.page_context import OfUnit, UnitPage
+from app.commands.review.ramp import nudges
 from app.commands.rules.setpoint_range import setpoint_range
+from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.values import measure_of_setpoint
+from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower
-from app.web.access import Viewer
-from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
+from app.web.access import Person, Viewer
+from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE, DECIMALS
+from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
+from bus.errors import CallerError
+from bus.messages import Message, number
+from bus.text import OneLine
 
-router = APIRouter(include_in_schema=False)
+router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
+TypedLimit = Annotated[str, Form(max_length=20)]
+SEE_OTHER = 303
 
 
-@router.get("/units/{bus}/{unit:int}")
-async def unit_page(_: Viewer, page: Page, bus: str, unit: int) -> Response:
+@router.get("")
+async def unit_page(_: Viewer, page: OfUnit) -> Response:
     """The faceplate of one unit."""
-    live = page.unit(bus, unit)
-    return page.render("unit/page.html", **_faceplate(page, bus, live))
+    return page.render("unit/page.html", **_faceplate(page))
 
 
-def _faceplate(page: PageContext, bus: str, live: UnitLive) -> dict[str, Any]:
-    unit, limits = live.settings.id, page.guards(bus).limits.of(live.settings.id)
-    allowed = setpoint_range(live, limits)
-    present = present_setpoint(page.bus(bus), live)
-    fine, coarse = nudges(live)
+def _faceplate(page: UnitPage) -> dict[str, Any]:
+    unit, limits = page.unit, page.limits(page.id)
+    allowed = setpoint_range(unit, limits)
+    fine, coarse = nudges(unit)
     return {
         "fields": page.fields(),
-        "bus": bus,
-        "unit": page.shown(bus, unit),
-        "present": page.setpoint(present, live),
-        "present_raw": "" if present is None else present,
-        "lowest": page.setpoint(allowed.lowest, live),
-        "highest": page.setpoint(allowed.highest, live),
-        "bounds_unit": measure_of_setpoint(live),
-        "follower": bool(follower(live)),
-        "nudges": [(sign * step, page.setpoint(step, live), sign) for sign, step in _signed(fine, coarse)],
-        "limits": limits,
-        "limit_texts": {name: page.setpoint(getattr(limits, name), live) for name in _LIMIT_NAMES},
-        "block": page.guards(bus).blocks.of(unit),
-        "analog_low": live.parameter_raw(ANALOG_OUT_LOW),
-        "analog_high": live.parameter_raw(ANALOG_OUT_HIGH),
-        "analog_by_link": live.parameter_raw(ANALOG_OUT_SOURCE) == 2,
+        "bus": page.name,
+        "unit": page.on_line,
+        "present": page.setpoint(page.present),
+        "lowest": page.setpoint(allowed.lowest),
+        "highest": page.setpoint(allowed.highest),
+        "bounds_unit": measure_of_setpoint(unit),
+        "follower": bool(follower(unit)),
+        "nudges": [(sign * step, page.setpoint(step), sign) for sign, step in _signed(fine, coarse)],
+        "limit_texts": {name: page.setpoint(getattr(limits, name)) for name in _LIMIT_NAMES},
+        "block": page.guards.blocks.of(page.id),
+        "analog_low": unit.parameter_raw(ANALOG_OUT_LOW),
+        "analog_high": unit.parameter_raw(ANALOG_OUT_HIGH),
+        "analog_by_link": unit.parameter_raw(ANALOG_OUT_SOURCE) == 2,
     }
 
 
@@ -55,3 +60,60 @@ _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")
 
 def _signed(fine: int, coarse: int) -> list[tuple[int, int]]:
     return [(-1, coarse), (-1, fine), (1, fine), (1, coarse)]
+
+
+@router.post("/limits")
+async def set_limits(
+    person: Annotated[Person, SET_LIMITS.permitted],
+    page: OfUnit,
+    lowest: TypedLimit = "",
+    highest: TypedLimit = "",
+    largest_step: TypedLimit = "",
+    per_minute: TypedLimit = "",
+) -> Response:
+    """All four at once; an empty field is no limit."""
+    try:
+        limits = Limits(*(_raw(page.unit, text) for text in (lowest, highest, largest_step, per_minute)))
+        if limits.lowest is not None and limits.highest is not None and limits.lowest > limits.highest:
+            raise CallerError(Message("limits_reversed"))
+    except (CallerError, Problem) as error:
+        return page.explain(error.message, "#limits-result")
+    await page.guards.set_limits(person, page.id, limits)
+    return page.render("unit/_limits_set.html")
+
+
+def _raw(live: UnitLive, text: str) -> int | None:
+    """Raises CallerError and Problem for what cannot be a limit."""
+    if not text.strip():
+        return None
+    decimals = RATIO_DECIMALS if follower(live) else live.parameter_raw(DECIMALS)
+    if decimals is None:
+        raise CallerError(Message("decimals_unknown"))
+    raw = speed_raw(text, decimals)
+    if raw > HIGHEST_SETPOINT:
+        raise Problem(
+            422,
+            "invalid",
+            Message.of("protocol_maximum", most=number(speed_text(HIGHEST_SETPOINT, decimals))),
+        )
+    return raw
+
+
+@router.post("/block")
+async def block(
+    person: Annotated[Person, BLOCK.permitted],
+    page: OfUnit,
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
+) -> Response:
+    """Refuse every write to this unit, with the reason shown on every page."""
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("block_needs_reason"))
+    await page.guards.block(person, page.id, reason.strip())
+    return RedirectResponse(page.on_line.href, SEE_OTHER)
+
+
+@router.post("/unblock")
+async def unblock(person: Annotated[Person, UNBLOCK.permitted], page: OfUnit) -> Response:
+    """Lift the block of commands; the event records the user."""
+    await page.guards.lift(person, page.id)
+    return RedirectResponse(page.on_line.href, SEE_OTHER)

@@ -1,13 +1,9 @@
 """What a review shows of a unit: its setpoint before and after, why it cannot take a command now, and risks.
-Pure.
-
-Obstacles and risks are tables in order of display. Only the first obstacle is shown: the next may disappear
-with it.
-"""
+Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from app.commands.review.ramp import Ramp, present_setpoint, ramp_of
@@ -18,54 +14,51 @@ from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.conditions import bits_of
 from bus.catalogue.numbers import ACCELERATION, DECELERATION
-from bus.catalogue.status import StatusBits
-from bus.contract import UnitLinkState
 from bus.instants import UnixTime
-from bus.messages import Message, ParamValue
+from bus.messages import Message
 
 
-@dataclass(frozen=True, slots=True)
-class RiskInputs:
-    """State of one unit at a moment. ``bits`` None: it has never responded. ``ramp`` None: the
-    command starts none. ``block``: why commands to it are blocked, None where they are not.
-    ``above_display``: an engineer's limit allows the setpoint, and #2 does not."""
-
-    bus_is_open: bool
-    link: UnitLinkState
-    age_s: float
-    bits: StatusBits | None
-    block: Message | None
-    ramp: Ramp | None
-    above_display: bool
-
-    @property
-    def params(self) -> dict[str, ParamValue]:
-        """What the messages below may name."""
-        number = 0 if self.ramp is None else self.ramp.number
-        return {"age": round(self.age_s), "block": self.block or "", "number": number}
+def obstacle_of(
+    bus: BusLive, unit: UnitLive, now: UnixTime, *, block: Message | None = None
+) -> Message | None:
+    """The first reason why the unit cannot take a command now, as the next may disappear with it; None where
+    nothing is known against it. ``block``: why commands to it are blocked."""
+    if block:
+        return Message.of("obstacle_blocked", block=block)
+    if bus.link.link != "open":
+        return Message("obstacle_no_link")
+    if unit.reading is None or unit_link_now(bus, unit, now) == "offline":
+        return Message("obstacle_offline")
+    if not bits_of(bus, unit.reading).remote:
+        return Message("obstacle_not_in_remote")
+    return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Rule:
-    code: str
-    holds: Callable[[RiskInputs], bool]
-    names: tuple[str, ...] = ()
+def risks_of(
+    bus: BusLive, unit: UnitLive, now: UnixTime, ramp: Ramp | None, setpoint: int | None = None
+) -> tuple[Message, ...]:
+    """What of the unit's state may be unexpected, in order of display. ``ramp`` None: the command starts
+    none. ``setpoint``: the new one, raw, where an engineer's limit may allow it and #2 does not."""
+    return tuple(_risks(bus, unit, now, ramp, setpoint))
 
 
-_OBSTACLES = (
-    _Rule("obstacle_blocked", lambda unit: bool(unit.block), ("block",)),
-    _Rule("obstacle_no_link", lambda unit: not unit.bus_is_open),
-    _Rule("obstacle_offline", lambda unit: unit.bits is None or unit.link == "offline"),
-    _Rule("obstacle_not_in_remote", lambda unit: unit.bits is not None and not unit.bits.remote),
-)
-_RISKS = (
-    _Rule("risk_above_display", lambda unit: unit.above_display),
-    _Rule("risk_stale", lambda unit: unit.link == "stale", ("age",)),
-    _Rule("risk_estop_active", lambda unit: unit.bits is not None and unit.bits.estop_active),
-    _Rule("risk_run_off", lambda unit: unit.bits is not None and not unit.bits.run),
-    _Rule("risk_no_ramp", lambda unit: unit.ramp is not None and unit.ramp.tenths == 0, ("number",)),
-    _Rule("risk_ramp_unknown", lambda unit: unit.ramp is not None and unit.ramp.seconds is None),
-)
+def _risks(
+    bus: BusLive, unit: UnitLive, now: UnixTime, ramp: Ramp | None, setpoint: int | None
+) -> Iterator[Message]:
+    if setpoint is not None and is_above_display(unit, setpoint):
+        yield Message("risk_above_display")
+    if unit.reading is not None:
+        if unit_link_now(bus, unit, now) == "stale":
+            yield Message.of("risk_stale", age=round(max(0.0, now - unit.reading.at)))
+        bits = bits_of(bus, unit.reading)
+        if bits.estop_active:
+            yield Message("risk_estop_active")
+        if not bits.run:
+            yield Message("risk_run_off")
+    if ramp is not None and ramp.tenths == 0:
+        yield Message.of("risk_no_ramp", number=ramp.number)
+    if ramp is not None and ramp.seconds is None:
+        yield Message("risk_ramp_unknown")
 
 
 def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
@@ -76,51 +69,12 @@ def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
     return ()
 
 
-def facts_of(
-    bus: BusLive,
-    unit: UnitLive,
-    now: UnixTime,
-    *,
-    block: Message | None = None,
-    ramp: Ramp | None = None,
-    setpoint: int | None = None,
-) -> RiskInputs:
-    """``now``: seconds since the epoch. ``setpoint``: the new one, raw, where there is one."""
-    reading = unit.reading
-    return RiskInputs(
-        bus_is_open=bus.link.link == "open",
-        link=unit_link_now(bus, unit, now),
-        age_s=0.0 if reading is None else max(0.0, now - reading.at),
-        bits=None if reading is None else bits_of(bus, reading),
-        block=block,
-        ramp=ramp,
-        above_display=setpoint is not None and is_above_display(unit, setpoint),
-    )
-
-
-def obstacle_of(facts: RiskInputs) -> Message | None:
-    """Why the unit cannot take a command now; None where nothing is known against it."""
-    return next(_remarks(_OBSTACLES, facts), None)
-
-
-def risks_of(facts: RiskInputs) -> tuple[Message, ...]:
-    """Risks that come from the unit's state."""
-    return tuple(_remarks(_RISKS, facts))
-
-
 def by_remark(remarks: Iterable[tuple[str, Message]]) -> list[tuple[Message, list[str]]]:
     """Each remark once, with the names of the units that it is about, in order."""
     found: dict[Message, list[str]] = {}
     for name, remark in remarks:
         found.setdefault(remark, []).append(name)
     return list(found.items())
-
-
-def _remarks(rules: Iterable[_Rule], facts: RiskInputs) -> Iterator[Message]:
-    params = facts.params
-    for rule in rules:
-        if rule.holds(facts):
-            yield Message(rule.code, {name: params[name] for name in rule.names})
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +101,6 @@ def change_of(
     """What setting ``new_raw`` means for a unit. ``block``: why commands to it are blocked, if they are."""
     old_raw, allowed = present_setpoint(bus, unit), setpoint_range(unit, limits)
     ramp = ramp_of(unit, old_raw, new_raw)
-    facts = facts_of(bus, unit, now, block=block, ramp=ramp, setpoint=new_raw)
     return SetpointChange(
         unit=unit.settings.id,
         name=unit.settings.name,
@@ -159,6 +112,6 @@ def change_of(
         lowest=setpoint_message(allowed.lowest, unit),
         highest=setpoint_message(allowed.highest, unit),
         ramp=ramp,
-        obstacle=obstacle_of(facts),
-        risks=risks_of(facts),
+        obstacle=obstacle_of(bus, unit, now, block=block),
+        risks=risks_of(bus, unit, now, ramp, new_raw),
     )

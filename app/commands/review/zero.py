@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from app.commands.review.ramp import present_setpoint, ramp_of
-from app.commands.review.risks import facts_of, obstacle_of, risks_of
+from app.commands.review.risks import obstacle_of, risks_of
 from app.live.state.bus_live import BusLive, follower
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -35,13 +35,12 @@ def plan_zero(bus: BusLive, block: Callable[[int], Message | None], now: UnixTim
     plan = ZeroPlan(bus.settings.name)
     for number, unit in bus.units.items():
         name, ramp = unit.settings.name, ramp_of(unit, present_setpoint(bus, unit), 0)
-        facts = facts_of(bus, unit, now, block=block(number), ramp=ramp)
         if follower(unit):
             plan.followers += 1
-        elif obstacle := obstacle_of(facts):
+        elif obstacle := obstacle_of(bus, unit, now, block=block(number)):
             plan.left_out.append((name, obstacle))
         else:
             plan.units[number] = name
-            plan.risks += [(name, risk) for risk in risks_of(facts)]
+            plan.risks += [(name, risk) for risk in risks_of(bus, unit, now, ramp)]
             plan.seconds = max(plan.seconds, (ramp.seconds if ramp else None) or 0.0)
     return plan

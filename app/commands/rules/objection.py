@@ -7,28 +7,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 from app.commands.safeguards.limits import CommandBlock, Limits
+from app.errors import Problem
 from app.live.state.bus_live import BusLive
-from bus.errors import LinesideError
 from bus.messages import Message
 
 Code = Literal["invalid", "dangerous", "confirm_needed", "blocked"]
+_STATUS: dict[Code, int] = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 
 
-class ObjectionError(LinesideError):
-    """A command that is not sent. The message is the reason; ``nearest`` the closest value that would do."""
-
-    def __init__(
-        self,
-        code: Code,
-        reason: Message,
-        *,
-        unit: int | None = None,
-        nearest: int | None = None,
-    ) -> None:
-        super().__init__(reason)
-        self.code = code
-        self.unit = unit
-        self.nearest = nearest
+def objection(code: Code, reason: Message, *, unit: int | None = None, nearest: int | None = None) -> Problem:
+    """The refusal of a command. ``nearest``: the closest value that would do."""
+    offered = {} if nearest is None else {"nearest": nearest}
+    message = Message.of("nothing_sent", reason=reason)
+    return Problem(_STATUS[code], code, message, outcome=code, unit=unit, **offered)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
-from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.rules.objection import RuleContext, objection
 from app.commands.rules.setpoint_range import KIND_OF_PARAMETER, SetpointKind, kind_of, setpoint_range
 from app.commands.safeguards.limits import Limits
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import ratio_text, speed_text
-from bus.contract import ExecuteAll, ExecuteSpeed, SetLine, SetSpeed, WriteParameter
+from bus.contract import WriteParameter
 from bus.instants import Monotonic
 from bus.messages import Message, number
 
@@ -38,36 +38,19 @@ def staged_setpoints(bus: BusLive) -> dict[int, int]:
     return {number: unit.staged for number, unit in bus.units.items() if unit.staged is not None}
 
 
-def of_set_speed(action: SetSpeed, _: BusLive) -> list[NewSetpoint]:
-    return [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)]
-
-
-def of_set_line(action: SetLine, _: BusLive) -> list[NewSetpoint]:
-    return _by_unit(action.setpoints)
-
-
-def of_execute_speed(action: ExecuteSpeed, bus: BusLive) -> list[NewSetpoint]:
-    """What the unit is known to hold staged."""
-    return [each for each in _by_unit(staged_setpoints(bus)) if each.unit == action.unit]
-
-
-def of_execute_all(_: ExecuteAll, bus: BusLive) -> list[NewSetpoint]:
-    """What all units are known to hold staged."""
-    return _by_unit(staged_setpoints(bus))
-
-
 def of_write_parameter(action: WriteParameter, _: BusLive) -> list[NewSetpoint]:
     """The value, where a unit keeps a setpoint in this parameter."""
     kind = KIND_OF_PARAMETER.get(action.number)
     return [] if kind is None else [NewSetpoint(action.unit, action.raw, kind)]
 
 
-def _by_unit(setpoints: dict[int, int]) -> list[NewSetpoint]:
+def by_unit(setpoints: Mapping[int, int]) -> list[NewSetpoint]:
+    """The setpoint of each unit, by its address."""
     return [NewSetpoint(unit, raw) for unit, raw in sorted(setpoints.items())]
 
 
 def check_setpoint(unit: int, raw: int, now: RuleContext, kind: SetpointKind | None = None) -> None:
-    """Raises ObjectionError for the first reason why ``raw`` is not sent.
+    """Raises Problem for the first reason why ``raw`` is not sent.
 
     ``kind``: of the setpoint where it is not the unit's own, which is judged by its range alone.
     """
@@ -97,11 +80,11 @@ def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | 
     numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
     shown = {name: number(_text(live, raw, allowed.kind)) for name, raw in numbers.items()}
     reason = Message.of(f"setpoint_outside_{allowed.basis}", unit=unit, **shown)
-    raise ObjectionError("invalid", reason, unit=unit, nearest=nearest)
+    raise objection("invalid", reason, unit=unit, nearest=nearest)
 
 
 def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
-    """As the unit shows it; the bare integer while its decimals are not known."""
+    """A setpoint as the unit shows it; the bare integer while its decimals are not known."""
     sign, size = ("-" if raw < 0 else ""), abs(raw)
     if kind == "ratio":
         return sign + ratio_text(size)
@@ -115,7 +98,7 @@ def _check_rate(unit: int, step: int | None, limits: Limits, moved: int) -> None
     left = max(0, limits.per_minute - moved)
     if step > left:
         reason = Message.of("moves_too_far", unit=unit, most=limits.per_minute, left=left, step=step)
-        raise ObjectionError("invalid", reason, unit=unit)
+        raise objection("invalid", reason, unit=unit)
 
 
 def _check_step(unit: int, step: int | None, limits: Limits) -> None:
@@ -126,7 +109,7 @@ def _check_step(unit: int, step: int | None, limits: Limits) -> None:
         reason = Message.of("unknown_step_needs_review", unit=unit, largest=largest)
     else:
         reason = Message.of("step_needs_review", unit=unit, size=step, largest=largest)
-    raise ObjectionError("confirm_needed", reason, unit=unit)
+    raise objection("confirm_needed", reason, unit=unit)
 
 
 WINDOW_S = 60.0

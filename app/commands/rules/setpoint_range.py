@@ -98,18 +98,22 @@ def parameter_bounds(unit: UnitLive, number: int, limits: Limits) -> tuple[int, 
 def _of_the_unit(unit: UnitLive, kind: SetpointKind) -> SetpointRange:
     if kind == "speed":
         most = unit.parameter_raw(MAX_DISPLAY)
-        return SetpointRange(kind, 0, _carried(most or HIGHEST_SETPOINT), "display" if most else "protocol")
+        return SetpointRange(
+            kind, 0, _within_protocol(most or HIGHEST_SETPOINT), "display" if most else "protocol"
+        )
     least, most = unit.parameter_raw(MIN_RATIO) or 0, unit.parameter_raw(MAX_RATIO)
     basis: Basis = "ratio" if least or most else "protocol"
-    return SetpointRange(kind, _carried(least), _carried(max(least, most or HIGHEST_SETPOINT)), basis)
+    return SetpointRange(
+        kind, _within_protocol(least), _within_protocol(max(least, most or HIGHEST_SETPOINT)), basis
+    )
 
 
 def _narrowed(found: SetpointRange, limits: Limits) -> SetpointRange:
-    """Of a speed, an engineer's highest replaces #2. Nothing else widens the unit's range."""
+    """What an engineer's limits leave of a range. A highest speed replaces #2; nothing else widens it."""
     lowest, highest = found.lowest, found.highest
     if limits.highest is not None:
         own = max(lowest, min(highest, limits.highest))
-        highest = _carried(limits.highest) if found.kind == "speed" else own
+        highest = _within_protocol(limits.highest) if found.kind == "speed" else own
     if limits.lowest is not None:
         lowest = min(max(lowest, limits.lowest), highest)
     if (lowest, highest) == (found.lowest, found.highest):
@@ -117,5 +121,5 @@ def _narrowed(found: SetpointRange, limits: Limits) -> SetpointRange:
     return SetpointRange(found.kind, lowest, highest, "limits")
 
 
-def _carried(raw: int) -> int:
+def _within_protocol(raw: int) -> int:
     return min(raw, HIGHEST_SETPOINT)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from app.errors import Problem
 from app.web.access import account_shown
-from bus.errors import LinesideError
 from bus.instants import Monotonic, UnixTime
 from bus.messages import Message
 
@@ -29,10 +29,6 @@ class Holding:
         return LAPSES_AFTER_S - (now - self.used_at)
 
 
-class ControlledError(LinesideError):
-    """Another user holds control; the message names the holder."""
-
-
 class Control:
     """One holder at most, by account."""
 
@@ -46,10 +42,10 @@ class Control:
         return holding if holding is not None and holding.left_s(now) > 0 else None
 
     def take(self, who: str, now: Monotonic, at: UnixTime) -> Holding:
-        """Take control, if it is free; ``at`` is shown as the time of it. Raises ControlledError."""
+        """Take control, if it is free; ``at`` is shown as the time of it. Raises Problem 409."""
         holding = self.holding(now)
         if holding is not None and holding.holder != who:
-            raise ControlledError(Message.of("control_held_by", who=account_shown(holding.holder)))
+            raise controlled(Message.of("control_held_by", who=account_shown(holding.holder)))
         since = holding.since if holding is not None else at
         self._holding = Holding(who, since, now)
         return self._holding
@@ -57,19 +53,16 @@ class Control:
     def hand_over(
         self, who: str, to: str, now: Monotonic, at: UnixTime, *, by_force: bool = False
     ) -> Holding:
-        """Hand control over; ``at`` is shown as the time of it. Raises ControlledError for a user who does
-        not hold it."""
-        holding = self.holding(now)
-        if not by_force and (holding is None or holding.holder != who):
-            raise ControlledError(_who_holds(holding))
+        """Hand control over; ``at`` is shown as the time of it. Raises Problem 409 for a user who does not
+        hold it."""
+        if not by_force:
+            self._require(who, now)
         self._holding = Holding(to, at, now)
         return self._holding
 
     def release(self, who: str, now: Monotonic) -> None:
-        """Release control. Raises ControlledError for one who does not hold it."""
-        holding = self.holding(now)
-        if holding is None or holding.holder != who:
-            raise ControlledError(_who_holds(holding))
+        """Release control. Raises Problem 409 for one who does not hold it."""
+        self._require(who, now)
         self._holding = None
 
     def revoke(self, who: str, now: Monotonic) -> bool:
@@ -81,23 +74,31 @@ class Control:
         return held
 
     def objection(self, who: str, now: Monotonic) -> Message | None:
-        """Why ``account`` may not write now; None where it may."""
-        holding = self.holding(now)
-        if not self.required or (holding is not None and holding.holder == who):
-            return None
-        return _who_holds(holding)
+        """Why this account may not write now; None where it may."""
+        return self._held_by_other(who, now) if self.required else None
 
-    def use(self, who: str, now: Monotonic) -> None:
-        """Require control for a write, and renew it. Raises ControlledError."""
+    def use(self, who: str, now: Monotonic) -> Message | None:
+        """Renew control for a write of its holder. Returns why this account may not write, as
+        :meth:`objection` does."""
         objection = self.objection(who, now)
-        if objection:
-            raise ControlledError(objection)
+        if self.required and objection is None and self._holding is not None:
+            self._holding = replace(self._holding, used_at=now)
+        return objection
+
+    def _require(self, who: str, now: Monotonic) -> None:
+        objection = self._held_by_other(who, now)
+        if objection is not None:
+            raise controlled(objection)
+
+    def _held_by_other(self, who: str, now: Monotonic) -> Message | None:
         holding = self.holding(now)
-        if self.required and holding is not None:
-            self._holding = replace(holding, used_at=now)
+        if holding is None:
+            return Message("control_not_taken")
+        return (
+            None if holding.holder == who else Message.of("control_held", who=account_shown(holding.holder))
+        )
 
 
-def _who_holds(holding: Holding | None) -> Message:
-    if holding is None:
-        return Message("control_not_taken")
-    return Message.of("control_held", who=account_shown(holding.holder))
+def controlled(reason: Message) -> Problem:
+    """The refusal of what needs control."""
+    return Problem(409, "controlled", reason, outcome="controlled")

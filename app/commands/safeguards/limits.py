@@ -22,7 +22,7 @@ HIGHEST_SETPOINT = 99999
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Of one unit. None: no limit. ``per_minute``: how far the setpoint may move within a minute."""
+    """Limits of a unit; None is no limit. ``per_minute``: how far the setpoint may move within a minute."""
 
     lowest: int | None = None
     highest: int | None = None
@@ -136,7 +136,7 @@ def keep_in_force(restored: sqlite3.Connection, protection: Protection) -> None:
 
 
 def _rows(store: sqlite3.Connection, table: str, bus: str | None = None) -> list[Row]:
-    """Of one bus; of all without ``bus``."""
+    """The rows of a bus, or without ``bus`` of every one."""
     where, values = ("", ()) if bus is None else (" WHERE bus = ?", (bus,))
     return [tuple(row) for row in store.execute(f"SELECT {_COLUMNS[table]} FROM {table}{where}", values)]
 

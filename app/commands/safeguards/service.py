@@ -5,16 +5,25 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from dataclasses import InitVar, dataclass, field
 
-from app.audit.kinds import EventKind
+from app.audit.act import Act
 from app.audit.log import EventLog
+from app.commands.acts import (
+    BLOCK,
+    FORCE_CONTROL,
+    HAND_OVER_CONTROL,
+    RELEASE_CONTROL,
+    SET_LIMITS,
+    TAKE_CONTROL,
+    UNBLOCK,
+)
 from app.commands.authority import SessionEnds, Withdrawals
-from app.commands.safeguards.control import Control, ControlledError, Holding
+from app.commands.safeguards.control import Control, Holding
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
-from bus.instants import MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
@@ -24,7 +33,7 @@ AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 
 @dataclass(eq=False, repr=False)
 class Safeguards:
-    """Of one bus. Call :meth:`load` once before the first command."""
+    """The safeguards of one bus. Call :meth:`load` once before the first command."""
 
     _bus: str
     database: InitVar[Database]
@@ -33,7 +42,6 @@ class Safeguards:
     find: AccountLookup
     rights: Withdrawals
     sessions: InitVar[SessionEnds]
-    monotonic: MonotonicClock = monotonic_now
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
@@ -57,44 +65,46 @@ class Safeguards:
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
+        """Replace the limits of a unit. Raises Problem 403."""
+        SET_LIMITS.check(person)
         before = self.limits.of(unit)
         await self.limits.put(unit, limits, person.name, unix_now())
-        await self._record(
-            "limits", person, unit, Message("event_limits_changed"), before.message, limits.message
-        )
+        await self._record(SET_LIMITS, person, before.message, limits.message, unit)
 
     async def block(self, person: Person, unit: int, reason: str) -> None:
-        """Refuse every write to a unit from now on."""
+        """Refuse every write to a unit from now on. Raises Problem 403."""
+        BLOCK.check(person)
         before = self.blocks.of(unit)
         await self.blocks.put(unit, CommandBlock(reason, person.name, unix_now()))
         self._publish_block(unit)
         old = before.reason if before is not None else None
-        await self._record("block", person, unit, Message("event_unit_blocked"), old, reason)
+        await self._record(BLOCK, person, old, reason, unit)
 
     async def lift(self, person: Person, unit: int) -> None:
-        """Free a unit. Nothing happens to one that is free."""
+        """Free a unit. Nothing happens to one that is free. Raises Problem 403."""
+        UNBLOCK.check(person)
         before = self.blocks.of(unit)
         if before is None:
             return
         await self.blocks.lift(unit)
         self._publish_block(unit)
-        await self._record("block", person, unit, Message("event_block_lifted"), before.reason, None)
+        await self._record(UNBLOCK, person, before.reason, None, unit)
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
-        return self.control.holding(self.monotonic())
+        return self.control.holding(monotonic_now())
 
     def lapses_at(self, holding: Holding) -> UnixTime:
         """When control lapses by the wall clock, as that is now, unless its holder sends another command."""
-        return unix_now() + holding.left_s(self.monotonic())
+        return unix_now() + holding.left_s(monotonic_now())
 
     def objection(self, account: str) -> Message | None:
         """Why ``account`` may not write now, as another has control; None where it may."""
-        return self.control.objection(account, self.monotonic())
+        return self.control.objection(account, monotonic_now())
 
-    def use_control(self, account: str) -> None:
-        """Require control for a write, and renew it. Raises ControlledError."""
-        self.control.use(account, self.monotonic())
+    def use_control(self, account: str) -> Message | None:
+        """Renew control for a write; the same as :meth:`objection` where another has control."""
+        return self.control.use(account, monotonic_now())
 
     def holder(self) -> str:
         """The account of the holder; empty where control is free."""
@@ -102,31 +112,25 @@ class Safeguards:
         return holding.holder if holding is not None else ""
 
     async def take(self, person: Person) -> Holding:
-        """Take control, if it is free. Raises Problem 409."""
+        """Take control, if it is free. Raises Problem 403 and 409."""
+        TAKE_CONTROL.check(person)
         await self.rights.check(person)
         before = self.holding()
-        try:
-            holding = self.control.take(person.account, self.monotonic(), unix_now())
-        except ControlledError as error:
-            raise _controlled(error) from error
+        holding = self.control.take(person.account, monotonic_now(), unix_now())
         if before is None:
-            await self._record("control", person, None, Message("event_control_taken"), None, person.account)
+            await self._record(TAKE_CONTROL, person, None, person.account)
         return holding
 
     async def hand_over(self, person: Person, to: str) -> Holding:
-        """Hand control over; an admin may do so without holding it. Raises Problem 409, and 422 for a
+        """Hand control over; an admin may do so without holding it. Raises Problem 403, 409, and 422 for a
         name without an account that could use it, which would hold the line until it lapses."""
+        HAND_OVER_CONTROL.check(person)
         to = await self._who_may_hold(person, to)
         before = self.holding()
-        by_force = person.role.includes(Role.ADMIN)
-        try:
-            holding = self.control.hand_over(
-                person.account, to, self.monotonic(), unix_now(), by_force=by_force
-            )
-        except ControlledError as error:
-            raise _controlled(error) from error
+        by_force = person.role.includes(FORCE_CONTROL.role)
+        holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
         old = before.holder if before is not None else None
-        await self._record("control", person, None, Message("event_control_handed_over"), old, to)
+        await self._record(HAND_OVER_CONTROL, person, old, to)
         return holding
 
     async def _who_may_hold(self, person: Person, to: str) -> str:
@@ -134,26 +138,24 @@ class Safeguards:
         if found is None:
             raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
         account, role = found
-        if not role.includes(Role.OPERATOR):
+        if not role.includes(TAKE_CONTROL.role):
             raise Problem(422, "invalid", Message.of("holder_may_not_command", name=to, role=term(role)))
         return account
 
     async def release(self, person: Person) -> None:
-        """Release control. Raises Problem 409."""
-        try:
-            self.control.release(person.account, self.monotonic())
-        except ControlledError as error:
-            raise _controlled(error) from error
-        await self._record("control", person, None, Message("event_control_given_back"), person.account, None)
+        """Release control. Raises Problem 403 and 409."""
+        RELEASE_CONTROL.check(person)
+        self.control.release(person.account, monotonic_now())
+        await self._record(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, self.monotonic()):
+        if not self.control.revoke(account, monotonic_now()):
             return
         who, is_token = name_of(account)
         await self._events.record(
-            kind="control",
-            what=Message("event_control_given_back"),
+            kind=RELEASE_CONTROL.kind,
+            what=Message(RELEASE_CONTROL.event),
             who=who,
             origin="token" if is_token else "",
             bus=self._bus,
@@ -167,23 +169,10 @@ class Safeguards:
 
     async def _record(
         self,
-        kind: EventKind,
+        act: Act,
         person: Person,
-        unit: int | None,
-        what: Message,
         old: str | Message | None,
         new: str | Message | None,
+        unit: int | None = None,
     ) -> None:
-        await self._events.record(
-            kind=kind,
-            **person.author,
-            bus=self._bus,
-            unit=unit,
-            what=what,
-            old=old,
-            new=new,
-        )
-
-
-def _controlled(error: ControlledError) -> Problem:
-    return Problem(409, "controlled", error.message, outcome="controlled")
+        await self._events.record(**act.by(person), bus=self._bus, unit=unit, old=old, new=new)

@@ -8,7 +8,6 @@ from typing import Literal
 from msgspec.structs import replace
 
 from app.commands.catalogue import kind_of_command
-from app.feed.channel import ProgressListener
 from app.web.access import Person
 from app.web.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
@@ -29,14 +28,8 @@ class CommandRequest:
     action: Action
     deadline: Deadline
     origin: CommandOrigin | Message
-    listener: ProgressListener | None = None
     key: str | None = None
     """The sender's key, by which it gets the result again; keys of different senders are independent."""
-
-    @property
-    def unit(self) -> int | None:
-        """The one unit it is about, if it is about one."""
-        return self.action.only_unit
 
 
 def without_secret(action: Action, result: Result) -> Result:
@@ -49,6 +42,6 @@ def without_secret(action: Action, result: Result) -> Result:
 
 
 def _masked(result: Result | UnitOutcome) -> Message | None:
-    """Its message, unless that states the value that was read back instead of the requested one."""
+    """The message of a result, unless it states the value that was read back instead of the requested one."""
     differs = result.read_back is not None and result.outcome != "verified"
     return SECRET_DIFFERS if differs else result.message

@@ -6,36 +6,37 @@ import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 
 from app.commands.authority import Authority, while_permitted
 from app.commands.catalogue import kind_of_command
 from app.commands.check import check
-from app.commands.rules.objection import ObjectionError, RuleContext
+from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
-from app.commands.safeguards.control import ControlledError
+from app.commands.safeguards.control import controlled
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_request import CommandOrigin, CommandRequest, without_secret
-from app.commands.service.idempotency import IdempotencyCache, KeptCommand
-from app.commands.service.prior_read import UnreadError, read_ranges
+from app.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
+from app.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.commands.service.record import CommandRecord
 from app.errors import Problem, StoreError
-from app.feed.channel import Channel, ProgressListener
+from app.feed.channel import Channel
 from app.live.command_ids import new_command_id
 from app.live.lookup import unit_of_bus_or_404
 from app.live.state.bus_live import BusLive
 from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
-from bus.contract import Action, Command, Result
+from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
 
-STATUS_OF_OBJECTION = {"invalid": 422, "dangerous": 409, "confirm_needed": 409, "blocked": 423}
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
+RANGE_PASSES = 2
+"""Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
 
 
 class WriteSubscriber(Protocol):
@@ -77,7 +78,6 @@ class CommandService:
         confirm: bool = False,
         id: str | None = None,
         origin: CommandOrigin | Message = "api",
-        listener: ProgressListener | None = None,
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
         belongs to its sender: the same id of another sender is another command.
@@ -96,23 +96,19 @@ class CommandService:
         id = id or None
         kept = self._cache.find(person, id)
         if kept is None and id is not None:
-            earlier = await self._record.earlier(person.sender, id)
+            earlier = await self._record.earlier(person, id, self._bus, action)
             kept = self._cache.find(person, id)
             if kept is None and earlier is not None:
-                _refuse_other(id, self._record.is_same(earlier, self._bus, action))
-                return msgspec.structs.replace(earlier.result, id=id)
+                return msgspec.structs.replace(earlier, id=id)
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
-            request = CommandRequest(
-                new_command_id(id), person, self._bus, action, deadline, origin, listener, id
-            )
+            request = CommandRequest(new_command_id(id), person, self._bus, action, deadline, origin, id)
             try:
-                await self._check(request, confirm)
-            except UnreadError as unread:
-                return unread.result(id or request.id, unix_now(), action.units)
-            kept = self._start(request)
-        _refuse_other(id, (kept.bus, kept.action) == (self._bus, action))
+                kept = await self._accept(request, confirm)
+            except UnreadError as error:
+                return error.result(id or request.id, unix_now(), action.units)
+        refuse_other(id, same=(kept.bus, kept.action) == (self._bus, action))
         result = await asyncio.shield(kept.result)
         return result if id is None else msgspec.structs.replace(result, id=id)
 
@@ -120,16 +116,29 @@ class CommandService:
         """A user may be about to write: reserve the next turn of the wire."""
         await self._channel.reserve()
 
-    async def cancel(self, id: str) -> None:
-        """Give a command up where nothing is half done; its result still comes."""
-        await self._channel.cancel(id)
-
     async def read_ranges(self, person: Person, action: Action, deadline: Deadline) -> None:
         """Read what bounds the setpoints of ``action`` where it was never read, as :meth:`send` does.
 
         Raises Problem 503 or 504 where it cannot be had in time.
         """
-        await read_ranges(self.send, person, self._live, action, self._guards.limits.of, deadline)
+        for _ in range(RANGE_PASSES):
+            missing = unread_by_unit(self._live, action, self._guards.limits.of)
+            if not missing:
+                return
+            reads = (self.read(person, unit, numbers, deadline) for unit, numbers in missing.items())
+            await asyncio.gather(*reads)
+        for unit, numbers in unread_by_unit(self._live, action, self._guards.limits.of).items():
+            raise unread(unit, numbers)
+
+    async def read(
+        self, person: Person, unit: int, numbers: Sequence[int], deadline: Deadline
+    ) -> dict[int, int | None]:
+        """The raw value of each parameter as the unit gives it now, None where it does not have it.
+
+        Raises Problem 503 or 504 where one cannot be had in time.
+        """
+        action = ReadParameters(unit=unit, numbers=list(numbers))
+        return read_values(unit, numbers, await self.send(person, action, deadline=deadline))
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`send` alone, for a review. Raises the same Problems."""
@@ -137,15 +146,6 @@ class CommandService:
             unit_of_bus_or_404(self._live, unit)
         self._require_right(person, action)
         self._apply_rules(action, confirm)
-
-    async def _check(self, request: CommandRequest, confirm: bool) -> None:
-        async with self._rejection_recorded(request):
-            request.deadline.refuse_passed()
-            await self._rights.check(request.person)
-            # Before anything is read for it: a user without the right learns that, not the unit's values.
-            self._require_right(request.person, request.action)
-            await self.read_ranges(request.person, request.action, request.deadline)
-            self._apply_rules(request.action, confirm)
 
     @asynccontextmanager
     async def _rejection_recorded(self, request: CommandRequest) -> AsyncIterator[None]:
@@ -160,13 +160,9 @@ class CommandService:
     def _require_right(self, person: Person, action: Action) -> None:
         """The role of the kind, whichever way the command came, then control of the bus."""
         refuse_without(kind_of_command(action).role, person)
-        try:
-            if action.writes:
-                self._guards.use_control(person.account)
-        except ControlledError as error:
-            raise Problem(
-                409, "controlled", Message.of("nothing_sent", reason=error.message), outcome="controlled"
-            ) from error
+        objection = self._guards.use_control(person.account) if action.writes else None
+        if objection is not None:
+            raise controlled(Message.of("nothing_sent", reason=objection))
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         context = RuleContext(
@@ -176,12 +172,17 @@ class CommandService:
             moved=lambda unit: self._moves.within_a_minute(unit, self._monotonic()),
             confirm=confirm,
         )
-        try:
-            check(action, context)
-        except ObjectionError as error:
-            raise problem_of(error) from error
+        check(action, context)
 
-    def _start(self, request: CommandRequest) -> KeptCommand:
+    async def _accept(self, request: CommandRequest, confirm: bool) -> KeptCommand:
+        """Check a command and start it, unless another request with its key has done so meanwhile."""
+        async with self._rejection_recorded(request):
+            request.deadline.refuse_passed()
+            await self._rights.check(request.person)
+            # Before anything is read for it: a user without the right learns that, not the unit's values.
+            self._require_right(request.person, request.action)
+            await self.read_ranges(request.person, request.action, request.deadline)
+            self._apply_rules(request.action, confirm)
         already = self._cache.find(request.person, request.key)
         if already is not None:
             return already
@@ -197,7 +198,8 @@ class CommandService:
         return kept
 
     async def _carry_out(self, request: CommandRequest, steps: dict[int, int], at: Monotonic) -> Result:
-        """Its steps, which were noted for ``at``, count no more when no unit acted."""
+        """Send a command once its intent is on disk. Its ``steps``, noted for ``at``, count no more where no
+        unit acted."""
         kind = kind_of_command(request.action)
         result: Result | None = None
         try:
@@ -230,7 +232,7 @@ class CommandService:
         deadline = unix_now() + request.deadline.left_s
         command = Command(id=request.id, deadline=deadline, action=request.action)
         return await while_permitted(
-            self._channel.send(command, request.listener),
+            self._channel.send(command),
             lambda: self._why_no_longer(request),
             lambda: self._channel.cancel(request.id),
         )
@@ -253,11 +255,6 @@ class CommandService:
         return self._guards.objection(request.person.account)
 
 
-def _refuse_other(id: str | None, same: bool) -> None:
-    if not same:
-        raise Problem(422, "invalid", Message.of("id_used", id=str(id)), id=id)
-
-
 def _steps(action: Action, live: BusLive) -> dict[int, int]:
     """By how much it moves the setpoint of each unit, where that is known."""
     steps = {}
@@ -267,12 +264,3 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
         if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
             steps[new.unit] = abs(new.raw - present)
     return steps
-
-
-def problem_of(objection: ObjectionError) -> Problem:
-    """The refusal of a command by a rule."""
-    extra: dict[str, Any] = {"outcome": objection.code, "unit": objection.unit}
-    if objection.nearest is not None:
-        extra["nearest"] = objection.nearest
-    message = Message.of("nothing_sent", reason=objection.message)
-    return Problem(STATUS_OF_OBJECTION[objection.code], objection.code, message, **extra)

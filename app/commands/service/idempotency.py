@@ -17,10 +17,11 @@ import msgspec
 
 from app.audit.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
+from app.errors import Problem
 from app.web.access import Person
 from bus.contract import Action, Result
 from bus.instants import UnixTime
-from bus.messages import Message, term
+from bus.messages import Message
 
 MAX_AGE_S = 7 * 86_400.0
 """How long a key is remembered."""
@@ -63,8 +64,14 @@ def _parts(bus: str, action: Action) -> tuple[str, str]:
     return json.dumps(bus), json.dumps(fields, sort_keys=True)
 
 
+def refuse_other(key: str | None, *, same: bool) -> None:
+    """Raises Problem 422 for a key that its sender has used for another command."""
+    if not same:
+        raise Problem(422, "invalid", Message.of("id_used", id=str(key)), id=key)
+
+
 def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
-    """The result of a command with a key is open from here on. Raises sqlite3.IntegrityError for a key that
+    """Store that the result of a command with a key is open. Raises sqlite3.IntegrityError for a key that
     its sender has used."""
     if request.key is None:
         return
@@ -75,7 +82,7 @@ def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing
 
 
 def end(connection: sqlite3.Connection, request: CommandRequest, result: Result) -> None:
-    """Its result, without the frames, which are in the events."""
+    """Store the result of a command with a key, without the frames, which are in the events."""
     if request.key is None:
         return
     stored = msgspec.json.encode(msgspec.structs.replace(result, frames=[]))
@@ -95,18 +102,9 @@ def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | Non
     if result is None:
         return Earlier(command, Result(key, requested_at, "unverified", Message("server_stopped")))
     try:
-        return Earlier(command, _decoded(result))
+        return Earlier(command, msgspec.json.decode(result, type=Result))
     except msgspec.MsgspecError:
         return Earlier(command, Result(key, requested_at, "unverified", UNREADABLE))
-
-
-def _decoded(stored: bytes) -> Result:
-    """Raises msgspec.MsgspecError. Before messages were data, a result held finished texts."""
-    members = msgspec.json.decode(stored, type=dict)
-    for part in (members, *members.get("units", ())):
-        if isinstance(part.get("message"), str):
-            part["message"] = term(part["message"]) if part["message"] else None
-    return msgspec.convert(members, Result)
 
 
 REMEMBERED = 1000

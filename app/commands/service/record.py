@@ -21,6 +21,7 @@ from app.commands.wording import Wording
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
+from app.web.access import Person
 from bus.contract import Action, Outcome, Result
 from bus.instants import Clock
 from bus.messages import Message, term
@@ -44,18 +45,21 @@ class CommandRecord:
         self._database = database
         self._now = now
 
-    async def earlier(self, sender: str, key: str) -> idempotency.Earlier | None:
-        """The earlier command of this sender with this key, also from before a restart."""
-        return await self._database.read(lambda connection: idempotency.find(connection, sender, key))
-
-    def is_same(self, earlier: idempotency.Earlier, bus: str, action: Action) -> bool:
-        return idempotency.is_digest_of(earlier.command, self._events.keys.ring, bus, action)
+    async def earlier(self, person: Person, key: str, bus: str, action: Action) -> Result | None:
+        """The result of this sender's earlier command with this key, also from before a restart. Raises
+        Problem 422 where it was another command."""
+        found = await self._database.read(lambda store: idempotency.find(store, person.sender, key))
+        if found is None:
+            return None
+        ring = self._events.keys.ring
+        idempotency.refuse_other(key, same=idempotency.is_digest_of(found.command, ring, bus, action))
+        return found.result
 
     async def intend(self, request: CommandRequest, live: BusLive) -> Intent:
         """On disk when this returns. Raises StoreError, and then nothing may be sent."""
         kind = kind_of_command(request.action)
         by_unit = kind.part_wordings(request.action, live)
-        group = _entry(request, request.unit, kind.wording(request.action, live))
+        group = _entry(request, request.action.only_unit, kind.wording(request.action, live))
         parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
         ring = self._events.keys.ring
 
@@ -79,7 +83,9 @@ class CommandRecord:
 
     async def reject(self, request: CommandRequest, live: BusLive, problem: Problem) -> None:
         """Record a rejected command with the reason."""
-        entry = _entry(request, request.unit, kind_of_command(request.action).wording(request.action, live))
+        entry = _entry(
+            request, request.action.only_unit, kind_of_command(request.action).wording(request.action, live)
+        )
         await self._events.record(kind="command", **entry, outcome=problem.code, message=problem.message)
 
 

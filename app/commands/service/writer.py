@@ -45,5 +45,5 @@ ParameterWriter = Annotated[Person, permitted(WRITE_PARAMETER)]
 
 
 def permitted_writer(kind: CommandKind[Any]) -> Any:
-    """The same, and leaves the next turn of ``{bus}`` free for the write."""
+    """A dependency that lets in who may send such a command, and leaves the next turn of the wire free."""
     return Depends(_Writes(kind.role, kind.request.__name__))

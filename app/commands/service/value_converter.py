@@ -5,9 +5,7 @@ Where those are not known yet they are read first, within the time of the comman
 
 from __future__ import annotations
 
-from app.commands.api.bodies import Quantity
 from app.commands.service.command_service import CommandService
-from app.commands.service.prior_read import read_first
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive
 from app.web.access import Person
@@ -21,7 +19,7 @@ from bus.messages import Message
 _NEEDS = {Scale.SPEED: (DECIMALS,), Scale.SPEED_OR_RATIO: (DECIMALS, FOLLOWER_MODE)}
 
 
-class QuantityConverter:
+class ValueConverter:
     """Converts for one unit within the time of the command. Raises CallerError for text that is no number."""
 
     def __init__(self, commands: CommandService, person: Person, unit: UnitLive, deadline: Deadline) -> None:
@@ -30,43 +28,28 @@ class QuantityConverter:
         self._unit = unit
         self._deadline = deadline
 
-    async def setpoint(self, quantity: Quantity) -> int:
+    async def setpoint(self, text: str) -> int:
         """A speed in display units, or a follower's ratio."""
-        if quantity.raw is not None:
-            return quantity.raw
         known = await self._known((DECIMALS, FOLLOWER_MODE))
         if is_follower(known[FOLLOWER_MODE]):
-            return ratio_raw(quantity.typed)
-        return speed_raw(quantity.typed, self._decimals(known))
+            return ratio_raw(text)
+        decimals = known[DECIMALS]
+        if decimals is None:
+            unit = self._unit.settings.id
+            raise Problem(422, "invalid", Message.of("unit_without_decimals", unit=unit), unit=unit)
+        return speed_raw(text, decimals)
 
-    async def parameter(self, number: int, quantity: Quantity) -> int:
+    async def parameter(self, number: int, text: str) -> int:
         """The value of one of the 40."""
-        if quantity.raw is not None:
-            return quantity.raw
         parameter = PARAMETERS[number]
         known = await self._known(_NEEDS.get(parameter.scale, ()))
         follower = is_follower(known.get(FOLLOWER_MODE)) or number == RATIO_SETPOINT
-        return parameter_raw(parameter, quantity.typed, known.get(DECIMALS), follower=follower)
+        return parameter_raw(parameter, text, known.get(DECIMALS), follower=follower)
 
     async def _known(self, numbers: tuple[int, ...]) -> dict[int, int | None]:
         missing = [number for number in numbers if number not in self._unit.parameters]
         known = {number: self._unit.parameter_raw(number) for number in numbers}
         if missing:
-            known |= await self._read(missing)
-        return known
-
-    async def _read(self, numbers: list[int]) -> dict[int, int | None]:
-        unit = self._unit.settings.id
-        return await read_first(self._commands.send, self._person, unit, numbers, self._deadline)
-
-    def _decimals(self, known: dict[int, int | None]) -> int:
-        decimals = known[DECIMALS]
-        if decimals is None:
             unit = self._unit.settings.id
-            raise Problem(
-                422,
-                "invalid",
-                Message.of("unit_without_decimals", unit=unit),
-                unit=unit,
-            )
-        return decimals
+            known |= await self._commands.read(self._person, unit, missing, self._deadline)
+        return known

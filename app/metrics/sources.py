@@ -1,0 +1,37 @@
+"""What the metrics are made of."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from app.alarms.line_alarms import LineAlarms
+from app.audit.anchoring import AnchorStatus
+from app.audit.log import Event, EventLog
+from app.live.state.bus_live import LiveState
+
+OUTCOMES = ("verified", "acknowledged", "refused", "unverified", "invalid", "not_sent", "bus_closed")
+
+
+class CommandCounts:
+    """Commands by their outcome since the server started."""
+
+    def __init__(self, events: EventLog) -> None:
+        self.by_outcome: Counter[str] = Counter(dict.fromkeys(OUTCOMES, 0))
+        events.subscribe(self._see)
+
+    def _see(self, event: Event) -> None:
+        if event["kind"] == "command" and event["outcome"]:
+            self.by_outcome[event["outcome"]] += 1
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSources:
+    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored."""
+
+    live: LiveState
+    pages: Callable[[], int]
+    commands: CommandCounts
+    anchor: Callable[[], AnchorStatus]
+    alarms: LineAlarms
