@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.commands.service.command_service import CommandService
-from app.commands.service.writer import Commands, ParameterWriter
+from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
@@ -20,6 +20,7 @@ from app.sets.lookup import Chosen, post_source, set_or_404, unit_rows_or_404
 from app.sets.restore_api import Restores
 from app.sets.restore_view import RestoreRow, rows_left_out
 from app.sets.sides import offers
+from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap
 from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.service import SwapService, look, source_of, step_text
@@ -30,13 +31,13 @@ from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
-
 Swaps = Annotated[SwapService, service(SwapService)]
+Beginner = Annotated[Person, BEGIN.permitted]
 
 
 @router.get("/swap/{bus}/{unit}")
 async def swap_page(
-    request: Request, _: ParameterWriter, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
+    request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
@@ -49,7 +50,7 @@ async def swap_page(
 @post_source(router, "/swap/{bus}/{unit}")
 async def begin(
     request: Request,
-    person: ParameterWriter,
+    person: Beginner,
     sets: Sets,
     live: Live,
     swaps: Swaps,
@@ -68,7 +69,7 @@ async def begin(
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
     request: Request,
-    person: ParameterWriter,
+    person: Beginner,
     live: Live,
     swaps: Swaps,
     commands: Commands,
@@ -105,15 +106,23 @@ async def _advice(
 
 
 @router.post("/swap/{bus}/{unit}/spare")
-async def it_is_the_spare(_: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
+async def confirm_spare(
+    person: Annotated[Person, CONFIRM_SPARE.permitted], swaps: Swaps, bus: str, unit: int
+) -> Response:
     """A person confirmed that the unit at the section's address is the spare."""
-    await swaps.confirm_spare(swaps.of_or_404(bus, unit))
+    await swaps.confirm_spare(person, swaps.of_or_404(bus, unit))
     return RedirectResponse(f"/swap/{bus}/{unit}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/restore")
-async def begin_restore(
-    person: ParameterWriter, sets: Sets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
+async def restore_spare(
+    person: Annotated[Person, RESTORE_SPARE.permitted],
+    sets: Sets,
+    restores: Restores,
+    live: Live,
+    swaps: Swaps,
+    bus: str,
+    unit: int,
 ) -> Response:
     """Plan the restore of the spare; the review of it comes next."""
     unit_or_404(live, bus, unit)
@@ -122,13 +131,18 @@ async def begin_restore(
         raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, bus, unit, rows)
-    await swaps.restoring(swap, restore)
+    await swaps.restoring(person, swap, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/entered")
-async def entered(
-    person: ParameterWriter, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
+async def save_entered(
+    person: Annotated[Person, SAVE_ENTERED.permitted],
+    keeper: ParameterSets,
+    live: Live,
+    swaps: Swaps,
+    bus: str,
+    unit: int,
 ) -> Response:
     """Everything is entered from the sheet: read the complete unit and save it as a set."""
     unit_or_404(live, bus, unit)
@@ -139,9 +153,9 @@ async def entered(
 
 
 @router.post("/swap/{bus}/{unit}/give-up")
-async def give_up(person: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
+async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, bus: str, unit: int) -> Response:
     """Leave it; whatever was done at the unit stays."""
-    await swaps.give_up(person, swaps.of_or_404(bus, unit))
+    await swaps.cancel(person, swaps.of_or_404(bus, unit))
     return RedirectResponse(f"/units/{bus}/{unit}", 303)
 
 

@@ -23,6 +23,7 @@ from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore
 from app.sets.sides import side
 from app.sets.store import SetStore
+from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
@@ -74,6 +75,7 @@ class SwapService:
 
         Raises Problem 409 where another swap of it is under way.
         """
+        BEGIN.check(person)
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
             other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
@@ -81,7 +83,8 @@ class SwapService:
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
-        await self._record(swap, person.name, Message.of("event_swap_begun", source=swap.source_message))
+        performed = BEGIN.by(person, source=swap.source_message)
+        await self._events.record(**performed, bus=bus, unit=unit)
         return swap
 
     async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
@@ -102,23 +105,27 @@ class SwapService:
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
-    async def confirm_spare(self, swap: Swap) -> None:
+    async def confirm_spare(self, person: Person, swap: Swap) -> None:
         """A person confirmed that the unit at the section's address is the spare."""
+        CONFIRM_SPARE.check(person)
         swap.is_new = True
-        swap.seen.append(Message("swap_named_by_person"))
+        swap.seen.append(Message(CONFIRM_SPARE.event))
         await self._store.save(swap)
 
-    async def restoring(self, swap: Swap, restore: Restore) -> None:
+    async def restoring(self, person: Person, swap: Swap, restore: Restore) -> None:
         """The restore of it has been planned."""
+        RESTORE_SPARE.check(person)
         swap.restore = restore
         await self._store.save(swap)
 
-    async def give_up(self, person: Person, swap: Swap) -> None:
+    async def cancel(self, person: Person, swap: Swap) -> None:
         """Close a swap that is not continued, or that was verified."""
+        CANCEL.check(person)
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
-            await self._record(swap, person.name, Message("event_swap_given_up"), swap.story)
+            performed = CANCEL.by(person)
+            await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
     async def ended(self, restore: Restore) -> None:
         """A restore is over: where it belongs to a swap and the full read was equal, so is the swap."""
@@ -138,26 +145,24 @@ class SwapService:
             Message.of("rows_left_out", rows=listed(left_out)) if left_out else None,
             Message("proven_by_full_read"),
         ]
-        await self._record(swap, restore.who, Message("event_swap_proven"), joined(story), outcome="verified")
+        await self._events.record(
+            kind=RESTORE_SPARE.kind,
+            who=restore.who,
+            bus=swap.bus,
+            unit=swap.unit,
+            what=Message(RESTORE_SPARE.event),
+            message=joined(story) or "",
+            outcome="verified",
+        )
 
     async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
-        """Everything was entered from the sheet, and the complete unit was read: save it as a set."""
+        """Everything was entered from the sheet, and the complete unit was read and saved as ``kept``."""
+        SAVE_ENTERED.check(person)
         swap.proven = True
         await self._store.save(swap)
         story = joined([swap.story, Message("entered_from_sheet"), Message.of("kept_as_set", set=kept.id)])
-        await self._record(swap, person.name, Message("event_swap_kept"), story, outcome="verified")
-
-    async def _record(
-        self, swap: Swap, who: str, what: Message, message: Message | None = None, outcome: str | None = None
-    ) -> None:
         await self._events.record(
-            kind="swap",
-            who=who,
-            bus=swap.bus,
-            unit=swap.unit,
-            what=what,
-            message=message or "",
-            outcome=outcome,
+            **SAVE_ENTERED.by(person), bus=swap.bus, unit=swap.unit, message=story or "", outcome="verified"
         )
 
 
@@ -234,8 +239,9 @@ async def source_of(
 ) -> SwapSource | None:
     """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
 
-    ``keepers``: by bus. Raises Problem 404, 422 or 504.
+    ``keepers``: by bus. Raises Problem 403, 404, 422 or 504.
     """
+    BEGIN.check(person)
     if form.file and (rows := await form.uploaded(unit)):
         name = (form.file.filename or "")[:80]
         kept = await keepers(bus).keep(person, [rows], name, "", "from a file")

@@ -24,7 +24,7 @@ from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.service import LOOKS, SwapService, look, step_text
 from app.swap.store import SwapStore
-from app.web.access import Person
+from app.web.access import Person, Role
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.messages import Message, term
 from bus.settings import BusSettings
@@ -136,6 +136,25 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
         assert part in end["message"]
 
 
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    swap, swaps, person = await scene.begin(), scene.swaps, Person("ben", role, "session")
+    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
+    for step in (
+        swaps.begin(person, "dry-end", 1, None),
+        swaps.confirm_spare(person, swap),
+        swaps.restoring(person, swap, a_restore(state="planned")),
+        swaps.entered(person, swap, kept),
+        swaps.cancel(person, swap),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await step
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (swap.is_new, swap.restore, swap.proven, swap.seen) == (False, None, False, [])
+    assert (swaps.of("dry-end", 1), swaps.of("dry-end", 2)) == (None, swap)
+    assert len(scene.events.events) == 1
+
+
 async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:
     swap = await scene.begin()
     await scene.swaps.ended(a_restore(state="equal", planned_at=99.0))
@@ -156,7 +175,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
     with pytest.raises(Problem, match="anna has already started a swap of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
-    await again.give_up(ANNA, known)
+    await again.cancel(ANNA, known)
     later = scene.another()
     await later.load()
     assert later.of("dry-end", 2) is None
