@@ -12,6 +12,7 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets import view
+from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.compare import compare
 from app.sets.document import write_document
 from app.sets.drift import BusDrift
@@ -19,7 +20,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
-from app.web.access import Engineer, Role, Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
@@ -77,7 +78,11 @@ async def list_parameter_sets(
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
 async def save_parameter_set(
-    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: SaveSetRequest
+    person: Annotated[Person, SAVE.permitted],
+    keeper: ParameterSets,
+    live: Live,
+    bus: str,
+    wanted: SaveSetRequest,
 ) -> view.ParameterSetShown:
     """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
@@ -100,10 +105,9 @@ async def export_parameter_set(
     """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
     stored = await set_or_404(sets, set_id)
     if secrets:
-        if not person.role.includes(Role.ENGINEER):
+        if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
-        what = Message.of("event_secret_exported", set=stored.id)
-        await events.record(kind="secret", **person.author, bus=stored.bus, what=what)
+        await events.record(**EXPORT_SECRET.by(person, set=stored.id), bus=stored.bus)
     headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
     return Response(
         write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
@@ -112,7 +116,11 @@ async def export_parameter_set(
 
 @router.post("/sets/{set_id}/golden")
 async def mark_golden_set(
-    request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenSetRequest
+    request: Request,
+    person: Annotated[Person, MARK_GOLDEN.permitted],
+    sets: Sets,
+    set_id: int,
+    mark: GoldenSetRequest,
 ) -> view.GoldenSet:
     """Make this set the golden set of the unit."""
     stored = await set_or_404(sets, set_id)
@@ -160,7 +168,7 @@ async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus:
 
 @router.put("/buses/{bus}/set-schedule")
 async def set_save_schedule(
-    person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
+    person: Annotated[Person, SCHEDULE.permitted], schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> view.SaveSchedule:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)

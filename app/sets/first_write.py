@@ -96,6 +96,7 @@ class FirstWrites:
     async def _complete(self, person: Person, unit: int) -> None:
         """Values that were not known before the write follow in a separate set, in the gaps of the scan."""
         try:
-            await self._keeper.take(person, [unit], origin="after the first write of the day")
+            rows = await self._keeper.reader.read_unit(person, unit)
+            await self._keeper.keep(person, [rows], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
             _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))

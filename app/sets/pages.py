@@ -10,6 +10,7 @@ from starlette.responses import RedirectResponse
 from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
+from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.api import Drift, Sets
 from app.sets.compare import compare, row_message
 from app.sets.keeper import SetKeeper
@@ -17,7 +18,7 @@ from app.sets.lookup import set_or_404
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Takings
-from app.web.access import Engineer, Viewer
+from app.web.access import Person, Viewer
 from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
 from app.web.templating import render
@@ -62,7 +63,7 @@ async def list_page(
 @router.post("/sets/take")
 async def take(
     request: Request,
-    person: Engineer,
+    person: Annotated[Person, SAVE.permitted],
     live: Live,
     readings: Readings,
     bus: Annotated[str, Form()],
@@ -89,7 +90,7 @@ async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id
 @router.post("/sets/schedule")
 async def set_schedule(
     request: Request,
-    person: Engineer,
+    person: Annotated[Person, SCHEDULE.permitted],
     bus: Annotated[str, Form()],
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
@@ -149,7 +150,11 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: 
 
 @router.post("/sets/{set_id}/golden")
 async def golden(
-    request: Request, person: Engineer, sets: Sets, set_id: int, unit: Annotated[int, Form()]
+    request: Request,
+    person: Annotated[Person, MARK_GOLDEN.permitted],
+    sets: Sets,
+    set_id: int,
+    unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""
     stored = await set_or_404(sets, set_id)

@@ -15,6 +15,7 @@ import structlog
 from app.audit.log import EventLog
 from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
+from app.sets.acts import CANCEL, PLAN, START
 from app.sets.background import Background
 from app.sets.model import UnitRows
 from app.sets.plan import EVERYTHING_HARMLESS, Selection, plan_restore, refuse_unwritable
@@ -83,6 +84,7 @@ class RestoreService:
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
         """
+        PLAN.check(person)
         reader = self._readers[bus]
         before = await reader.read_unit(person, unit, urgent=True)
         running, remote = reader.motion(unit)
@@ -116,12 +118,18 @@ class RestoreService:
 
     def start(self, person: Person, restore: Restore) -> None:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
+        START.check(person)
         _refuse_begun(restore)
         place, others = (restore.bus, restore.unit), self._restores.values()
         if any((other.bus, other.unit) == place and other.state in UNDER_WAY for other in others):
             raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
         self.background.begin(self._run(person, restore), f"restore {restore.id}")
+
+    def cancel(self, person: Person, restore: Restore) -> None:
+        """Stop it after the current row."""
+        CANCEL.check(person)
+        restore.cancelled_by = person.name
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:
@@ -152,11 +160,11 @@ class RestoreService:
     async def _record(self, restore: Restore) -> None:
         verified = sum(row.outcome == "verified" for row in restore.rows)
         await self._events.record(
-            kind="restore",
+            kind=START.kind,
             who=restore.who,
             bus=restore.bus,
             unit=restore.unit,
-            what=Message.of("event_restored", verified=verified, n=len(restore.rows)),
+            what=Message.of(START.event, verified=verified, n=len(restore.rows)),
             outcome=restore.state,
             message=joined([restore.cause, restore.account()]) or "",
         )

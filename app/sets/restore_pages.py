@@ -7,23 +7,24 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.commands.service.writer import ParameterWriter
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
+from app.sets.acts import CANCEL, START
 from app.sets.api import Sets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
 from app.sets.lookup import Chosen, FormSource, post_source, restore_or_404
 from app.sets.model import UnitRows
 from app.sets.plan import Selection
-from app.sets.restore_api import Restores
+from app.sets.restore_api import Planner, Restores
 from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.sides import offers, side
 from app.sets.store import SetStore
 from app.swap.service import SwapService
+from app.web.access import Person
 from app.web.services import service_of
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
@@ -36,7 +37,7 @@ Ticks = Annotated[list[int] | None, Form()]
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: ParameterWriter, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
+    request: Request, _: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
     """Choose what the unit shall become; and the results of earlier restores of it."""
     live_unit = unit_or_404(live, bus, unit)
@@ -52,7 +53,7 @@ async def restore_page(
 
 @post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: ParameterWriter, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
+    person: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
     """Read the unit and plan a restore. Nothing is written."""
     unit_or_404(live, bus, unit)
@@ -62,9 +63,7 @@ async def plan_page(
 
 
 @router.get("/restores/{restore_id}")
-async def restore_progress(
-    request: Request, _: ParameterWriter, restores: Restores, restore_id: str
-) -> Response:
+async def restore_progress(request: Request, _: Planner, restores: Restores, restore_id: str) -> Response:
     """The review before, the progress during, the proof after."""
     restore = await restore_or_404(restores, restore_id)
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
@@ -90,7 +89,7 @@ async def restore_progress(
 
 @router.post("/restores/{restore_id}/tick")
 async def confirm_dangerous(
-    person: ParameterWriter, restores: Restores, live: Live, restore_id: str, tick: Ticks = None
+    person: Planner, restores: Restores, live: Live, restore_id: str, tick: Ticks = None
 ) -> Response:
     """Plan again with dangerous rows that a person has confirmed one by one."""
     old = await restore_or_404(restores, restore_id)
@@ -101,7 +100,7 @@ async def confirm_dangerous(
 
 
 @router.post("/restores/{restore_id}/again")
-async def plan_again(person: ParameterWriter, restores: Restores, live: Live, restore_id: str) -> Response:
+async def plan_again(person: Planner, restores: Restores, live: Live, restore_id: str) -> Response:
     """The same restore again: done rows are found equal, the rest is reviewed."""
     old = await restore_or_404(restores, restore_id)
     unit_or_404(live, old.bus, old.unit)
@@ -111,7 +110,9 @@ async def plan_again(person: ParameterWriter, restores: Restores, live: Live, re
 
 
 @router.post("/restores/{restore_id}/start")
-async def start(person: ParameterWriter, restores: Restores, restore_id: str, row: Ticks = None) -> Response:
+async def start(
+    person: Annotated[Person, START.permitted], restores: Restores, restore_id: str, row: Ticks = None
+) -> Response:
     """Write the rows that are ticked."""
     restore = await restore_or_404(restores, restore_id)
     restores.select(restore, _ticked(restore, frozenset(row or ())))
@@ -120,9 +121,11 @@ async def start(person: ParameterWriter, restores: Restores, restore_id: str, ro
 
 
 @router.post("/restores/{restore_id}/cancel")
-async def cancel(person: ParameterWriter, restores: Restores, restore_id: str) -> Response:
+async def cancel(
+    person: Annotated[Person, CANCEL.permitted], restores: Restores, restore_id: str
+) -> Response:
     """Stop after the current row."""
-    (await restore_or_404(restores, restore_id)).cancel(person.name)
+    restores.cancel(person, await restore_or_404(restores, restore_id))
     return RedirectResponse(f"/restores/{restore_id}", 303)
 
 

@@ -107,9 +107,6 @@ class Restore:
         self.state, self.cause_code, self.cause = "stopped", code, cause
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
 
-    def cancel(self, who: str) -> None:
-        self.cancelled_by = who
-
     def account(self) -> Message | None:
         """Which rows were written and verified, which are unverified or refused, which were not tried."""
         return joined(

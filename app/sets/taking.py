@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from app.errors import Problem, StoreError
+from app.sets.acts import SAVE
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
@@ -56,6 +57,7 @@ class Takings:
         self, person: Person, keeper: SetKeeper, units: Sequence[int], name: str, comment: str
     ) -> Taking:
         """Read the units one after another and save their values as one set."""
+        SAVE.check(person)
         taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment)
         self._takings[taking.id] = taking
         for old in list(self._takings)[:-_KEEP]:

@@ -17,10 +17,12 @@ from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
+from app.web.access import Person, Role
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 
+BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
 
@@ -111,13 +113,27 @@ async def test_a_timeout_stops_it_and_a_second_run_finishes_the_rest(a_scene: Se
 async def test_a_canceled_restore_lists_the_rows_done(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan()
-    restore.cancel("ben")
+    scene.restores.cancel(BEN, restore)
     await scene.finish(restore)
     assert restore.state == "stopped"
     assert restore.cause == Message.of("restore_left_off", who="ben", done=0, n=4)
     assert str(restore.cause) == "canceled by ben after 0 of 4 rows"
     assert {row.outcome for row in restore.rows} == {"not_sent"}
     assert scene.commands.written == []
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(a_scene: SetsScene, role: Role) -> None:
+    scene, person = a_scene(), Person("vera", role, "session")
+    restore = await scene.plan()
+    read = len(scene.commands.sent)
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.restores.plan(person, "dry-end", 2, rows(WANTED))
+    for act in (scene.restores.start, scene.restores.cancel):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            act(person, restore)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (restore.state, restore.cancelled_by, len(scene.commands.sent)) == ("planned", "", read)
 
 
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
