@@ -68,7 +68,7 @@ class RestoreService:
         """Once at start: mark restores that were running when the server ended as stopped."""
         for restore in await self._store.under_way():
             restore.stop("server_ended", Message("restore_under_way_at_end"))
-            await self._store.end(restore)
+            await self._store.save(restore)
             await self._record(restore)
 
     async def plan(
@@ -150,7 +150,7 @@ class RestoreService:
 
     async def _end(self, restore: Restore) -> None:
         try:
-            await self._store.end(restore)
+            await self._store.save(restore)
             await self._record(restore)
             for subscriber in self._end_subscribers:
                 await subscriber(restore)

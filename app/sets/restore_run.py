@@ -11,12 +11,13 @@ from app.sets.effects import warning_of
 from app.sets.plan import plan_restore
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import Restore, RowResult
-from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
+from app.sets.restore_store import RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
 from bus.errors import unit_error
 from bus.messages import Message
 
+ENDED_MEANWHILE = Message("row_in_doubt")
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
 """Outcomes of a row after which the others cannot be expected to do better."""
 
@@ -33,7 +34,7 @@ class RestoreRun:
 
     async def run(self) -> None:
         """Leaves the restore ``equal`` or ``different``."""
-        await self._store.begin(self._restore)
+        await self._store.save(self._restore)
         await self._check_review()
         await self._write_rows()
         await self._prove()
@@ -59,17 +60,21 @@ class RestoreRun:
                 raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=n))
             if self._would_surprise(row):
                 raise Problem(409, "moved", Message("unit_started_since_review"))
-            await self._store.sending(restore, place)
+            in_doubt = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+            # Should nothing more be stored, the row counts as unverified.
+            await self._store.save(
+                replace(restore, rows=[*restore.rows[:place], in_doubt, *restore.rows[place + 1 :]])
+            )
             try:
                 restore.rows[place] = await self._write(row)
             except asyncio.CancelledError:
-                restore.rows[place] = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+                restore.rows[place] = in_doubt
                 raise
             except Problem as problem:
                 restore.rows[place] = replace(row, outcome="not_sent", message=problem.message)
                 raise
             finally:
-                await self._store.row(restore, place)
+                await self._store.save(restore)
             _go_on_or_raise(restore.rows[place])
 
     async def _write(self, row: RowResult) -> RowResult:

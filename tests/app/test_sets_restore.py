@@ -12,6 +12,7 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
+from app.sets.order import Write
 from app.sets.plan import Selection
 from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreService
@@ -196,6 +197,30 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
     assert (kept.state, kept.rows, kept.left_out) == (restore.state, restore.rows, restore.left_out)
     assert kept.remaining is not None
     assert [row.number for row in kept.remaining] == [7]
+
+
+async def test_a_stored_restore_holds_nothing_of_the_operator_password(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    restore = await scene.run({6: 50, 21: 4711})
+    assert scene.commands.memory[2][21] == 4711
+    kept = await scene.server().find(restore.id)
+    assert kept is not None
+    assert [(row.write, row.read_back) for row in kept.rows if row.write.number == 21] == [
+        (Write(21, -1, -1), None)
+    ]
+    assert all(side is not None and side.raw(21) is None for side in (kept.wanted, kept.before, kept.proven))
+    select = "SELECT content FROM restore"
+    [[content]] = await scene.store.database.read(lambda connection: connection.execute(select).fetchall())
+    assert "4711" not in content
+
+
+async def test_a_stored_restore_that_cannot_be_read_is_left_out(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    kept, broken = await scene.run(), await scene.run({6: 51})
+    update = "UPDATE restore SET content = '{}' WHERE id = ?"
+    await scene.store.database.write(lambda connection: connection.execute(update, (broken.id,)))
+    assert [one.id for one in await scene.server().of_unit("dry-end", 2)] == [kept.id]
+    assert await scene.server().find(broken.id) is None
 
 
 async def test_a_unit_in_local_is_reported_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
