@@ -13,7 +13,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets import view
 from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
-from app.sets.compare import compare
+from app.sets.compare import ParameterDifference, compare
 from app.sets.document import write_document
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
@@ -24,8 +24,8 @@ from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
 from app.web.services import bus_service, bus_service_of, service
-from app.web.shape import StrictBody, UnitAddresses, maybe_shown
-from bus.messages import Message, in_english
+from app.web.shape import StrictBody, UnitAddresses
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
@@ -137,11 +137,11 @@ async def compare_parameter_sets(
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[view.ParameterDifference]:
+) -> list[ParameterDifference]:
     """Set with set, row by row."""
     left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
-    return [view.compared_json(row) for row in compare(left, right, tolerance)]
+    return compare(left, right, tolerance)
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
@@ -160,8 +160,7 @@ async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) ->
 async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.SaveSchedule:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[view.OverdueSave] = [
-        {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
-        for unit, each in schedule.overdue().items()
+        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "overdue": overdue}
 

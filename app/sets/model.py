@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from bus.instants import UnixTime
 
+Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
+StoredRaw = Annotated[
+    int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
+]
 SetOrigin = Literal[
     "by hand",
     "on schedule",

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.sets.compare import Compared, differences
+from app.sets.compare import ParameterDifference, differences
 from app.sets.effects import warning_of
 from app.sets.model import UnitRows
 from app.sets.order import Write
@@ -95,7 +95,7 @@ class Restore:
         return self.state in ENDS
 
     @property
-    def remaining(self) -> list[Compared] | None:
+    def remaining(self) -> list[ParameterDifference] | None:
         """What the full read still finds different, without what can never be written here."""
         if self.proven is None:
             return None

@@ -18,7 +18,7 @@ from app.sets.api import ParameterSets, Sets
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import Chosen, post_source, set_or_404, unit_rows_or_404
 from app.sets.restore_api import Restores
-from app.sets.restore_view import RestoreRow, rows_left_out
+from app.sets.restore_view import RestoreOmission, rows_left_out
 from app.sets.sides import offers
 from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap
@@ -159,8 +159,8 @@ async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, bus:
     return RedirectResponse(f"/units/{bus}/{unit}", 303)
 
 
-def _setpoints_left(swap: Swap) -> list[RestoreRow]:
+def _setpoints_left(swap: Swap) -> list[RestoreOmission]:
     """The setpoints that the spare does not have from the old unit, as they were not selected."""
     if swap.restore is None or not swap.proven:
         return []
-    return [row for row in rows_left_out(swap.restore) if row.left and row.left.reason == "operating_value"]
+    return [row for row in rows_left_out(swap.restore) if row.reason_code == "operating_value"]

@@ -33,9 +33,6 @@ AS_DATA = {
     "InvalidField.message": "code",
     "Message.detail": "code",
     "Problem.detail": "reason",
-    "Restore.remarks": "remark_messages",
-    "RestoreRow.message": "outcome_message",
-    "RestoreRow.words": "meaning_message",
     "UnitResult.detail": "reason",
 }
 """By text: the field that has it as data, where that is not called ``…_message``."""
