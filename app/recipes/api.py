@@ -16,8 +16,8 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.book import RecipeBook
-from app.recipes.rules import Recipe, setpoints_now
-from app.recipes.view import LoadedRecipe, RecipeDryRun, RecipeShown, dry_run_json, loaded_json, recipe_json
+from app.recipes.rules import Recipe, RecipeDryRun, setpoints_now
+from app.recipes.view import LoadedRecipe, RecipeShown, loaded_json, recipe_json
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
@@ -78,7 +78,7 @@ async def get_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> Recip
 @router.get("/recipes/{recipe_id}/dry-run")
 async def dry_run_recipe(person: Viewer, book: Book, recipe_id: int) -> RecipeDryRun:
     """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
-    return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
+    return book.try_out(person, await recipe_or_404(book, recipe_id))
 
 
 @router.post("/recipes/{recipe_id}/load", responses=RESULT_RESPONSES)
