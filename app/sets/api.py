@@ -18,6 +18,7 @@ from app.sets.document import write_document
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import set_or_404, unit_rows_or_404
+from app.sets.model import ParameterSetSummary
 from app.sets.schedule import SetSchedule
 from app.sets.store import SetStore
 from app.web.access import Person, Viewer
@@ -70,10 +71,9 @@ async def list_parameter_sets(
     unit: int | None = None,
     before: int | None = None,
     limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[view.ParameterSetSummary]:
+) -> list[ParameterSetSummary]:
     """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
-    found = await sets.summaries(bus, unit, before=before, most=limit)
-    return [view.summary_json(summary) for summary in found]
+    return await sets.summaries(bus, unit, before=before, most=limit)
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))

@@ -13,9 +13,9 @@ from app.errors import Problem, or_404
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
 from app.sets.lookup import set_or_404, unit_rows_or_404
-from app.sets.model import UnitRows
+from app.sets.model import ParameterSetSummary, UnitRows
 from app.sets.reading import known_rows
-from app.sets.store import SetStore, SetSummary
+from app.sets.store import SetStore
 from app.web.shape import parse_integer
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -51,7 +51,7 @@ class SideOption:
         return self.bus, self.unit
 
 
-def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
+def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
     """Every unit as last read, then every unit of every stored set, newest first."""
     found = [
         SideOption(f"live:{bus}:{number}", bus, number, unit.settings.name)
@@ -61,7 +61,7 @@ def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
     return found + [_stored(live, one, unit) for one in sets for unit in one.units]
 
 
-def _stored(live: LiveState, one: SetSummary, unit: int) -> SideOption:
+def _stored(live: LiveState, one: ParameterSetSummary, unit: int) -> SideOption:
     known = _configured(live, one.bus, unit)
     name, is_golden = known.name if known else "", unit in one.golden_for
     text = f"set:{one.id}:{unit}"
@@ -116,7 +116,7 @@ class Offers:
         return self.golden or next((choice.text for choice in self.own), "")
 
 
-def offers(live: LiveState, sets: Sequence[SetSummary], bus: str, unit: int) -> Offers:
+def offers(live: LiveState, sets: Sequence[ParameterSetSummary], bus: str, unit: int) -> Offers:
     """Everything that helps ``unit``; ``sets`` newest first."""
     group = live.buses[bus].units[unit].settings.group
     every = choices(live, sets)

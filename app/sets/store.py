@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from app.database.queries import Tables, reading, writing
-from app.sets.model import ParameterRow, ParameterSet, SetOrigin, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, SetOrigin, UnitRows
 from bus.instants import UnixTime
 
 _HEAD = "bus, name, comment, taken_at, who, origin"
-
-
-@dataclass(frozen=True, slots=True)
-class SetSummary:
-    """A line of the list of sets."""
-
-    id: int
-    bus: str
-    name: str
-    comment: str
-    taken_at: UnixTime
-    who: str
-    origin: str
-    units: tuple[int, ...]
-    golden_for: tuple[int, ...]
 
 
 class SetStore(Tables):
@@ -77,7 +62,7 @@ class SetStore(Tables):
         *,
         before: int | None = None,
         most: int = -1,
-    ) -> list[SetSummary]:
+    ) -> list[ParameterSetSummary]:
         """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
@@ -89,8 +74,8 @@ class SetStore(Tables):
             {"bus": bus, "unit": unit, "before": before, "most": most},
         )
         return [
-            SetSummary(
-                set_id, of_bus, name, comment, taken_at, who, origin, _numbers(units), _numbers(golden_for)
+            ParameterSetSummary(
+                set_id, of_bus, name, comment, taken_at, who, origin, _numbers(golden_for), _numbers(units)
             )
             for set_id, of_bus, name, comment, taken_at, who, origin, units, golden_for in found
         ]

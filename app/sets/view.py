@@ -8,33 +8,13 @@ from typing import Annotated, Any
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.live.api.schemas import MaybeTime, Time, UnitAddress
+from app.live.api.schemas import MaybeTime, UnitAddress
 from app.sets.compare import ParameterDifference, with_unit
 from app.sets.drift import DriftedParameter
-from app.sets.model import Number, ParameterSet, StoredRaw, UnitRows
-from app.sets.store import SetSummary
+from app.sets.model import Number, ParameterSet, SetHead, StoredRaw, UnitRows
 from app.web.shape import MessageObject, iso
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
-
-
-class SetHead(TypedDict):
-    """The first members of every response about a set."""
-
-    id: int
-    bus: str
-    name: str
-    comment: str
-    taken_at: Time
-    who: str
-    origin: Annotated[str, Field(description="Origin: by hand, on schedule, before the first write …")]
-    golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
-
-
-class ParameterSetSummary(SetHead):
-    """A stored parameter set without its values."""
-
-    units: Annotated[list[int], Field(description="Addresses of its units.")]
 
 
 class ParameterSetParameter(TypedDict):
@@ -59,6 +39,7 @@ class ParameterSetUnit(TypedDict):
     parameters: list[ParameterSetParameter]
 
 
+@dataclass(frozen=True, slots=True)
 class ParameterSetShown(SetHead):
     """A stored parameter set with its values."""
 
@@ -104,32 +85,19 @@ class SaveSchedule(TypedDict):
     overdue: list[OverdueSave]
 
 
-def summary_json(summary: SetSummary) -> ParameterSetSummary:
-    return {
-        **_head(summary),
-        "units": list(summary.units),
-    }
-
-
 def set_json(stored: ParameterSet) -> ParameterSetShown:
     """A complete set; secrets masked."""
-    return {
-        **_head(stored),
-        "units": [_unit_json(rows) for rows in stored.units],
-    }
-
-
-def _head(of: SetSummary | ParameterSet) -> SetHead:
-    return {
-        "id": of.id,
-        "bus": of.bus,
-        "name": of.name,
-        "comment": of.comment,
-        "taken_at": iso(of.taken_at),
-        "who": of.who,
-        "origin": of.origin,
-        "golden_for": sorted(of.golden_for),
-    }
+    return ParameterSetShown(
+        id=stored.id,
+        bus=stored.bus,
+        name=stored.name,
+        comment=stored.comment,
+        taken_at=stored.taken_at,
+        who=stored.who,
+        origin=stored.origin,
+        golden_for=tuple(sorted(stored.golden_for)),
+        units=[_unit_json(rows) for rows in stored.units],
+    )
 
 
 def _unit_json(rows: UnitRows) -> ParameterSetUnit:

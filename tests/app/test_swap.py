@@ -13,13 +13,13 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
-from app.sets.model import ParameterSet, UnitRows
+from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.sides import offers
-from app.sets.store import SetStore, SetSummary
+from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
 from app.swap.service import LOOKS, SwapService, look, step_text
@@ -207,7 +207,7 @@ def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
     )
     live = LiveState([settings], started_at=0.0)
     sets = [
-        SetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", units, golden)
+        ParameterSetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", golden, units)
         for number, units, golden in ((4, (1, 2), ()), (3, (2,), ()), (2, (2,), (2,)))
     ]
     helps = offers(live, sets, "dry-end", 3)
