@@ -17,14 +17,13 @@ from app.sets.compare import ParameterDifference, compare
 from app.sets.document import write_document
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import set_or_404, unit_rows_or_404
+from app.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.sets.model import ParameterSetSummary
 from app.sets.schedule import SetSchedule
-from app.sets.store import SetStore
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
-from app.web.services import bus_service, bus_service_of, service
+from app.web.services import bus_service, bus_service_of
 from app.web.shape import StrictBody, UnitAddresses
 from bus.messages import Message
 from bus.text import Lines, OneLine
@@ -57,7 +56,6 @@ class SaveScheduleRequest(StrictBody):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-Sets = Annotated[SetStore, service(SetStore)]
 ParameterSets = Annotated[SetKeeper, bus_service(SetKeeper)]
 Drift = Annotated[BusDrift, bus_service(BusDrift)]
 ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
@@ -93,22 +91,21 @@ async def save_parameter_set(
 
 
 @router.get("/sets/{set_id}")
-async def get_parameter_set(_: Viewer, sets: Sets, set_id: int) -> view.ParameterSetShown:
+async def get_parameter_set(_: Viewer, stored: StoredSet) -> view.ParameterSetShown:
     """A set with the evidence of each value; #21 is masked."""
-    return view.set_json(await set_or_404(sets, set_id))
+    return view.set_json(stored)
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def export_parameter_set(
-    person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
+    person: Viewer, stored: StoredSet, events: Events, secrets: bool = False
 ) -> Response:
     """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
-    stored = await set_or_404(sets, set_id)
     if secrets:
         if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
         await events.record(**EXPORT_SECRET.by(person, set=stored.id), bus=stored.bus)
-    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
+    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{stored.id}.toml"'}
     return Response(
         write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
     )
@@ -118,28 +115,26 @@ async def export_parameter_set(
 async def mark_golden_set(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    sets: Sets,
-    set_id: int,
+    stored: StoredSet,
     mark: GoldenSetRequest,
 ) -> view.GoldenSet:
     """Make this set the golden set of the unit."""
-    stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
-    return {"set": set_id, "unit": mark.unit, "golden": True}
+    return {"set": stored.id, "unit": mark.unit, "golden": True}
 
 
 @router.get("/sets/{set_id}/compare/{other_id}")
 async def compare_parameter_sets(
     _: Viewer,
     sets: Sets,
-    set_id: int,
+    stored: StoredSet,
     other_id: int,
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
 ) -> list[ParameterDifference]:
     """Set with set, row by row."""
-    left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
+    left = unit_rows_or_404(stored, unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
     return compare(left, right, tolerance)
 

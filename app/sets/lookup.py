@@ -15,7 +15,11 @@ from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
 from app.web.bounds import MAX_BODY_BYTES, parse_apart
+from app.web.services import service
 from bus.messages import Message, term
+
+Sets = Annotated[SetStore, service(SetStore)]
+Restores = Annotated[RestoreService, service(RestoreService)]
 
 
 async def wanted_rows(
@@ -60,8 +64,12 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
         raise Problem(422, "invalid", wrong) from error
 
 
-async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
-    return or_404(await store.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
+async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
+    return or_404(await sets.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
+
+
+StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
+"""The set of ``{set_id}`` in the path."""
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
@@ -70,9 +78,13 @@ def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
     return or_404(stored.unit(unit), "unknown_unit", lacks)
 
 
-async def restore_or_404(restores: RestoreService, restore_id: str) -> Restore:
+async def restore_or_404(restores: Restores, restore_id: str) -> Restore:
     """A restore that was begun, or a plan of this run of the server."""
     return or_404(await restores.find(restore_id), "unknown_restore", Message("no_such_restore"))
+
+
+KnownRestore = Annotated[Restore, Depends(restore_or_404)]
+"""The restore of ``{restore_id}`` in the path."""
 
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])

@@ -11,10 +11,10 @@ from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
-from app.sets.api import Drift, Sets
+from app.sets.api import Drift
 from app.sets.compare import compare, row_message
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import set_or_404
+from app.sets.lookup import Sets, StoredSet
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Takings
@@ -133,9 +133,8 @@ async def compare_page(
 
 
 @router.get("/sets/{set_id}")
-async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: int) -> Response:
+async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: StoredSet) -> Response:
     """A stored set, each value with its evidence."""
-    stored = await set_or_404(sets, set_id)
     others = await sets.summaries(stored.bus)
     return render(
         request,
@@ -143,7 +142,7 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: 
         stored=stored,
         row_message=row_message,
         PARAMETERS=PARAMETERS,
-        others=[summary for summary in others if summary.id != set_id],
+        others=[summary for summary in others if summary.id != stored.id],
         configured=live.buses[stored.bus].units if stored.bus in live.buses else {},
     )
 
@@ -152,14 +151,12 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: 
 async def golden(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    sets: Sets,
-    set_id: int,
+    stored: StoredSet,
     unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""
-    stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, unit)
-    return RedirectResponse(f"/sets/{set_id}", 303)
+    return RedirectResponse(f"/sets/{stored.id}", 303)
 
 
 @router.get("/units/{bus}/{unit}/drift")

@@ -107,8 +107,9 @@ class RestoreService:
         self._remember(restore)
         return restore
 
-    def select(self, restore: Restore, selection: Selection) -> None:
+    def select(self, person: Person, restore: Restore, selection: Selection) -> None:
         """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
+        PLAN.check(person)
         _refuse_begun(restore)
         wanted, before, running, remote = restore.wanted, restore.before, restore.running, restore.remote
         plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)

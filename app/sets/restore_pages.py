@@ -12,13 +12,13 @@ from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
 from app.sets.acts import CANCEL, START
-from app.sets.api import Sets
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
-from app.sets.lookup import Chosen, FormSource, post_source, restore_or_404
+from app.sets.lookup import Chosen, FormSource, KnownRestore, Restores, Sets, post_source
 from app.sets.model import UnitRows
 from app.sets.plan import Selection
-from app.sets.restore_api import Planner, Restores
+from app.sets.restore import RestoreService
+from app.sets.restore_api import Planner
 from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.sides import offers, side
@@ -63,9 +63,8 @@ async def plan_page(
 
 
 @router.get("/restores/{restore_id}")
-async def restore_progress(request: Request, _: Planner, restores: Restores, restore_id: str) -> Response:
+async def restore_progress(request: Request, _: Planner, restore: KnownRestore) -> Response:
     """The review before, the progress during, the proof after."""
-    restore = await restore_or_404(restores, restore_id)
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
     dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
     response = render(
@@ -89,44 +88,45 @@ async def restore_progress(request: Request, _: Planner, restores: Restores, res
 
 @router.post("/restores/{restore_id}/tick")
 async def confirm_dangerous(
-    person: Planner, restores: Restores, live: Live, restore_id: str, tick: Ticks = None
+    person: Planner, restores: Restores, live: Live, old: KnownRestore, tick: Ticks = None
 ) -> Response:
     """Plan again with dangerous rows that a person has confirmed one by one."""
-    old = await restore_or_404(restores, restore_id)
-    unit_or_404(live, old.bus, old.unit)
     selection = Selection(confirmed=old.selection.confirmed | frozenset(tick or ()))
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
-    return RedirectResponse(f"/restores/{fresh.id}", 303)
+    return await _planned_again(person, restores, live, old, selection)
 
 
 @router.post("/restores/{restore_id}/again")
-async def plan_again(person: Planner, restores: Restores, live: Live, restore_id: str) -> Response:
+async def plan_again(person: Planner, restores: Restores, live: Live, old: KnownRestore) -> Response:
     """The same restore again: done rows are found equal, the rest is reviewed."""
-    old = await restore_or_404(restores, restore_id)
-    unit_or_404(live, old.bus, old.unit)
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, Selection(exclude=deselected))
+    return await _planned_again(person, restores, live, old, Selection(exclude=deselected))
+
+
+async def _planned_again(
+    person: Person, restores: RestoreService, live: LiveState, old: Restore, selection: Selection
+) -> Response:
+    unit_or_404(live, old.bus, old.unit)
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
     return RedirectResponse(f"/restores/{fresh.id}", 303)
 
 
 @router.post("/restores/{restore_id}/start")
 async def start(
-    person: Annotated[Person, START.permitted], restores: Restores, restore_id: str, row: Ticks = None
+    person: Annotated[Person, START.permitted], restores: Restores, restore: KnownRestore, row: Ticks = None
 ) -> Response:
     """Write the rows that are ticked."""
-    restore = await restore_or_404(restores, restore_id)
-    restores.select(restore, _ticked(restore, frozenset(row or ())))
+    restores.select(person, restore, _ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
-    return RedirectResponse(f"/restores/{restore_id}", 303)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.post("/restores/{restore_id}/cancel")
 async def cancel(
-    person: Annotated[Person, CANCEL.permitted], restores: Restores, restore_id: str
+    person: Annotated[Person, CANCEL.permitted], restores: Restores, restore: KnownRestore
 ) -> Response:
     """Stop after the current row."""
-    restores.cancel(person, await restore_or_404(restores, restore_id))
-    return RedirectResponse(f"/restores/{restore_id}", 303)
+    restores.cancel(person, restore)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 async def _stored(sets: SetStore, live: LiveState, chosen: FormSource) -> UnitRows:

@@ -130,11 +130,14 @@ async def test_a_caller_without_a_route_needs_the_role_too(a_scene: SetsScene, r
     read = len(scene.commands.sent)
     with pytest.raises(Problem, match="role engineer"):
         await scene.restores.plan(person, "dry-end", 2, rows(WANTED))
+    with pytest.raises(Problem, match="role engineer"):
+        scene.restores.select(person, restore, Selection(exclude=frozenset({6})))
     for act in (scene.restores.start, scene.restores.cancel):
         with pytest.raises(Problem, match="role engineer") as refused:
             act(person, restore)
         assert (refused.value.status, refused.value.code) == (403, "forbidden")
     assert (restore.state, restore.cancelled_by, len(scene.commands.sent)) == ("planned", "", read)
+    assert len(restore.rows) == len(WANTED)
 
 
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
@@ -258,11 +261,11 @@ async def test_a_deselected_row_is_not_written_and_not_missed(a_scene: SetsScene
 async def test_a_plan_takes_another_choice_until_it_begins(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan(WANTED | {20: 5})
-    scene.restores.select(restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
+    scene.restores.select(ANNA, restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
     await scene.finish(restore)
     assert {number for _, number, _ in scene.commands.written} == {7, 9, 12, 20}
     with pytest.raises(Problem) as refused:
-        scene.restores.select(restore, Selection())
+        scene.restores.select(ANNA, restore, Selection())
     assert refused.value.code == "already_started"
 
 
