@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from app.audit.log import EventLog
 from app.commands.api.responses import outcome_message
@@ -19,7 +19,7 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
 from app.sets.reading import status_of
-from app.sets.restore import EndSubscriber
+from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.sides import side
 from app.sets.store import SetStore
@@ -36,20 +36,10 @@ LOOK_WAIT_S = 2.0
 """How long a page waits for a probe before it shows the previous finding."""
 
 
-class RestoreLookup(Protocol):
-    """The restores that swaps lead to."""
-
-    async def find(self, restore_id: str) -> Restore | None:
-        """A restore by its id; None where there is none."""
-
-    def on_end(self, subscriber: EndSubscriber) -> None:
-        """Call ``subscriber`` with each restore that has ended."""
-
-
 class SwapService:
     """Keeps the swap of each unit, until it is ended or another of the unit begins."""
 
-    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreLookup, clock: Clock) -> None:
+    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreService, clock: Clock) -> None:
         self._events = events
         self._store = store
         self._clock = clock
