@@ -18,7 +18,7 @@ from app.errors import Problem, StoreError
 from app.sets.acts import CANCEL, PLAN, START
 from app.sets.background import Background
 from app.sets.model import UnitRows
-from app.sets.plan import EVERYTHING_HARMLESS, Selection, plan_restore, refuse_unwritable
+from app.sets.plan import EVERYTHING_HARMLESS, RestorePlan, Selection, plan_restore, refuse_unwritable
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
 from app.sets.restore_run import RestoreRun
@@ -78,8 +78,10 @@ class RestoreService:
         unit: int,
         wanted: UnitRows,
         selection: Selection = EVERYTHING_HARMLESS,
+        *,
+        for_swap: bool = False,
     ) -> Restore:
-        """Read the unit now and plan the writes; nothing is written.
+        """Read the unit now and plan the writes; nothing is written. ``for_swap``: to a spare.
 
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
@@ -88,8 +90,6 @@ class RestoreService:
         reader = self._readers[bus]
         before = await reader.read_unit(person, unit, urgent=True)
         running, remote = reader.motion(unit)
-        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
-        refuse_unwritable(plan, selection)
         restore = Restore(
             id=secrets.token_hex(8),
             bus=bus,
@@ -97,13 +97,14 @@ class RestoreService:
             who=person.name,
             wanted=wanted,
             before=before,
-            plan=plan,
-            rows=[RowResult(write) for write in plan.writes],
+            plan=RestorePlan((), (), 0),
+            rows=[],
             planned_at=unix_now(),
-            selection=selection,
             running=running,
             remote=remote,
+            for_swap=for_swap,
         )
+        _choose(restore, selection)
         self._remember(restore)
         return restore
 
@@ -111,11 +112,7 @@ class RestoreService:
         """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
         PLAN.check(person)
         _refuse_begun(restore)
-        wanted, before, running, remote = restore.wanted, restore.before, restore.running, restore.remote
-        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
-        refuse_unwritable(plan, selection)
-        restore.plan, restore.selection = plan, selection
-        restore.rows = [RowResult(write) for write in plan.writes]
+        _choose(restore, selection)
 
     def start(self, person: Person, restore: Restore) -> None:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
@@ -175,6 +172,15 @@ class RestoreService:
         ended = [key for key, known in self._restores.items() if known.state not in UNDER_WAY]
         for key in ended[:-_KEEP_FINISHED]:
             del self._restores[key]
+
+
+def _choose(restore: Restore, selection: Selection) -> None:
+    plan = plan_restore(
+        restore.wanted, restore.before, running=restore.running, remote=restore.remote, selection=selection
+    )
+    refuse_unwritable(plan, selection)
+    restore.plan, restore.selection = plan, selection
+    restore.rows = [RowResult(write) for write in plan.writes]
 
 
 def _refuse_begun(restore: Restore) -> None:

@@ -23,9 +23,7 @@ from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.sides import offers, side
 from app.sets.store import SetStore
-from app.swap.service import SwapService
 from app.web.access import Person
-from app.web.services import service_of
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
@@ -76,7 +74,6 @@ async def restore_progress(request: Request, _: Planner, restore: KnownRestore) 
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
-        swap=service_of(request, SwapService).of(restore.bus, restore.unit),
         proven=compare(restore.wanted, restore.proven) if restore.proven else [],
         PARAMETERS=PARAMETERS,
     )
@@ -106,7 +103,7 @@ async def _planned_again(
     person: Person, restores: RestoreService, live: LiveState, old: Restore, selection: Selection
 ) -> Response:
     unit_or_404(live, old.bus, old.unit)
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection, for_swap=old.for_swap)
     return RedirectResponse(f"/restores/{fresh.id}", 303)
 
 

@@ -63,6 +63,8 @@ class Restore:
     remote: bool | None = None
     cancelled_by: str = ""
     """The user who stopped it after the current row."""
+    for_swap: bool = False
+    """Whether it makes a spare of the unit."""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:

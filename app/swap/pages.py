@@ -127,7 +127,7 @@ async def restore_spare(
     if swap.source is None:
         raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
-    restore = await restores.plan(person, swap.bus, swap.unit, rows)
+    restore = await restores.plan(person, swap.bus, swap.unit, rows, for_swap=True)
     await swaps.restoring(person, swap, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
