@@ -14,7 +14,7 @@ from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.errors import system_error
 from app.sets.compare import ParameterDifference, differences
-from app.sets.document import LONGEST_DOCUMENT, read_document
+from app.sets.document import MAX_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.web.shape import maybe_shown
 from bus.errors import CallerError
@@ -50,7 +50,7 @@ def diff(
 def load(path: Path) -> ParameterSet:
     """A parameter set from a file; raises CallerError (DocumentError) in words."""
     try:
-        if path.stat().st_size > LONGEST_DOCUMENT:
+        if path.stat().st_size > MAX_DOCUMENT:
             raise CallerError(Message.of("source_too_long", source=str(path)))
         return read_document(path.read_text(encoding="utf-8-sig"), str(path))
     except OSError as error:

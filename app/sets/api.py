@@ -29,7 +29,7 @@ from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
-MOST = 1000
+MAX_SETS = 1000
 """Sets of one response."""
 DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
@@ -68,10 +68,10 @@ async def list_parameter_sets(
     bus: str | None = None,
     unit: int | None = None,
     before: int | None = None,
-    limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
+    limit: Annotated[int, Query(ge=1, le=MAX_SETS)] = MAX_SETS,
 ) -> list[ParameterSetSummary]:
     """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
-    return await sets.summaries(bus, unit, before=before, most=limit)
+    return await sets.summaries(bus, unit, before=before, limit=limit)
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))

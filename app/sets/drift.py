@@ -177,8 +177,8 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
 
 _ACTED = ("verified", "acknowledged", "unverified", None)
 """Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
-_LOOK_BACK = 20
-"""Refused commands are among them: so many newest events of a parameter are examined."""
+MAX_EVENTS = 20
+"""Newest events of a parameter that are examined; refused commands are among them."""
 
 
 async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParameter) -> Event | None:
@@ -186,7 +186,7 @@ async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParamet
     when it was changed at the panel."""
     at_unit = Filter(kind="command", bus=bus, unit=unit, since=one.before.read_at)
     wanted = replace(at_unit, code="event_write_parameter", number=one.row.number)
-    for event in (await events.page(wanted, _LOOK_BACK))[0]:
+    for event in (await events.page(wanted, MAX_EVENTS))[0]:
         if event["outcome"] in _ACTED:
             # A secret is in no event: only its last write can be named.
             is_known = PARAMETERS[one.row.number].secret or event["new_raw"] == one.after.raw
@@ -195,5 +195,5 @@ async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParamet
     if old is None or new is None:
         return None
     # A version that stored no parameter number: the write from the one value to the other.
-    found, _ = await events.page(replace(at_unit, old_raw=old, new_raw=new), _LOOK_BACK)
+    found, _ = await events.page(replace(at_unit, old_raw=old, new_raw=new), MAX_EVENTS)
     return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import APIRouter, Depends, Form, UploadFile
 
 from app.errors import Problem, or_404
-from app.sets.document import LONGEST_DOCUMENT, THE_FILE, DocumentError, read_document
+from app.sets.document import MAX_DOCUMENT, THE_FILE, DocumentError, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
@@ -54,8 +54,8 @@ async def document_rows(
 async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
     """The rows of an uploaded TOML file. Raises Problem 422 in words."""
     name = file.filename or THE_FILE
-    content = await file.read(LONGEST_DOCUMENT + 1)
-    if len(content) > LONGEST_DOCUMENT:
+    content = await file.read(MAX_DOCUMENT + 1)
+    if len(content) > MAX_DOCUMENT:
         raise Problem(422, "invalid", Message.of("source_too_long", source=name))
     try:
         return await document_rows(content.decode("utf-8-sig"), name, unit)

@@ -58,7 +58,7 @@ class UnitRows:
 
 @dataclass(frozen=True, slots=True)
 class SetHead:
-    """What is known of a stored set without its values."""
+    """The first members of a stored set, without its values."""
 
     id: int
     bus: str

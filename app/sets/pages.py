@@ -46,7 +46,7 @@ async def list_page(
     before: int | None = None,
 ) -> Response:
     """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
-    found = await sets.summaries(bus or None, unit, before=before, most=MAX_LISTED + 1)
+    found = await sets.summaries(bus or None, unit, before=before, limit=MAX_LISTED + 1)
     return render(
         request,
         "sets/page.html",

@@ -31,7 +31,8 @@ EndSubscriber = Callable[[Restore], Awaitable[None]]
 
 _log = structlog.get_logger(__name__)
 
-_KEEP_FINISHED = 50
+MAX_ENDED = 50
+"""Plans and ended restores that are kept in memory."""
 
 
 class RestoreService:
@@ -170,7 +171,7 @@ class RestoreService:
     def _remember(self, restore: Restore) -> None:
         self._restores[restore.id] = restore
         ended = [key for key, known in self._restores.items() if known.state not in UNDER_WAY]
-        for key in ended[:-_KEEP_FINISHED]:
+        for key in ended[:-MAX_ENDED]:
             del self._restores[key]
 
 

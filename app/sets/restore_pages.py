@@ -94,7 +94,7 @@ async def confirm_dangerous(
 
 @router.post("/restores/{restore_id}/again")
 async def plan_again(person: Planner, restores: Restores, live: Live, old: KnownRestore) -> Response:
-    """The same restore again: done rows are found equal, the rest is reviewed."""
+    """Plan a restore again: done rows are found equal, the rest is reviewed."""
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
     return await _planned_again(person, restores, live, old, Selection(exclude=deselected))
 

@@ -60,15 +60,15 @@ class RestoreRun:
                 raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=n))
             if self._would_surprise(row):
                 raise Problem(409, "moved", Message("unit_started_since_review"))
-            in_doubt = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+            unverified = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
             # Should nothing more be stored, the row counts as unverified.
             await self._store.save(
-                replace(restore, rows=[*restore.rows[:place], in_doubt, *restore.rows[place + 1 :]])
+                replace(restore, rows=[*restore.rows[:place], unverified, *restore.rows[place + 1 :]])
             )
             try:
                 restore.rows[place] = await self._write(row)
             except asyncio.CancelledError:
-                restore.rows[place] = in_doubt
+                restore.rows[place] = unverified
                 raise
             except Problem as problem:
                 restore.rows[place] = replace(row, outcome="not_sent", message=problem.message)

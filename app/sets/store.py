@@ -61,7 +61,7 @@ class SetStore(Tables):
         unit: int | None = None,
         *,
         before: int | None = None,
-        most: int = -1,
+        limit: int = -1,
     ) -> list[ParameterSetSummary]:
         """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         found = connection.execute(
@@ -70,8 +70,8 @@ class SetStore(Tables):
             " (SELECT group_concat(unit) FROM golden_set WHERE set_id = id)"
             " FROM parameter_set WHERE (:bus IS NULL OR bus = :bus) AND (:unit IS NULL OR EXISTS"
             " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit))"
-            " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :most",
-            {"bus": bus, "unit": unit, "before": before, "most": most},
+            " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :limit",
+            {"bus": bus, "unit": unit, "before": before, "limit": limit},
         )
         return [
             ParameterSetSummary(

@@ -128,7 +128,7 @@ async def restore_spare(
         raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
     restore = await restores.plan(person, swap.bus, swap.unit, rows, for_swap=True)
-    await swaps.restoring(person, swap, restore)
+    await swaps.begin_restore(person, swap, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
@@ -143,7 +143,7 @@ async def save_entered(
     """Everything is entered from the sheet: read the complete unit and save it as a set."""
     unit_or_404(live, swap.bus, swap.unit)
     kept = await keeper.take(person, [swap.unit], "", "", "from the sheet")
-    await swaps.entered(person, swap, kept)
+    await swaps.save_entered(person, swap, kept)
     return RedirectResponse(f"/sets/{kept.id}", 303)
 
 

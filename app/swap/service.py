@@ -45,7 +45,7 @@ class SwapService:
         self._clock = clock
         self._swaps: dict[tuple[str, int], Swap] = {}
         self._restores = restores
-        restores.on_end(self.ended)
+        restores.on_end(self.on_restore_end)
 
     async def load(self) -> None:
         """Once at start, after the restores: what was under way when the server ended."""
@@ -57,7 +57,7 @@ class SwapService:
         return self._swaps.get((bus, unit))
 
     def of_or_404(self, bus: str, unit: int) -> Swap:
-        """The same. Raises Problem 404."""
+        """The swap of a section. Raises Problem 404 where none is begun."""
         return or_404(self.of(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
@@ -102,7 +102,7 @@ class SwapService:
         swap.seen.append(Message(CONFIRM_SPARE.event))
         await self._store.save(swap)
 
-    async def restoring(self, person: Person, swap: Swap, restore: Restore) -> None:
+    async def begin_restore(self, person: Person, swap: Swap, restore: Restore) -> None:
         """The restore of it has been planned."""
         RESTORE_SPARE.check(person)
         swap.restore = restore
@@ -117,7 +117,7 @@ class SwapService:
             performed = CANCEL.by(person)
             await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
-    async def ended(self, restore: Restore) -> None:
+    async def on_restore_end(self, restore: Restore) -> None:
         """A restore is over: where it belongs to a swap and the full read was equal, so is the swap."""
         swap = self.of(restore.bus, restore.unit)
         if swap is None or restore.planned_at < swap.began_at or swap.proven:
@@ -145,7 +145,7 @@ class SwapService:
             outcome="verified",
         )
 
-    async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
+    async def save_entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
         """Everything was entered from the sheet, and the complete unit was read and saved as ``kept``."""
         SAVE_ENTERED.check(person)
         swap.proven = True
@@ -168,7 +168,7 @@ def step_text(advice: Advice, swap: Swap) -> Message:
 
 
 LOOK_TIMEOUT_S = 30.0
-LOOKS = 4
+MAX_PROBES = 4
 """Attempts at an address whose unit still responds to the scan."""
 
 
@@ -199,7 +199,7 @@ async def _at_section(
     commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
 ) -> ProbeFinding:
     """One lost response is no absence: it would let the old unit, still on the cable, pass for the spare."""
-    for _ in range(LOOKS):
+    for _ in range(MAX_PROBES):
         kind = await _probe(commands, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
             return kind

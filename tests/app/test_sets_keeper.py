@@ -43,9 +43,9 @@ async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
 
 async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -> None:
     ids = [(await scene.keeper.take(ANNA, [1], "", "")).id for _ in range(3)]
-    newest = await scene.store.summaries(most=2)
+    newest = await scene.store.summaries(limit=2)
     assert [summary.id for summary in newest] == ids[:0:-1]
-    older = await scene.store.summaries(before=newest[-1].id, most=2)
+    older = await scene.store.summaries(before=newest[-1].id, limit=2)
     assert [summary.id for summary in older] == ids[:1]
 
 

@@ -22,7 +22,7 @@ from app.sets.sides import offers
 from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
-from app.swap.service import LOOKS, SwapService, look, step_text
+from app.swap.service import MAX_PROBES, SwapService, look, step_text
 from app.swap.store import SwapStore
 from app.web.access import Person, Role
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
@@ -117,12 +117,12 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
         swap.saw(seen)
     assert swap.is_new
     restore = a_restore(state="different")
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
     assert swap.equal is False
     assert len(events.events) == 1
     restore.state = "equal"
-    await scene.swaps.ended(restore)
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
+    await scene.swaps.on_restore_end(restore)
     assert swap.proven
     [_, end] = events.events
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
@@ -143,8 +143,8 @@ async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: R
     for step in (
         swaps.begin(person, "dry-end", 1, None),
         swaps.confirm_spare(person, swap),
-        swaps.restoring(person, swap, a_restore(state="planned")),
-        swaps.entered(person, swap, kept),
+        swaps.begin_restore(person, swap, a_restore(state="planned")),
+        swaps.save_entered(person, swap, kept),
         swaps.cancel(person, swap),
     ):
         with pytest.raises(Problem, match="role engineer") as refused:
@@ -157,7 +157,7 @@ async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: R
 
 async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:
     swap = await scene.begin()
-    await scene.swaps.ended(a_restore(state="equal", planned_at=99.0))
+    await scene.swaps.on_restore_end(a_restore(state="equal", planned_at=99.0))
     assert (swap.restore, swap.proven) == (None, False)
 
 
@@ -165,7 +165,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
     await scene.swaps.look(swap, lambda: shown(state("silent")))
     await scene.swaps.look(swap, lambda: shown(state("digimax", remote=True)))
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
 
     scene.restores[restore.id] = restore
     again = scene.another()
@@ -186,7 +186,7 @@ async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene
     assert scene.events.events[-1]["what"] == "unit swap started, from the parameter sheet"
     ready = advice(state("digimax", remote=True))
     assert step_text(ready, swap) == Message("swap_enter_sheet")
-    await scene.swaps.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
+    await scene.swaps.save_entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
     proven = advice(state("digimax", remote=True, equal=True))
     assert step_text(proven, swap) == Message("swap_compare_with_sheet")
@@ -240,7 +240,7 @@ class Wire:
     [
         ("online", ["silent", "digimax"], "digimax"),
         ("online", ["silent", "silent", "garbled"], "garbled"),
-        ("online", ["silent"] * LOOKS + ["silent"], "silent"),
+        ("online", ["silent"] * MAX_PROBES + ["silent"], "silent"),
         ("offline", ["silent", "silent"], "silent"),
     ],
 )
