@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import APIRouter, Depends, Form, UploadFile
 
 from app.errors import Problem, or_404
-from app.sets.document import MAX_DOCUMENT, THE_FILE, DocumentError, read_document
+from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
@@ -38,12 +38,9 @@ async def document_rows(
 ) -> UnitRows:
     """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
 
-    Raises Problem 422 in words.
+    Raises DocumentError, or Problem 422 where the file has no such unit.
     """
-    try:
-        document = await parse_apart(lambda: read_document(text, source))
-    except DocumentError as error:
-        raise Problem(422, "invalid", error.message) from error
+    document = await parse_apart(lambda: read_document(text, source))
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
     rows = document.unit(from_unit or unit) or lone
     if rows is None:
@@ -52,7 +49,7 @@ async def document_rows(
 
 
 async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
-    """The rows of an uploaded TOML file. Raises Problem 422 in words."""
+    """The rows of an uploaded TOML file. Raises DocumentError or Problem 422."""
     name = file.filename or THE_FILE
     content = await file.read(MAX_DOCUMENT + 1)
     if len(content) > MAX_DOCUMENT:
@@ -98,7 +95,7 @@ class FormSource:
     file: UploadFile | None
 
     async def uploaded(self, unit: int) -> UnitRows | None:
-        """The rows of the file for ``unit``, None without one. Raises Problem 422."""
+        """The rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
         return None if self.file is None else await uploaded_rows(unit, self.file)
 
 
