@@ -14,15 +14,13 @@ from app.live.state.bus_live import LiveState
 from app.sets.acts import CANCEL, START
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
-from app.sets.lookup import Chosen, FormSource, KnownRestore, Restores, Sets, post_source
-from app.sets.model import UnitRows
+from app.sets.lookup import Chosen, KnownRestore, Restores, Sets, post_source
 from app.sets.plan import Selection
 from app.sets.restore import RestoreService
 from app.sets.restore_api import Planner
 from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.sides import offers, side
-from app.sets.store import SetStore
 from app.web.access import Person
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
@@ -55,7 +53,11 @@ async def plan_page(
 ) -> Response:
     """Read the unit and plan a restore. Nothing is written."""
     unit_or_404(live, bus, unit)
-    rows = await chosen.uploaded(unit) or await _stored(sets, live, chosen)
+    rows = await chosen.uploaded(unit)
+    if rows is None:
+        if not chosen.text.startswith("set:"):
+            raise Problem(422, "invalid", Message("set_or_file_missing"))
+        rows = (await side(chosen.text, sets, live)).rows
     restore = await restores.plan(person, bus, unit, rows)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
@@ -124,13 +126,6 @@ async def cancel(
     """Stop after the current row."""
     restores.cancel(person, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
-
-
-async def _stored(sets: SetStore, live: LiveState, chosen: FormSource) -> UnitRows:
-    """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
-    if not chosen.text.startswith("set:"):
-        raise Problem(422, "invalid", Message("set_or_file_missing"))
-    return (await side(chosen.text, sets, live)).rows
 
 
 def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:

@@ -34,10 +34,13 @@ class RestoreRun:
 
     async def run(self) -> None:
         """Leaves the restore ``equal`` or ``different``."""
-        await self._store.save(self._restore)
+        restore = self._restore
+        await self._store.save(restore)
         await self._check_review()
         await self._write_rows()
-        await self._prove()
+        restore.state = "proving"
+        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
+        restore.state = "different" if restore.remaining else "equal"
 
     async def _check_review(self) -> None:
         """Plan again with the unit's present values: a review of other rows or values does not count."""
@@ -91,12 +94,6 @@ class RestoreRun:
         if result.outcome == "refused" and result.unit_error is not None:
             message = Message.of("row_refused", error=unit_error(result.unit_error))
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
-
-    async def _prove(self) -> None:
-        restore = self._restore
-        restore.state = "proving"
-        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
-        restore.state = "different" if restore.remaining else "equal"
 
     def _would_surprise(self, row: RowResult) -> bool:
         """Whether this row changes what a unit does that runs now and did not when it was reviewed."""

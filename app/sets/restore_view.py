@@ -100,16 +100,17 @@ def rows_to_write(restore: Restore) -> list[RestoreRow]:
 
 
 def rows_left_out(restore: Restore) -> list[RestoreOmission]:
-    return [
-        RestoreOmission(
-            **_values(restore, left.number),
-            reason=left.text,
-            reason_code=left.reason,
-            later=left.later,
-            differs=_differs(restore.before.raw(left.number), restore.wanted.raw(left.number)),
+    rows: list[RestoreOmission] = []
+    for left in restore.left_out:
+        present, wanted = restore.before.raw(left.number), restore.wanted.raw(left.number)
+        differs = None if present is None or wanted is None else present != wanted
+        values = _values(restore, left.number)
+        rows.append(
+            RestoreOmission(
+                **values, reason=left.text, reason_code=left.reason, later=left.later, differs=differs
+            )
         )
-        for left in restore.left_out
-    ]
+    return rows
 
 
 def restore_json(restore: Restore) -> RestoreShown:
@@ -165,7 +166,3 @@ def _shown(rows: UnitRows, number: int) -> Message | None:
     if parameter.secret:
         return Message("value_secret")
     return None if raw is None else with_unit(parameter, raw, rows)
-
-
-def _differs(present: int | None, wanted: int | None) -> bool | None:
-    return None if present is None or wanted is None else present != wanted
