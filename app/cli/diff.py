@@ -13,11 +13,10 @@ from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending
 from app.errors import system_error
-from app.sets.compare import Compared, differences
-from app.sets.document import LONGEST_DOCUMENT, read_document
+from app.sets.compare import ParameterDifference, differences
+from app.sets.document import MAX_DOCUMENT, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.web.shape import maybe_shown
-from bus.catalogue.parameters import PARAMETERS
 from bus.errors import CallerError
 from bus.messages import Message, in_english
 
@@ -42,7 +41,7 @@ def diff(
             pairs = _two_files(files)
         else:
             pairs = [_with_live(files, url, (token, token_file), bus, unit)]
-        found = [(left, right, row) for left, right in pairs for row in differences(left, right, tolerance)]
+        found = [(right.unit, row) for left, right in pairs for row in differences(left, right, tolerance)]
         typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
         if found:
             raise typer.Exit(1)
@@ -51,7 +50,7 @@ def diff(
 def load(path: Path) -> ParameterSet:
     """A parameter set from a file; raises CallerError (DocumentError) in words."""
     try:
-        if path.stat().st_size > LONGEST_DOCUMENT:
+        if path.stat().st_size > MAX_DOCUMENT:
             raise CallerError(Message.of("source_too_long", source=str(path)))
         return read_document(path.read_text(encoding="utf-8-sig"), str(path))
     except OSError as error:
@@ -94,30 +93,28 @@ def _two_files(files: list[Path]) -> list[Pair]:
     return [(rows, other) for rows in left.units if (other := right.unit(rows.unit)) is not None]
 
 
-def _as_json(left: UnitRows, right: UnitRows, row: Compared) -> dict[str, Any]:
-    parameter = PARAMETERS[row.number]
+def _as_json(unit: int, row: ParameterDifference) -> dict[str, Any]:
     return {
-        "unit": right.unit,
+        "unit": unit,
         "number": row.number,
-        "name": parameter.name,
-        "left_raw": None if parameter.secret else left.raw(row.number),
-        "right_raw": None if parameter.secret else right.raw(row.number),
-        "left": str(row.old),
-        "right": str(row.new),
+        "name": row.name,
+        "left_raw": row.left_raw,
+        "right_raw": row.right_raw,
+        "left": str(row.left),
+        "right": str(row.right),
         "meaning": in_english(row.meaning),
         "meaning_message": maybe_shown(row.meaning),
     }
 
 
-def _table(found: list[tuple[UnitRows, UnitRows, Compared]]) -> str:
+def _table(found: list[tuple[int, ParameterDifference]]) -> str:
     if not found:
         return str(Message("sides_equal"))
     head = str(Message.of("rows_differ", n=len(found)))
-    return "\n".join([head, *(_line(right.unit, row) for _, right, row in found)])
+    return "\n".join([head, *(_line(*each) for each in found)])
 
 
-def _line(unit: int, row: Compared) -> str:
-    name = PARAMETERS[row.number].name
-    values = f"{row.old!s:>14}  {row.new!s:>14}"
+def _line(unit: int, row: ParameterDifference) -> str:
+    values = f"{row.left!s:>14}  {row.right!s:>14}"
     address = Message.of("unit_address", unit=unit)
-    return f"{address}  #{row.number:<3}{name:<32}{values}  {in_english(row.meaning)}"
+    return f"{address}  #{row.number:<3}{row.name:<32}{values}  {in_english(row.meaning)}"

@@ -16,7 +16,7 @@ from app.cli.diff import load, rows_for
 from app.cli.ending import complain, ending, report
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
-from bus.messages import Message
+from bus.messages import Message, ParamValue
 
 _ENDED = ("equal", "different", "stopped")
 _LOOK_AGAIN_S = 0.2
@@ -107,24 +107,29 @@ def _results(ended: Any) -> list[Any]:
 def _plan_text(planned: Any) -> str:
     rows = _selected(planned)
     head = str(Message.of("rows_to_write", n=len(rows), equal=planned["equal"]))
-    notes = [str(Message.of("restore_note", remark=remark)) for remark in planned["remarks"]]
+    notes = [str(Message.of("restore_note", remark=remark["detail"])) for remark in planned["remarks"]]
     return "\n".join([*notes, head, *map(_planned_text, rows), *map(_left_out_text, planned["left_out"])])
 
 
+def _detail(message: Any) -> str:
+    """The English text of a message of the API; a hyphen where it has none."""
+    return str(message["detail"]) if message else "-"
+
+
 def _planned_text(row: Any) -> str:
-    change = f"{row['present']:>14} → {row['wanted']}  {row['meaning']}"
-    warning = f"  ({row['warning']})" if row["warning"] else ""
+    change = f"{_detail(row['present']):>14} → {_detail(row['wanted'])}  {_detail(row['meaning'])}"
+    warning = f"  ({_detail(row['warning'])})" if row["warning"] else ""
     return f"#{row['number']:<3}{row['name']:<32}{change}{warning}"
 
 
 def _left_out_text(left: Any) -> str:
-    values = {name: left[name] for name in ("present", "wanted", "reason")}
+    values: dict[str, ParamValue] = {name: _detail(left[name]) for name in ("present", "wanted", "reason")}
     text = Message("row_left_out_differs" if left["differs"] else "row_left_out", values)
     return f"#{left['number']:<3}{left['name']:<32}{text}"
 
 
 def _row_text(row: Any) -> str:
-    suffix = f": {row['message']}" if row["message"] else ""
+    suffix = f": {_detail(row['message'])}" if row["message"] else ""
     return f"#{row['number']:<3}{row['name']:<32}{row['outcome']}{suffix}"
 
 
@@ -136,6 +141,6 @@ def _ending_text(ended: Any) -> str:
 
 def _why(ended: Any) -> str | Message:
     if ended["cause"]:
-        return str(ended["cause"])
+        return _detail(ended["cause"])
     rows = [f"#{row['number']}" for row in ended["remaining"] or []]
     return Message.of("rows_still_differ", n=len(rows), rows=rows) if rows else Message("see_rows")

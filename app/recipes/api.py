@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import Field
 
 from app.commands.api.commands import RESULT_RESPONSES
@@ -16,8 +16,8 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.book import RecipeBook
-from app.recipes.rules import Recipe, setpoints_now
-from app.recipes.view import LoadedRecipe, RecipeDryRun, RecipeShown, dry_run_json, loaded_json, recipe_json
+from app.recipes.rules import Recipe, RecipeDryRun, setpoints_now
+from app.recipes.view import LoadedRecipe, RecipeShown, loaded_json, recipe_json
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
@@ -48,6 +48,15 @@ class LoadRecipeRequest(StrictBody):
 Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
+async def recipe_or_404(book: Book, recipe_id: int) -> Recipe:
+    missing = Message.of("no_recipe_with_id", recipe=recipe_id)
+    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
+
+
+KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
+"""The version of a recipe of ``{recipe_id}`` in the path."""
+
+
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
     """The newest version of every recipe in use, at most 1000 of a bus, by name."""
@@ -69,16 +78,15 @@ async def save_recipe(
 
 
 @router.get("/recipes/{recipe_id}")
-async def get_recipe(_: Viewer, book: Book, live: Live, recipe_id: int) -> RecipeShown:
+async def get_recipe(_: Viewer, live: Live, recipe: KnownRecipe) -> RecipeShown:
     """One version."""
-    recipe = await recipe_or_404(book, recipe_id)
     return recipe_json(recipe, live.buses.get(recipe.bus))
 
 
 @router.get("/recipes/{recipe_id}/dry-run")
-async def dry_run_recipe(person: Viewer, book: Book, recipe_id: int) -> RecipeDryRun:
+async def dry_run_recipe(person: Viewer, book: Book, recipe: KnownRecipe) -> RecipeDryRun:
     """What loading it now would do, unit by unit, and how long it takes on the wire and by the ramps."""
-    return dry_run_json(book.try_out(person, await recipe_or_404(book, recipe_id)))
+    return book.try_out(person, recipe)
 
 
 @router.post("/recipes/{recipe_id}/load", responses=RESULT_RESPONSES)
@@ -87,13 +95,12 @@ async def load_recipe(
     person: Annotated[Person, permitted_writer(SET_LINE)],
     book: Book,
     live: Live,
-    recipe_id: int,
+    recipe: KnownRecipe,
     wanted: LoadRecipeRequest,
     idempotency_key: Annotated[str | None, Header()] = None,
     frames: FramesWanted = False,
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
-    recipe = await recipe_or_404(book, recipe_id)
     sent_at = made_at(request)
     result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
     return command_response(request, bus_or_404(live, recipe.bus), result, frames=frames)
@@ -119,8 +126,3 @@ def unit_setpoints(given: dict[str, int]) -> dict[int, int]:
     if wrong is not None:
         raise Problem(422, "invalid", Message.of("not_a_unit_address", text=wrong))
     return {int(key): raw for key, raw in given.items()}
-
-
-async def recipe_or_404(book: RecipeBook, recipe_id: int) -> Recipe:
-    missing = Message.of("no_recipe_with_id", recipe=recipe_id)
-    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)

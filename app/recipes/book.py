@@ -13,7 +13,7 @@ from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
 from app.recipes import rules
 from app.recipes.acts import DELETE, LOAD, SAVE
-from app.recipes.rules import DryRun, Recipe, RecipeDeparture, RecipeSetpoint
+from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, RecipeSetpoint
 from app.recipes.store import Loaded, RecipeStore
 from app.web.access import Person
 from app.web.arrival import Deadline
@@ -79,7 +79,7 @@ class RecipeBook:
         await self.store.retire(bus, name)
         await self._record(DELETE, person, versions[0])
 
-    def try_out(self, person: Person, recipe: Recipe) -> DryRun:
+    def try_out(self, person: Person, recipe: Recipe) -> RecipeDryRun:
         """What loading it now would do; nothing is sent."""
         refusal = partial(self._refusal, person, recipe.bus)
         return rules.dry_run(recipe, self._bus(recipe), refusal, unix_now())

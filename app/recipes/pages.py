@@ -18,7 +18,7 @@ from app.live.api.routes import Live
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
-from app.recipes.api import Book, recipe_or_404
+from app.recipes.api import Book, KnownRecipe
 from app.recipes.rules import setpoint_kind, setpoint_text, setpoints_now
 from app.web.access import Person, Viewer
 from app.web.templating import render
@@ -69,9 +69,8 @@ async def save(
 
 
 @router.get("/recipes/{recipe_id}")
-async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int) -> Response:
+async def one_page(request: Request, person: Viewer, book: Book, recipe: KnownRecipe) -> Response:
     """One version, what loading it now would do, and its other versions."""
-    recipe = await recipe_or_404(book, recipe_id)
     return render(
         request,
         "recipes/one.html",
@@ -83,10 +82,9 @@ async def one_page(request: Request, person: Viewer, book: Book, recipe_id: int)
 
 @router.get("/recipes/{recipe_id}/review")
 async def review(
-    person: Annotated[Person, permitted(SET_LINE)], page: Page, book: Book, recipe_id: int
+    person: Annotated[Person, permitted(SET_LINE)], page: Page, book: Book, recipe: KnownRecipe
 ) -> Response:
     """The second step before loading."""
-    recipe = await recipe_or_404(book, recipe_id)
     of_bus = page.of_bus(recipe.bus)
     bus = of_bus.bus
     await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
@@ -112,11 +110,10 @@ async def load(
     person: Annotated[Person, permitted(SET_LINE)],
     page: Page,
     book: Book,
-    recipe_id: int,
+    recipe: KnownRecipe,
     confirmed: Confirmed,
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
-    recipe = await recipe_or_404(book, recipe_id)
     of_bus, form = page.of_bus(recipe.bus), await request.form()
     try:
         confirmed.refuse_lapsed()

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field, InstanceOf, PlainSerializer
 
 from app.commands.review.ramp import ramp_of
 from app.commands.review.risks import obstacle_of, risks_of
 from app.commands.values import in_measure, measure_of_setpoint
+from app.live.api.schemas import UnitAddress
 from app.live.state.bus_live import BusLive, UnitLive
+from app.web.shape import MessageObject
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
 from bus.catalogue.values import ratio_text, speed_text
 from bus.contract.durations import change_s
@@ -45,46 +49,48 @@ class Recipe:
     id: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class LoadStep:
-    """What loading does to one unit. ``old`` and ``new`` are in ``measure``; ``old`` is empty and ``ramp_s``
-    None where not known. ``obstacle``: why it cannot be loaded now, None where it can; ``effect``: the
-    change, None for a unit that is not configured."""
-
-    unit: int
-    name: str | Message
-    raw: int
-    old: str
-    new: str
-    ramp_s: float | None
-    obstacle: Message | None
-    effect: Message | None = None
-    measure: str = ""
-    risks: tuple[Message, ...] = ()
+UnitName = Annotated[
+    InstanceOf[Message] | str, PlainSerializer(str, return_type=str), Field(description="Name of the unit.")
+]
+RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
 
 
 @dataclass(frozen=True, slots=True)
-class DryRun:
-    """``wire_s``: time on the wire at best; ``ramp_s``: the longest known ramp of any unit."""
+class RecipeDryRunStep:
+    """What loading a recipe does to one unit."""
 
-    steps: tuple[LoadStep, ...]
-    wire_s: float
-    ramp_s: float | None
+    unit: Annotated[UnitAddress, Field(serialization_alias="id")]
+    name: UnitName
+    raw: Annotated[int, Field(description="Setpoint on the wire, 0 to 99999.")]
+    old: Annotated[MessageObject | None, Field(description="Present setpoint; null: not known.")]
+    new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
+    ramp_s: RampS
+    obstacle: Annotated[MessageObject | None, Field(description="Why it cannot be set; null: it can.")]
+    effect: Annotated[MessageObject | None, Field(description="The change; null: it is not configured.")] = (
+        None
+    )
+    measure: Annotated[str, Field(exclude=True)] = ""
+    risks: Annotated[tuple[MessageObject, ...], Field(exclude=True)] = ()
 
-    @property
-    def loadable(self) -> bool:
-        """Whether every unit can take its setpoint."""
-        return not any(step.obstacle for step in self.steps)
+
+@dataclass(frozen=True, slots=True)
+class RecipeDryRun:
+    """What loading a recipe now would do."""
+
+    steps: Annotated[tuple[RecipeDryRunStep, ...], Field(serialization_alias="units")]
+    wire_s: Annotated[float, Field(description="Duration on the wire at best, seconds.")]
+    ramp_s: RampS
+    loadable: Annotated[bool, Field(description="Whether every unit can take its setpoint.")]
 
 
 @dataclass(frozen=True, slots=True)
 class RecipeDeparture:
-    """A unit whose commanded value no longer equals the loaded recipe, or that is gone."""
+    """A unit whose setpoint is no longer that of the recipe, or that is gone."""
 
-    unit: int
-    name: str | Message
-    recipe: str
-    now: Message
+    unit: Annotated[UnitAddress, Field(serialization_alias="id")]
+    name: UnitName
+    recipe: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
+    now: Annotated[MessageObject, Field(description="Present setpoint.")]
 
 
 def setpoint_kind(unit: UnitLive) -> RecipeKind | None:
@@ -103,12 +109,13 @@ def setpoint_text(unit: UnitLive, setpoint: RecipeSetpoint) -> str:
     return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
 
 
-def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> DryRun:
+def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> RecipeDryRun:
     """``refusal(unit, raw)`` returns why a setpoint would be refused now, None when it would not.
     ``now``: seconds since the epoch."""
     steps = tuple(_step(setpoint, bus, refusal, now) for setpoint in recipe.setpoints)
     ramps = [step.ramp_s for step in steps if step.ramp_s is not None]
-    return DryRun(steps, change_s(len(steps), bus.baud), max(ramps, default=None))
+    loadable = not any(step.obstacle for step in steps)
+    return RecipeDryRun(steps, round(change_s(len(steps), bus.baud), 3), max(ramps, default=None), loadable)
 
 
 def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) -> list[RecipeDeparture]:
@@ -117,19 +124,21 @@ def departures(recipe: Recipe, bus: BusLive, since: UnixTime = UnixTime(0.0)) ->
     return [departure for departure in found if departure is not None]
 
 
-def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> LoadStep:
+def _step(
+    setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now: UnixTime
+) -> RecipeDryRunStep:
     unit = bus.units.get(setpoint.unit)
     if unit is None:
         name, new = Message.of("unit_address", unit=setpoint.unit), str(setpoint.raw)
-        return LoadStep(setpoint.unit, name, setpoint.raw, "", new, None, NOT_CONFIGURED)
+        return RecipeDryRunStep(setpoint.unit, name, setpoint.raw, None, new, None, NOT_CONFIGURED)
     present = present_raw(unit, setpoint.kind)
     ramp = ramp_of(unit, present, setpoint.raw)
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
-    old = (
-        "" if unit.reading is None or present is None else setpoint_text(unit, replace(setpoint, raw=present))
-    )
+    old = None
+    if unit.reading is not None and present is not None:
+        old = number(setpoint_text(unit, replace(setpoint, raw=present)))
     new, measure = setpoint_text(unit, setpoint), measure_of_setpoint(unit)
-    return LoadStep(
+    return RecipeDryRunStep(
         unit=setpoint.unit,
         name=unit.settings.name,
         raw=setpoint.raw,
@@ -140,7 +149,7 @@ def _step(setpoint: RecipeSetpoint, bus: BusLive, refusal: SetpointRefusal, now:
         effect=Message(
             _effect(setpoint, present, ramp_s),
             {
-                "old": in_measure(old, measure) if old else term("unknown"),
+                "old": in_measure(old, measure) if old is not None else term("unknown"),
                 "new": in_measure(new, measure),
                 "seconds": number(f"{ramp_s or 0:.1f}"),
             },

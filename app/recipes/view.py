@@ -1,4 +1,4 @@
-"""Recipes, dry runs and departures as the API returns them, with their schemas."""
+"""Recipes as the API returns them, with their schemas."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.live.api.schemas import Time, UnitAddress
+from app.live.api.schemas import Time
 from app.live.state.bus_live import BusLive
-from app.recipes.rules import DryRun, Recipe, RecipeDeparture, setpoint_text
+from app.recipes.rules import Recipe, RecipeDeparture, setpoint_text
 from app.recipes.store import Loaded
-from app.web.shape import MessageShown, iso, maybe_shown, message_shown
-from bus.messages import in_english, number, term
-
-RampS = Annotated[float | None, Field(description="Duration of the ramp, seconds; null: not known.")]
+from app.web.shape import iso
 
 
 class RecipeSetpointShown(TypedDict):
@@ -40,41 +37,6 @@ class RecipeShown(TypedDict):
     setpoints: Annotated[dict[str, RecipeSetpointShown], Field(description="By address of the unit.")]
 
 
-class RecipeDryRunStep(TypedDict):
-    """What loading a recipe does to one unit."""
-
-    id: UnitAddress
-    name: str
-    raw: Annotated[int, Field(description="Setpoint on the wire, 0 to 99999.")]
-    old: Annotated[str, Field(description="Present setpoint, as displayed.")]
-    old_message: MessageShown
-    new: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
-    ramp_s: RampS
-    obstacle: Annotated[str, Field(description="Why it cannot be set, English; empty: it can.")]
-    obstacle_message: Annotated[MessageShown | None, Field(description="obstacle as data.")]
-    words: Annotated[str, Field(description="What happens, English; empty: it is not configured.")]
-    words_message: Annotated[MessageShown | None, Field(description="words as data.")]
-
-
-class RecipeDryRun(TypedDict):
-    """What loading a recipe now would do."""
-
-    loadable: bool
-    wire_s: Annotated[float, Field(description="Duration on the wire, seconds.")]
-    ramp_s: RampS
-    units: list[RecipeDryRunStep]
-
-
-class RecipeDepartureShown(TypedDict):
-    """A unit whose setpoint is no longer that of the recipe."""
-
-    id: UnitAddress
-    name: str
-    recipe: Annotated[str, Field(description="Setpoint of the recipe, as displayed.")]
-    now: Annotated[str, Field(description="Present setpoint, as displayed.")]
-    now_message: MessageShown
-
-
 class LoadedRecipe(TypedDict):
     """The recipe that a bus was loaded with last."""
 
@@ -83,7 +45,7 @@ class LoadedRecipe(TypedDict):
     version: int
     who: str
     loaded_at: Time
-    departed: list[RecipeDepartureShown]
+    departed: list[RecipeDeparture]
 
 
 def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
@@ -109,31 +71,6 @@ def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
     }
 
 
-def dry_run_json(run: DryRun) -> RecipeDryRun:
-    """What loading would do. Times in seconds."""
-    return {
-        "loadable": run.loadable,
-        "wire_s": round(run.wire_s, 3),
-        "ramp_s": None if run.ramp_s is None else round(run.ramp_s, 1),
-        "units": [
-            {
-                "id": step.unit,
-                "name": str(step.name),
-                "raw": step.raw,
-                "old": str(old),
-                "old_message": message_shown(old),
-                "new": step.new,
-                "ramp_s": None if step.ramp_s is None else round(step.ramp_s, 1),
-                "obstacle": in_english(step.obstacle),
-                "obstacle_message": maybe_shown(step.obstacle),
-                "words": in_english(step.effect),
-                "words_message": maybe_shown(step.effect),
-            }
-            for step, old in ((step, number(step.old) if step.old else term("unknown")) for step in run.steps)
-        ],
-    }
-
-
 def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedRecipe:
     """Which recipe a bus was loaded with, and which units no longer command it."""
     return {
@@ -142,14 +79,5 @@ def loaded_json(loaded: Loaded, departed: list[RecipeDeparture]) -> LoadedRecipe
         "version": loaded.recipe.version,
         "who": loaded.who,
         "loaded_at": iso(loaded.at),
-        "departed": [
-            {
-                "id": one.unit,
-                "name": str(one.name),
-                "recipe": one.recipe,
-                "now": str(one.now),
-                "now_message": message_shown(one.now),
-            }
-            for one in departed
-        ],
+        "departed": departed,
     }

@@ -12,23 +12,24 @@ from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
 from app.sets import view
-from app.sets.compare import compare
+from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
+from app.sets.compare import ParameterDifference, compare
 from app.sets.document import write_document
 from app.sets.drift import BusDrift
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import set_or_404, unit_rows_or_404
+from app.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
+from app.sets.model import ParameterSetSummary
 from app.sets.schedule import SetSchedule
-from app.sets.store import SetStore
-from app.web.access import Engineer, Role, Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema_problem import problems
-from app.web.services import bus_service, bus_service_of, service
-from app.web.shape import StrictBody, UnitAddresses, maybe_shown
-from bus.messages import Message, in_english
+from app.web.services import bus_service, bus_service_of
+from app.web.shape import StrictBody, UnitAddresses
+from bus.messages import Message
 from bus.text import Lines, OneLine
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
-MOST = 1000
+MAX_SETS = 1000
 """Sets of one response."""
 DOCUMENT: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/toml": {"schema": {"type": "string"}}}}
@@ -55,7 +56,6 @@ class SaveScheduleRequest(StrictBody):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
-Sets = Annotated[SetStore, service(SetStore)]
 ParameterSets = Annotated[SetKeeper, bus_service(SetKeeper)]
 Drift = Annotated[BusDrift, bus_service(BusDrift)]
 ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
@@ -68,16 +68,19 @@ async def list_parameter_sets(
     bus: str | None = None,
     unit: int | None = None,
     before: int | None = None,
-    limit: Annotated[int, Query(ge=1, le=MOST)] = MOST,
-) -> list[view.ParameterSetSummary]:
+    limit: Annotated[int, Query(ge=1, le=MAX_SETS)] = MAX_SETS,
+) -> list[ParameterSetSummary]:
     """Stored sets, newest first: at most 1000; the last ``id`` is ``before`` of the next page."""
-    found = await sets.summaries(bus, unit, before=before, most=limit)
-    return [view.summary_json(summary) for summary in found]
+    return await sets.summaries(bus, unit, before=before, limit=limit)
 
 
 @router.post("/buses/{bus}/sets", status_code=201, responses=problems(504))
 async def save_parameter_set(
-    person: Engineer, keeper: ParameterSets, live: Live, bus: str, wanted: SaveSetRequest
+    person: Annotated[Person, SAVE.permitted],
+    keeper: ParameterSets,
+    live: Live,
+    bus: str,
+    wanted: SaveSetRequest,
 ) -> view.ParameterSetShown:
     """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
@@ -88,23 +91,21 @@ async def save_parameter_set(
 
 
 @router.get("/sets/{set_id}")
-async def get_parameter_set(_: Viewer, sets: Sets, set_id: int) -> view.ParameterSetShown:
+async def get_parameter_set(_: Viewer, stored: StoredSet) -> view.ParameterSetShown:
     """A set with the evidence of each value; #21 is masked."""
-    return view.set_json(await set_or_404(sets, set_id))
+    return view.set_json(stored)
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
 async def export_parameter_set(
-    person: Viewer, sets: Sets, events: Events, set_id: int, secrets: bool = False
+    person: Viewer, stored: StoredSet, events: Events, secrets: bool = False
 ) -> Response:
     """The set as a TOML file. With ``secrets`` (engineer) it contains #21, and the export is an event."""
-    stored = await set_or_404(sets, set_id)
     if secrets:
-        if not person.role.includes(Role.ENGINEER):
+        if not person.role.includes(EXPORT_SECRET.role):
             raise Problem(403, "forbidden", Message("secret_for_engineer"))
-        what = Message.of("event_secret_exported", set=stored.id)
-        await events.record(kind="secret", **person.author, bus=stored.bus, what=what)
-    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{set_id}.toml"'}
+        await events.record(**EXPORT_SECRET.by(person, set=stored.id), bus=stored.bus)
+    headers = {"Content-Disposition": f'attachment; filename="lineside-{stored.bus}-{stored.id}.toml"'}
     return Response(
         write_document(stored, with_secrets=secrets), media_type="application/toml", headers=headers
     )
@@ -112,28 +113,30 @@ async def export_parameter_set(
 
 @router.post("/sets/{set_id}/golden")
 async def mark_golden_set(
-    request: Request, person: Engineer, sets: Sets, set_id: int, mark: GoldenSetRequest
+    request: Request,
+    person: Annotated[Person, MARK_GOLDEN.permitted],
+    stored: StoredSet,
+    mark: GoldenSetRequest,
 ) -> view.GoldenSet:
     """Make this set the golden set of the unit."""
-    stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
-    return {"set": set_id, "unit": mark.unit, "golden": True}
+    return {"set": stored.id, "unit": mark.unit, "golden": True}
 
 
 @router.get("/sets/{set_id}/compare/{other_id}")
 async def compare_parameter_sets(
     _: Viewer,
     sets: Sets,
-    set_id: int,
+    stored: StoredSet,
     other_id: int,
     unit: int,
     other_unit: int | None = None,
     tolerance: int = 0,
-) -> list[view.ParameterDifference]:
+) -> list[ParameterDifference]:
     """Set with set, row by row."""
-    left = unit_rows_or_404(await set_or_404(sets, set_id), unit)
+    left = unit_rows_or_404(stored, unit)
     right = unit_rows_or_404(await set_or_404(sets, other_id), other_unit or unit)
-    return [view.compared_json(row) for row in compare(left, right, tolerance)]
+    return compare(left, right, tolerance)
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
@@ -152,15 +155,14 @@ async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) ->
 async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.SaveSchedule:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
     overdue: list[view.OverdueSave] = [
-        {"unit": unit, "why": in_english(each.why), "why_message": maybe_shown(each.why)}
-        for unit, each in schedule.overdue().items()
+        {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "overdue": overdue}
 
 
 @router.put("/buses/{bus}/set-schedule")
 async def set_save_schedule(
-    person: Engineer, schedule: ScheduleOfBus, wanted: SaveScheduleRequest
+    person: Annotated[Person, SCHEDULE.permitted], schedule: ScheduleOfBus, wanted: SaveScheduleRequest
 ) -> view.SaveSchedule:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)

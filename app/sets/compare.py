@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from app.commands.values import in_measure
 from app.sets.effects import OPERATING_VALUES
-from app.sets.model import ParameterRow, UnitRows
+from app.sets.model import Number, ParameterRow, StoredRaw, UnitRows
+from app.web.shape import MessageObject
 from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE
 from bus.catalogue.parameter import Parameter
 from bus.catalogue.parameters import PARAMETERS
@@ -34,35 +37,39 @@ _DIFFERENCES: dict[int, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
-    """One row of a comparison. ``old`` is the left value, ``new`` the right one. ``meaning``: what the
-    difference means; None for rows that do not differ."""
+class ParameterDifference:
+    """One row of a comparison, as shown to people and raw."""
 
-    number: int
-    left: ParameterRow | None
-    right: ParameterRow | None
+    number: Number
+    name: str
     kind: Comparison
-    old: Message
-    new: Message
-    meaning: Message | None
+    left: Annotated[MessageObject, Field(description="Value of the first set.")]
+    right: Annotated[MessageObject, Field(description="Value of the second.")]
+    left_raw: StoredRaw
+    right_raw: StoredRaw
+    meaning: Annotated[
+        MessageObject | None, Field(description="What the difference means; null: the row does not differ.")
+    ]
 
 
-def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
+def compare(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
     """All 40 rows; ``left`` is the reference. ``tolerance``: raw counts that still pass as equal."""
     return [_compare_row(parameter, left, right, tolerance) for parameter in PARAMETERS.values()]
 
 
-def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[Compared]:
+def differences(left: UnitRows, right: UnitRows, tolerance: int = 0) -> list[ParameterDifference]:
     """Only the rows known to differ; one that only one of the two has is a difference too."""
     return [row for row in compare(left, right, tolerance) if row.kind in ("differs", "unavailable")]
 
 
-def drift(golden: UnitRows, live: UnitRows) -> list[Compared]:
+def drift(golden: UnitRows, live: UnitRows) -> list[ParameterDifference]:
     """Rows in which a live unit departs from its golden set; setpoints do not count."""
     return [row for row in differences(golden, live) if row.number not in OPERATING_VALUES]
 
 
-def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, tolerance: int) -> Compared:
+def _compare_row(
+    parameter: Parameter, left: UnitRows, right: UnitRows, tolerance: int
+) -> ParameterDifference:
     number = parameter.number
     before, after = left.rows.get(number), right.rows.get(number)
     kind = _kind(before, after, tolerance)
@@ -70,7 +77,8 @@ def _compare_row(parameter: Parameter, left: UnitRows, right: UnitRows, toleranc
     means = None
     if kind in ("differs", "unavailable"):
         means = meaning(number, old, new) if kind == "differs" else Message.of("differs", old=old, new=new)
-    return Compared(number, before, after, kind, old, new, means)
+    raws = (None, None) if parameter.secret else (left.raw(number), right.raw(number))
+    return ParameterDifference(number, parameter.name, kind, old, new, *raws, means)
 
 
 def meaning(number: int, old: Message, new: Message) -> Message:

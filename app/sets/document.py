@@ -20,15 +20,15 @@ from bus.validation import fault_message
 
 DOCUMENT_FORMAT = "lineside parameter set"
 DOCUMENT_VERSION = 1
-LONGEST_DOCUMENT = 1_500_000
+MAX_DOCUMENT = 1_500_000
 """Characters of a file; all 255 units of a bus take half of it."""
 MAX_LINES, MAX_VALUES = 20_000, 150_000
 """What 255 units take is 12,000 lines and 75,000 values, by their signs ``=`` and ``,``. A file of the same
 length that is nothing but values takes a second of the interpreter and 30 MB."""
 MAX_KEY_STEPS = 2_000_000
-"""Of Python's parser, which takes half a second for them."""
+"""Steps of Python's parser, which takes half a second for them."""
 _KEYS = frozenset(str(number) for number in PARAMETERS)
-"""As they are written: 06 beside 6 would be one parameter twice."""
+"""Parameter numbers as a file has them: 06 beside 6 would be one parameter twice."""
 
 THE_FILE = term("the file")
 
@@ -138,7 +138,7 @@ def _parse(text: str, source: str | Message) -> _Document:
 
 
 def _content(text: str, source: str | Message) -> dict[str, Any]:
-    is_long = len(text) > LONGEST_DOCUMENT or text.count("\n") > MAX_LINES
+    is_long = len(text) > MAX_DOCUMENT or text.count("\n") > MAX_LINES
     if is_long or text.count("=") + text.count(",") > MAX_VALUES:
         raise DocumentError(Message.of("source_too_long", source=source))
     if _key_steps(text) > MAX_KEY_STEPS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
@@ -11,35 +11,39 @@ from app.live.screen.fields import Translator
 from app.live.screen.sources import Drifted, UnitSubscriber
 from app.live.state.bus_live import Audience, BusLive
 from app.sets.background import Background
-from app.sets.compare import Compared, drift
-from app.sets.model import UnitRows
+from app.sets.compare import ParameterDifference, drift
+from app.sets.model import ParameterRow, UnitRows
 from app.sets.reading import known_rows
 from app.sets.store import SetStore
 from app.web.formats import Formats
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import ParameterValue, Update
 from bus.instants import UnixTime
+from bus.messages import Message, ParamValue, listed
 
 
 @dataclass(frozen=True, slots=True)
 class DriftedParameter:
-    """One row that differs from the golden set. ``change``: the command that caused it; None: no command
-    did: it was changed at the panel. ``traced`` False: the events have not been searched yet."""
+    """One row that differs from the golden set: ``before`` there, ``after`` as last read. ``change``: the
+    command that caused it; None: no command did: it was changed at the panel. ``traced`` False: the events
+    have not been searched yet."""
 
-    row: Compared
+    row: ParameterDifference
+    before: ParameterRow
+    after: ParameterRow
     change: Event | None = None
     traced: bool = False
 
     @property
     def key(self) -> str:
         """A text that changes with the displayed drift."""
-        left, right = (None if side is None else side.raw for side in (self.row.left, self.row.right))
-        return f"{self.row.number}={left}>{right}@{self.change['id'] if self.change else ''}"
+        return (
+            f"{self.row.number}={self.before.raw}>{self.after.raw}@{self.change['id'] if self.change else ''}"
+        )
 
-    def same(self, other: DriftedParameter) -> bool:
-        """Return whether both state the same difference, regardless of its cause."""
-        mine, theirs = self.row.right, other.row.right
-        return self.row.number == other.row.number and (mine and mine.raw) == (theirs and theirs.raw)
+    def is_of_same_value(self, other: DriftedParameter) -> bool:
+        """Whether both state the same difference, regardless of its cause."""
+        return (self.row.number, self.after.raw) == (other.row.number, other.after.raw)
 
 
 class BusDrift:
@@ -90,12 +94,12 @@ class BusDrift:
         return sum(number not in known for number in PARAMETERS)
 
     def summary(self, unit: int, translator: Translator, now: UnixTime) -> Drifted:
-        """The same for the line, and what the list of them on the unit's page depends on."""
+        """The drift in one line, and a key of what the list on the unit's page shows."""
         if unit not in self._golden:
             return Drifted()
         found = self.of(unit)
-        rows = ",".join(one.key for one in found)
-        return Drifted(_summary_text(found, translator, now) if found else "", f"{self.unread(unit)}:{rows}")
+        text = translator.t(_summary(found, translator.formats, now)) if found else ""
+        return Drifted(text, f"{self.unread(unit)}:{','.join(one.key for one in found)}")
 
     def _see(self, updates: Sequence[Update]) -> None:
         """Parameters were read: compare now, instead of forty rows at every reading."""
@@ -108,66 +112,55 @@ class BusDrift:
 
     def _look(self, unit: int, numbers: Iterable[int]) -> None:
         """Compare again; ``numbers`` were read: their change is searched for again."""
-        before, named = self._found.get(unit, {}), frozenset(numbers)
-        rows = drift(self._golden[unit], known_rows(self._live.units[unit]))
-        found = {row.number: _known_before(DriftedParameter(row), before) for row in rows}
+        known, golden, present = (
+            self._found.get(unit, {}),
+            self._golden[unit],
+            known_rows(self._live.units[unit]),
+        )
+        found: dict[int, DriftedParameter] = {}
+        for row in drift(golden, present):
+            one = DriftedParameter(row, golden.rows[row.number], present.rows[row.number])
+            earlier = known.get(row.number)
+            if earlier is not None and earlier.is_of_same_value(one):
+                one = replace(one, change=earlier.change, traced=earlier.traced)
+            found[row.number] = one
         self._found[unit] = found
-        untraced = [one for one in found.values() if not one.traced or one.row.number in named]
+        read = frozenset(numbers)
+        untraced = [one for one in found.values() if not one.traced or one.row.number in read]
         if untraced:
             self.background.begin(self._trace(unit, untraced), f"who changed unit {unit} of {self._bus}")
 
     async def _trace(self, unit: int, departures: list[DriftedParameter]) -> None:
         before = self.of(unit)
         for one in departures:
-            change = await who_changed(self._events, self._bus, unit, one.row)
-            present = self._found.get(unit, {})
-            if one.row.number in present and one.same(present[one.row.number]):
-                present[one.row.number] = DriftedParameter(one.row, change, traced=True)
+            change = await _command_of(self._events, self._bus, unit, one)
+            found = self._found.get(unit, {})
+            present = found.get(one.row.number)
+            if present is not None and present.is_of_same_value(one):
+                found[one.row.number] = replace(one, change=change, traced=True)
         if self.of(unit) != before:
             for subscriber in self._subscribers:
                 subscriber(unit)
 
 
-def _known_before(departure: DriftedParameter, before: dict[int, DriftedParameter]) -> DriftedParameter:
-    """A change found for the same value is kept until the events have been searched again."""
-    earlier = before.get(departure.row.number)
-    if earlier is None or not departure.same(earlier):
-        return departure
-    return DriftedParameter(departure.row, earlier.change, earlier.traced)
-
-
-def _summary_text(found: list[DriftedParameter], translator: Translator, now: UnixTime) -> str:
-    number, n, tn = found[0].row.number, len(found), translator.tn
+def _summary(found: list[DriftedParameter], formats: Formats, now: UnixTime) -> Message:
+    differing: dict[str, ParamValue] = {"n": len(found), "number": found[0].row.number}
     if not all(one.traced for one in found):
-        return tn(
-            "#{number} differs from the golden set", "{n} values differ from the golden set", n, number=number
-        )
-    people = _latest_of_each(found)
+        return Message("drift", differing)
     at_panel = sum(one.change is None for one in found)
-    if not people:
-        return tn(
-            "#{number} differs from the golden set, changed at the panel",
-            "{n} values differ from the golden set, changed at the panel",
-            n,
-            number=number,
-        )
+    if at_panel == len(found):
+        return Message("drift_at_panel", differing)
+    people = _latest_of_each(found)
+    authors = [{"who": one["who"], "when": formats.since(one["time"], now)} for one, _ in people]
     if len(people) == 1 and not at_panel:
-        ((change, _),) = people
-        return tn(
-            "#{number} differs from the golden set: changed by {who} {when}",
-            "{n} values differ from the golden set: changed by {who} {when}",
-            n,
-            number=number,
-            **_by(change, translator.formats, now),
-        )
-    formats = translator.formats
+        return Message("drift_by", differing | authors[0])
     parts = [
-        translator.t("{m} changed by {who} {when}", m=rows, **_by(change, formats, now))
-        for change, rows in people
+        Message.of("drift_part_by", rows=rows, **author)
+        for author, (_, rows) in zip(authors, people, strict=True)
     ]
     if at_panel:
-        parts.append(translator.t("{m} changed at the panel", m=at_panel))
-    return translator.t("{n} values differ from the golden set: {parts}", n=n, parts=", ".join(parts))
+        parts.append(Message.of("drift_part_at_panel", rows=at_panel))
+    return Message.of("drift_parts", count=len(found), parts=listed(parts))
 
 
 def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
@@ -182,39 +175,25 @@ def _latest_of_each(found: list[DriftedParameter]) -> list[tuple[Event, int]]:
     return sorted(latest, key=lambda each: -float(each[0]["time"]))
 
 
-def _by(change: Event, formats: Formats, now: UnixTime) -> dict[str, str]:
-    return {"who": change["who"], "when": formats.since(change["time"], now)}
-
-
 _ACTED = ("verified", "acknowledged", "unverified", None)
 """Outcomes after which the unit may have taken the value; None: it was read before the outcome was stored."""
-_LOOK_BACK = 20
-"""Refused commands are among them: so many newest events of a parameter are examined."""
+MAX_EVENTS = 20
+"""Newest events of a parameter that are examined; refused commands are among them."""
 
 
-async def who_changed(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
-    """The event of our write, later than the reading of the left side (the golden set), that left the
-    right side as it is; None when it was changed at the panel."""
-    since = None if row.left is None else row.left.read_at
-    wanted = Filter(
-        kind="command", bus=bus, unit=unit, since=since, code="event_write_parameter", number=row.number
-    )
-    found, _ = await events.page(wanted, _LOOK_BACK)
-    last = next((event for event in found if event["outcome"] in _ACTED), None)
-    if row.right is None:
+async def _command_of(events: EventLog, bus: str, unit: int, one: DriftedParameter) -> Event | None:
+    """The event of our write, later than the reading of the golden set, that left the value as it is; None
+    when it was changed at the panel."""
+    at_unit = Filter(kind="command", bus=bus, unit=unit, since=one.before.read_at)
+    wanted = replace(at_unit, code="event_write_parameter", number=one.row.number)
+    for event in (await events.page(wanted, MAX_EVENTS))[0]:
+        if event["outcome"] in _ACTED:
+            # A secret is in no event: only its last write can be named.
+            is_known = PARAMETERS[one.row.number].secret or event["new_raw"] == one.after.raw
+            return event if is_known else None
+    old, new = one.before.raw, one.after.raw
+    if old is None or new is None:
         return None
-    if last is None:
-        return await _older(events, bus, unit, row)
-    # A secret is in no event: only its last write can be named.
-    known = PARAMETERS[row.number].secret or last["new_raw"] == row.right.raw
-    return last if known else None
-
-
-async def _older(events: EventLog, bus: str, unit: int, row: Compared) -> Event | None:
-    """A command of a version that stored no parameter number: the one from the left value to the right."""
-    if row.left is None or row.right is None or row.left.raw is None or row.right.raw is None:
-        return None
-    since, old, new = row.left.read_at, row.left.raw, row.right.raw
-    wanted = Filter(kind="command", bus=bus, unit=unit, since=since, old_raw=old, new_raw=new)
-    found, _ = await events.page(wanted, _LOOK_BACK)
+    # A version that stored no parameter number: the write from the one value to the other.
+    found, _ = await events.page(replace(at_unit, old_raw=old, new_raw=new), MAX_EVENTS)
     return next((event for event in found if not event["messages"] and event["outcome"] in _ACTED), None)

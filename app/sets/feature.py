@@ -11,6 +11,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.live.state.bus_live import BusLive
 from app.sets import api, batch_pages, pages, restore_api, restore_pages
+from app.sets.acts import ACTS
 from app.sets.drift import BusDrift
 from app.sets.first_write import FirstWrites
 from app.sets.keeper import SetKeeper
@@ -48,5 +49,5 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
 
 
 FEATURE = Feature(
-    make, (api.router, restore_api.router, pages.router, restore_pages.router, batch_pages.router)
+    make, (api.router, restore_api.router, pages.router, restore_pages.router, batch_pages.router), ACTS
 )

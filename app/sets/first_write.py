@@ -49,10 +49,9 @@ class FirstWrites:
         """``units`` are about to be written to. A write of ``parameters`` waits until they are stored (a few
         milliseconds of disk; raises StoreError); a setpoint or an output changes no parameter and waits for
         nothing, and is kept only when all forty are known."""
-        today = self._clock().date()
-        due = [unit for unit in units if self._kept.get(unit) != today]
-        live = self._live.units
+        today, live = self._clock().date(), self._live.units
         needed = 1 if parameters else len(PARAMETERS)
+        due = [unit for unit in units if self._kept.get(unit) != today]
         known = [known_rows(live[unit]) for unit in due if len(live[unit].parameters) >= needed]
         if known and parameters:
             await self._keep(person, known)
@@ -66,36 +65,30 @@ class FirstWrites:
             _log.error("the set before the first write of the day was not stored", error=str(error))
 
     async def _keep(self, person: Person, known: list[UnitRows]) -> None:
-        now = self._clock()
+        """Store the units that have no set of today yet."""
+        now, fresh = self._clock(), list[UnitRows]()
         midnight = UnixTime(now.replace(hour=0, minute=0, second=0, microsecond=0).timestamp())
-        fresh = [rows for rows in known if not await self._has_set(rows.unit, midnight)]
-        if not fresh:
-            return
-        for rows in fresh:
-            self._kept[rows.unit] = now.date()
         try:
-            await self._keeper.keep(person, fresh, "", "", "before the first write of the day")
+            for rows in known:
+                if self._kept.get(rows.unit) == now.date():
+                    continue
+                if not await self._keeper.store.has_set_since(self._bus, rows.unit, midnight):
+                    fresh.append(rows)
+                self._kept[rows.unit] = now.date()
+            if fresh:
+                await self._keeper.keep(person, fresh, "", "", "before the first write of the day")
         except (Problem, StoreError):
             for rows in fresh:
-                del self._kept[rows.unit]
+                self._kept.pop(rows.unit, None)
             raise
         for rows in fresh:
             if len(rows.rows) < len(PARAMETERS):
                 self.background.begin(self._complete(person, rows.unit), f"rest of unit {rows.unit}")
 
-    async def _has_set(self, unit: int, midnight: UnixTime) -> bool:
-        """Whether a set of today exists; then none is needed today."""
-        today = self._clock().date()
-        if self._kept.get(unit) == today:
-            return True
-        if not await self._keeper.store.has_set_since(self._bus, unit, midnight):
-            return False
-        self._kept[unit] = today
-        return True
-
     async def _complete(self, person: Person, unit: int) -> None:
         """Values that were not known before the write follow in a separate set, in the gaps of the scan."""
         try:
-            await self._keeper.take(person, [unit], origin="after the first write of the day")
+            rows = await self._keeper.reader.read_unit(person, unit)
+            await self._keeper.keep(person, [rows], "", "", "after the first write of the day")
         except (Problem, StoreError) as error:
             _log.info("the rest of a unit was not read", bus=self._bus, unit=unit, why=str(error))

@@ -12,6 +12,7 @@ from app.audit.log import EventLog
 from app.commands.authority import Authority
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
+from app.sets.acts import MARK_GOLDEN, SAVE
 from app.sets.drift import BusDrift
 from app.sets.model import ParameterSet, SetOrigin, UnitRows
 from app.sets.reading import ParameterReader
@@ -52,17 +53,19 @@ class SetKeeper:
 
         Raises Problem 504 or 503 when one does not respond; nothing is saved then.
         """
+        SAVE.check(person)
         rows = [await self.reader.read_unit(person, unit) for unit in units]
         return await self.keep(person, rows, name, comment, origin)
 
     async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
         """Make this set the golden set of the unit. Raises Problem 404 where it does not hold it."""
+        MARK_GOLDEN.check(person)
         if stored.unit(unit) is None:
             raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
         await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
         await self._drift.load()
-        what = Message.of("event_set_golden", set=stored.id, unit=unit)
-        await self._events.record(kind="parameter_set", **person.author, bus=self.bus, unit=unit, what=what)
+        performed = MARK_GOLDEN.by(person, set=stored.id, unit=unit)
+        await self._events.record(**performed, bus=self.bus, unit=unit)
 
     async def learn_marked(self, person: Person) -> None:
         """Run indefinitely: read completely, in the gaps of the scan, the units whose golden set could not be
@@ -81,14 +84,15 @@ class SetKeeper:
     async def keep(
         self, person: Person, rows: Sequence[UnitRows], name: str, comment: str, origin: SetOrigin
     ) -> ParameterSet:
-        """Store what was read as a set, with an event. Reading takes a while: raises Problem 403 when the
-        rights of the person were withdrawn meanwhile."""
+        """Store what was read as a set, with an event; of any role, as the server keeps sets too.
+
+        Reading takes a while: raises Problem 403 when the rights of the person were withdrawn meanwhile.
+        """
         await self._rights.check(person)
         kept = await self.store.save(
             ParameterSet(self.bus, unix_now(), person.name, origin, tuple(rows), name=name, comment=comment)
         )
-        units = [unit.unit for unit in rows]
-        what = Message.of("event_set_taken", set=kept.id, units=units, origin=term(origin))
+        performed = SAVE.by(person, set=kept.id, units=[unit.unit for unit in rows], origin=term(origin))
         alone = rows[0].unit if len(rows) == 1 else None
-        await self._events.record(kind="parameter_set", **person.author, bus=self.bus, unit=alone, what=what)
+        await self._events.record(**performed, bus=self.bus, unit=alone)
         return kept

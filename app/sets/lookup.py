@@ -9,13 +9,17 @@ from typing import Annotated, Any, TypeVar
 from fastapi import APIRouter, Depends, Form, UploadFile
 
 from app.errors import Problem, or_404
-from app.sets.document import LONGEST_DOCUMENT, THE_FILE, DocumentError, read_document
+from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.store import SetStore
 from app.web.bounds import MAX_BODY_BYTES, parse_apart
+from app.web.services import service
 from bus.messages import Message, term
+
+Sets = Annotated[SetStore, service(SetStore)]
+Restores = Annotated[RestoreService, service(RestoreService)]
 
 
 async def wanted_rows(
@@ -34,12 +38,9 @@ async def document_rows(
 ) -> UnitRows:
     """The rows of a TOML file meant for a unit: of ``from_unit`` where given, its own, or the only ones.
 
-    Raises Problem 422 in words.
+    Raises DocumentError, or Problem 422 where the file has no such unit.
     """
-    try:
-        document = await parse_apart(lambda: read_document(text, source))
-    except DocumentError as error:
-        raise Problem(422, "invalid", error.message) from error
+    document = await parse_apart(lambda: read_document(text, source))
     lone = document.units[0] if len(document.units) == 1 and from_unit is None else None
     rows = document.unit(from_unit or unit) or lone
     if rows is None:
@@ -48,10 +49,10 @@ async def document_rows(
 
 
 async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
-    """The rows of an uploaded TOML file. Raises Problem 422 in words."""
+    """The rows of an uploaded TOML file. Raises DocumentError or Problem 422."""
     name = file.filename or THE_FILE
-    content = await file.read(LONGEST_DOCUMENT + 1)
-    if len(content) > LONGEST_DOCUMENT:
+    content = await file.read(MAX_DOCUMENT + 1)
+    if len(content) > MAX_DOCUMENT:
         raise Problem(422, "invalid", Message.of("source_too_long", source=name))
     try:
         return await document_rows(content.decode("utf-8-sig"), name, unit)
@@ -60,8 +61,12 @@ async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
         raise Problem(422, "invalid", wrong) from error
 
 
-async def set_or_404(store: SetStore, set_id: int) -> ParameterSet:
-    return or_404(await store.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
+async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
+    return or_404(await sets.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
+
+
+StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
+"""The set of ``{set_id}`` in the path."""
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
@@ -70,9 +75,13 @@ def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:
     return or_404(stored.unit(unit), "unknown_unit", lacks)
 
 
-async def restore_or_404(restores: RestoreService, restore_id: str) -> Restore:
+async def restore_or_404(restores: Restores, restore_id: str) -> Restore:
     """A restore that was begun, or a plan of this run of the server."""
     return or_404(await restores.find(restore_id), "unknown_restore", Message("no_such_restore"))
+
+
+KnownRestore = Annotated[Restore, Depends(restore_or_404)]
+"""The restore of ``{restore_id}`` in the path."""
 
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
@@ -86,7 +95,7 @@ class FormSource:
     file: UploadFile | None
 
     async def uploaded(self, unit: int) -> UnitRows | None:
-        """The rows of the file for ``unit``, None without one. Raises Problem 422."""
+        """The rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
         return None if self.file is None else await uploaded_rows(unit, self.file)
 
 

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
+from pydantic import Field, PlainSerializer
+
+from app.live.api.schemas import Time
+from app.web.shape import iso
 from bus.instants import UnixTime
 
+Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
+StoredRaw = Annotated[
+    int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
+]
 SetOrigin = Literal[
     "by hand",
     "on schedule",
@@ -46,6 +54,29 @@ class UnitRows:
         """The raw value of one parameter, None when it is not known or not there."""
         row = self.rows.get(number)
         return None if row is None else row.raw
+
+
+@dataclass(frozen=True, slots=True)
+class SetHead:
+    """The first members of a stored set, without its values."""
+
+    id: int
+    bus: str
+    name: str
+    comment: str
+    taken_at: Annotated[UnixTime, PlainSerializer(iso, return_type=Time)]
+    who: str
+    origin: Annotated[str, Field(description="Origin: by hand, on schedule, before the first write …")]
+    golden_for: Annotated[
+        tuple[int, ...], Field(description="Addresses of the units whose golden set it is.")
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSetSummary(SetHead):
+    """A stored parameter set without its values."""
+
+    units: Annotated[tuple[int, ...], Field(description="Addresses of its units.")]
 
 
 @dataclass(frozen=True, slots=True)

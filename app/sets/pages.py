@@ -10,14 +10,15 @@ from starlette.responses import RedirectResponse
 from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets.api import Drift, Sets
+from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
+from app.sets.api import Drift
 from app.sets.compare import compare, row_message
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import set_or_404
+from app.sets.lookup import Sets, StoredSet
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Takings
-from app.web.access import Engineer, Viewer
+from app.web.access import Person, Viewer
 from app.web.services import bus_service_of, service
 from app.web.shape import UnitAddresses
 from app.web.templating import render
@@ -45,7 +46,7 @@ async def list_page(
     before: int | None = None,
 ) -> Response:
     """The newest sets, or those before one, filtered by bus and unit, and the form to save one."""
-    found = await sets.summaries(bus or None, unit, before=before, most=MAX_LISTED + 1)
+    found = await sets.summaries(bus or None, unit, before=before, limit=MAX_LISTED + 1)
     return render(
         request,
         "sets/page.html",
@@ -62,7 +63,7 @@ async def list_page(
 @router.post("/sets/take")
 async def take(
     request: Request,
-    person: Engineer,
+    person: Annotated[Person, SAVE.permitted],
     live: Live,
     readings: Readings,
     bus: Annotated[str, Form()],
@@ -89,7 +90,7 @@ async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id
 @router.post("/sets/schedule")
 async def set_schedule(
     request: Request,
-    person: Engineer,
+    person: Annotated[Person, SCHEDULE.permitted],
     bus: Annotated[str, Form()],
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
@@ -132,9 +133,8 @@ async def compare_page(
 
 
 @router.get("/sets/{set_id}")
-async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: int) -> Response:
+async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: StoredSet) -> Response:
     """A stored set, each value with its evidence."""
-    stored = await set_or_404(sets, set_id)
     others = await sets.summaries(stored.bus)
     return render(
         request,
@@ -142,19 +142,21 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, set_id: 
         stored=stored,
         row_message=row_message,
         PARAMETERS=PARAMETERS,
-        others=[summary for summary in others if summary.id != set_id],
+        others=[summary for summary in others if summary.id != stored.id],
         configured=live.buses[stored.bus].units if stored.bus in live.buses else {},
     )
 
 
 @router.post("/sets/{set_id}/golden")
 async def golden(
-    request: Request, person: Engineer, sets: Sets, set_id: int, unit: Annotated[int, Form()]
+    request: Request,
+    person: Annotated[Person, MARK_GOLDEN.permitted],
+    stored: StoredSet,
+    unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""
-    stored = await set_or_404(sets, set_id)
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, unit)
-    return RedirectResponse(f"/sets/{set_id}", 303)
+    return RedirectResponse(f"/sets/{stored.id}", 303)
 
 
 @router.get("/units/{bus}/{unit}/drift")

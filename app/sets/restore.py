@@ -15,9 +15,10 @@ import structlog
 from app.audit.log import EventLog
 from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
+from app.sets.acts import CANCEL, PLAN, START
 from app.sets.background import Background
 from app.sets.model import UnitRows
-from app.sets.plan import EVERYTHING_HARMLESS, Selection, plan_restore, refuse_unwritable
+from app.sets.plan import EVERYTHING_HARMLESS, RestorePlan, Selection, plan_restore, refuse_unwritable
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import UNDER_WAY, Restore, RowResult
 from app.sets.restore_run import RestoreRun
@@ -30,7 +31,8 @@ EndSubscriber = Callable[[Restore], Awaitable[None]]
 
 _log = structlog.get_logger(__name__)
 
-_KEEP_FINISHED = 50
+MAX_ENDED = 50
+"""Plans and ended restores that are kept in memory."""
 
 
 class RestoreService:
@@ -67,7 +69,7 @@ class RestoreService:
         """Once at start: mark restores that were running when the server ended as stopped."""
         for restore in await self._store.under_way():
             restore.stop("server_ended", Message("restore_under_way_at_end"))
-            await self._store.end(restore)
+            await self._store.save(restore)
             await self._record(restore)
 
     async def plan(
@@ -77,17 +79,18 @@ class RestoreService:
         unit: int,
         wanted: UnitRows,
         selection: Selection = EVERYTHING_HARMLESS,
+        *,
+        for_swap: bool = False,
     ) -> Restore:
-        """Read the unit now and plan the writes; nothing is written.
+        """Read the unit now and plan the writes; nothing is written. ``for_swap``: to a spare.
 
         Raises Problem 503 or 504 when the unit cannot be read, 409 ``dangerous`` or 422 ``invalid`` for a row
         that the selection includes and that cannot be written.
         """
+        PLAN.check(person)
         reader = self._readers[bus]
         before = await reader.read_unit(person, unit, urgent=True)
         running, remote = reader.motion(unit)
-        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
-        refuse_unwritable(plan, selection)
         restore = Restore(
             id=secrets.token_hex(8),
             bus=bus,
@@ -95,33 +98,37 @@ class RestoreService:
             who=person.name,
             wanted=wanted,
             before=before,
-            plan=plan,
-            rows=[RowResult(write) for write in plan.writes],
+            plan=RestorePlan((), (), 0),
+            rows=[],
             planned_at=unix_now(),
-            selection=selection,
             running=running,
             remote=remote,
+            for_swap=for_swap,
         )
+        _choose(restore, selection)
         self._remember(restore)
         return restore
 
-    def select(self, restore: Restore, selection: Selection) -> None:
+    def select(self, person: Person, restore: Restore, selection: Selection) -> None:
         """Choose other rows of a plan that has not begun. Raises Problem as :meth:`plan` does."""
+        PLAN.check(person)
         _refuse_begun(restore)
-        wanted, before, running, remote = restore.wanted, restore.before, restore.running, restore.remote
-        plan = plan_restore(wanted, before, running=running, remote=remote, selection=selection)
-        refuse_unwritable(plan, selection)
-        restore.plan, restore.selection = plan, selection
-        restore.rows = [RowResult(write) for write in plan.writes]
+        _choose(restore, selection)
 
     def start(self, person: Person, restore: Restore) -> None:
         """Begin writing. Raises Problem 409 when it has begun already or its unit is being restored."""
+        START.check(person)
         _refuse_begun(restore)
         place, others = (restore.bus, restore.unit), self._restores.values()
         if any((other.bus, other.unit) == place and other.state in UNDER_WAY for other in others):
             raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
         self.background.begin(self._run(person, restore), f"restore {restore.id}")
+
+    def cancel(self, person: Person, restore: Restore) -> None:
+        """Stop it after the current row."""
+        CANCEL.check(person)
+        restore.cancelled_by = person.name
 
     async def _run(self, person: Person, restore: Restore) -> None:
         try:
@@ -142,7 +149,7 @@ class RestoreService:
 
     async def _end(self, restore: Restore) -> None:
         try:
-            await self._store.end(restore)
+            await self._store.save(restore)
             await self._record(restore)
             for subscriber in self._end_subscribers:
                 await subscriber(restore)
@@ -152,11 +159,11 @@ class RestoreService:
     async def _record(self, restore: Restore) -> None:
         verified = sum(row.outcome == "verified" for row in restore.rows)
         await self._events.record(
-            kind="restore",
+            kind=START.kind,
             who=restore.who,
             bus=restore.bus,
             unit=restore.unit,
-            what=Message.of("event_restored", verified=verified, n=len(restore.rows)),
+            what=Message.of(START.event, verified=verified, n=len(restore.rows)),
             outcome=restore.state,
             message=joined([restore.cause, restore.account()]) or "",
         )
@@ -164,8 +171,17 @@ class RestoreService:
     def _remember(self, restore: Restore) -> None:
         self._restores[restore.id] = restore
         ended = [key for key, known in self._restores.items() if known.state not in UNDER_WAY]
-        for key in ended[:-_KEEP_FINISHED]:
+        for key in ended[:-MAX_ENDED]:
             del self._restores[key]
+
+
+def _choose(restore: Restore, selection: Selection) -> None:
+    plan = plan_restore(
+        restore.wanted, restore.before, running=restore.running, remote=restore.remote, selection=selection
+    )
+    refuse_unwritable(plan, selection)
+    restore.plan, restore.selection = plan, selection
+    restore.rows = [RowResult(write) for write in plan.writes]
 
 
 def _refuse_begun(restore: Restore) -> None:

@@ -7,24 +7,21 @@ from typing import Annotated
 from fastapi import APIRouter
 from pydantic import Field
 
-from app.commands.service.writer import ParameterWriter
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import Sets
-from app.sets.lookup import restore_or_404, wanted_rows
+from app.sets.acts import CANCEL, PLAN, START
+from app.sets.lookup import KnownRestore, Restores, Sets, wanted_rows
 from app.sets.plan import Selection
-from app.sets.restore import RestoreService
 from app.sets.restore_view import RestoreShown, restore_json
-from app.web.access import Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.schema_problem import problems
-from app.web.services import service
 from app.web.shape import Numbers, StrictBody
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)
 
-Restores = Annotated[RestoreService, service(RestoreService)]
+Planner = Annotated[Person, PLAN.permitted]
 Included = Annotated[
     Numbers, Field(description="rows that are left out unless named: the setpoints #20 and #37")
 ]
@@ -57,7 +54,7 @@ class StartRestoreRequest(StrictBody):
     max_body_size=MAX_BODY_BYTES,
 )
 async def plan_restore(
-    person: ParameterWriter,
+    person: Planner,
     sets: Sets,
     restores: Restores,
     live: Live,
@@ -74,28 +71,31 @@ async def plan_restore(
 
 @router.post("/restores/{restore_id}/start", status_code=202)
 async def start_restore(
-    person: ParameterWriter, restores: Restores, restore_id: str, chosen: StartRestoreRequest | None = None
+    person: Annotated[Person, START.permitted],
+    restores: Restores,
+    restore: KnownRestore,
+    chosen: StartRestoreRequest | None = None,
 ) -> RestoreShown:
     """Write the selected rows, unless the unit has changed since the plan."""
-    restore = await restore_or_404(restores, restore_id)
     if chosen is not None and (chosen.include is not None or chosen.exclude is not None):
         planned = restore.selection
         include = planned.include if chosen.include is None else frozenset(chosen.include)
         exclude = planned.exclude if chosen.exclude is None else frozenset(chosen.exclude)
-        restores.select(restore, planned.choosing(include, exclude))
+        restores.select(person, restore, planned.choosing(include, exclude))
     restores.start(person, restore)
     return restore_json(restore)
 
 
 @router.post("/restores/{restore_id}/cancel", status_code=202)
-async def cancel_restore(person: ParameterWriter, restores: Restores, restore_id: str) -> RestoreShown:
+async def cancel_restore(
+    person: Annotated[Person, CANCEL.permitted], restores: Restores, restore: KnownRestore
+) -> RestoreShown:
     """Stop after the current row."""
-    restore = await restore_or_404(restores, restore_id)
-    restore.cancel(person.name)
+    restores.cancel(person, restore)
     return restore_json(restore)
 
 
 @router.get("/restores/{restore_id}")
-async def get_restore(_: Viewer, restores: Restores, restore_id: str) -> RestoreShown:
+async def get_restore(_: Viewer, restore: KnownRestore) -> RestoreShown:
     """Progress of the restore, row by row."""
-    return restore_json(await restore_or_404(restores, restore_id))
+    return restore_json(restore)

@@ -7,24 +7,21 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
-from app.commands.service.writer import ParameterWriter
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
-from app.sets.api import Sets
+from app.sets.acts import CANCEL, START
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
-from app.sets.lookup import Chosen, FormSource, post_source, restore_or_404
-from app.sets.model import UnitRows
+from app.sets.lookup import Chosen, KnownRestore, Restores, Sets, post_source
 from app.sets.plan import Selection
-from app.sets.restore_api import Restores
+from app.sets.restore import RestoreService
+from app.sets.restore_api import Planner
 from app.sets.restore_record import Restore
 from app.sets.restore_view import rows_left_out, rows_to_write
 from app.sets.sides import offers, side
-from app.sets.store import SetStore
-from app.swap.service import SwapService
-from app.web.services import service_of
+from app.web.access import Person
 from app.web.templating import render
 from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
@@ -36,7 +33,7 @@ Ticks = Annotated[list[int] | None, Form()]
 
 @router.get("/units/{bus}/{unit}/restore")
 async def restore_page(
-    request: Request, _: ParameterWriter, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
+    request: Request, _: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int
 ) -> Response:
     """Choose what the unit shall become; and the results of earlier restores of it."""
     live_unit = unit_or_404(live, bus, unit)
@@ -52,21 +49,22 @@ async def restore_page(
 
 @post_source(router, "/units/{bus}/{unit}/restore")
 async def plan_page(
-    person: ParameterWriter, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
+    person: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
     """Read the unit and plan a restore. Nothing is written."""
     unit_or_404(live, bus, unit)
-    rows = await chosen.uploaded(unit) or await _stored(sets, live, chosen)
+    rows = await chosen.uploaded(unit)
+    if rows is None:
+        if not chosen.text.startswith("set:"):
+            raise Problem(422, "invalid", Message("set_or_file_missing"))
+        rows = (await side(chosen.text, sets, live)).rows
     restore = await restores.plan(person, bus, unit, rows)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.get("/restores/{restore_id}")
-async def restore_progress(
-    request: Request, _: ParameterWriter, restores: Restores, restore_id: str
-) -> Response:
+async def restore_progress(request: Request, _: Planner, restore: KnownRestore) -> Response:
     """The review before, the progress during, the proof after."""
-    restore = await restore_or_404(restores, restore_id)
     template = "sets/_restore.html" if request.headers.get("hx-request") else "sets/restoring.html"
     dangerous = {left.number for left in restore.left_out if PARAMETERS[left.number].dangerous}
     response = render(
@@ -78,7 +76,6 @@ async def restore_progress(
         planned_at=restore.planned_at,
         name=restore.before.name,
         tickable=dangerous,
-        swap=service_of(request, SwapService).of(restore.bus, restore.unit),
         proven=compare(restore.wanted, restore.proven) if restore.proven else [],
         PARAMETERS=PARAMETERS,
     )
@@ -90,47 +87,45 @@ async def restore_progress(
 
 @router.post("/restores/{restore_id}/tick")
 async def confirm_dangerous(
-    person: ParameterWriter, restores: Restores, live: Live, restore_id: str, tick: Ticks = None
+    person: Planner, restores: Restores, live: Live, old: KnownRestore, tick: Ticks = None
 ) -> Response:
     """Plan again with dangerous rows that a person has confirmed one by one."""
-    old = await restore_or_404(restores, restore_id)
-    unit_or_404(live, old.bus, old.unit)
     selection = Selection(confirmed=old.selection.confirmed | frozenset(tick or ()))
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection)
-    return RedirectResponse(f"/restores/{fresh.id}", 303)
+    return await _planned_again(person, restores, live, old, selection)
 
 
 @router.post("/restores/{restore_id}/again")
-async def plan_again(person: ParameterWriter, restores: Restores, live: Live, restore_id: str) -> Response:
-    """The same restore again: done rows are found equal, the rest is reviewed."""
-    old = await restore_or_404(restores, restore_id)
-    unit_or_404(live, old.bus, old.unit)
+async def plan_again(person: Planner, restores: Restores, live: Live, old: KnownRestore) -> Response:
+    """Plan a restore again: done rows are found equal, the rest is reviewed."""
     deselected = frozenset(left.number for left in old.left_out if left.reason == "deselected")
-    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, Selection(exclude=deselected))
+    return await _planned_again(person, restores, live, old, Selection(exclude=deselected))
+
+
+async def _planned_again(
+    person: Person, restores: RestoreService, live: LiveState, old: Restore, selection: Selection
+) -> Response:
+    unit_or_404(live, old.bus, old.unit)
+    fresh = await restores.plan(person, old.bus, old.unit, old.wanted, selection, for_swap=old.for_swap)
     return RedirectResponse(f"/restores/{fresh.id}", 303)
 
 
 @router.post("/restores/{restore_id}/start")
-async def start(person: ParameterWriter, restores: Restores, restore_id: str, row: Ticks = None) -> Response:
+async def start(
+    person: Annotated[Person, START.permitted], restores: Restores, restore: KnownRestore, row: Ticks = None
+) -> Response:
     """Write the rows that are ticked."""
-    restore = await restore_or_404(restores, restore_id)
-    restores.select(restore, _ticked(restore, frozenset(row or ())))
+    restores.select(person, restore, _ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
-    return RedirectResponse(f"/restores/{restore_id}", 303)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.post("/restores/{restore_id}/cancel")
-async def cancel(person: ParameterWriter, restores: Restores, restore_id: str) -> Response:
+async def cancel(
+    person: Annotated[Person, CANCEL.permitted], restores: Restores, restore: KnownRestore
+) -> Response:
     """Stop after the current row."""
-    (await restore_or_404(restores, restore_id)).cancel(person.name)
-    return RedirectResponse(f"/restores/{restore_id}", 303)
-
-
-async def _stored(sets: SetStore, live: LiveState, chosen: FormSource) -> UnitRows:
-    """The rows of a stored set named ``set:12:3``. Raises Problem 422 or 404."""
-    if not chosen.text.startswith("set:"):
-        raise Problem(422, "invalid", Message("set_or_file_missing"))
-    return (await side(chosen.text, sets, live)).rows
+    restores.cancel(person, restore)
+    return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from app.sets.compare import Compared, differences
+from app.sets.compare import ParameterDifference, differences
 from app.sets.effects import warning_of
 from app.sets.model import UnitRows
 from app.sets.order import Write
@@ -63,6 +63,8 @@ class Restore:
     remote: bool | None = None
     cancelled_by: str = ""
     """The user who stopped it after the current row."""
+    for_swap: bool = False
+    """Whether it makes a spare of the unit."""
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
@@ -95,7 +97,7 @@ class Restore:
         return self.state in ENDS
 
     @property
-    def remaining(self) -> list[Compared] | None:
+    def remaining(self) -> list[ParameterDifference] | None:
         """What the full read still finds different, without what can never be written here."""
         if self.proven is None:
             return None
@@ -106,9 +108,6 @@ class Restore:
         """End it before its time: every row without an outcome was not sent."""
         self.state, self.cause_code, self.cause = "stopped", code, cause
         self.rows = [row if row.outcome else replace(row, outcome="not_sent") for row in self.rows]
-
-    def cancel(self, who: str) -> None:
-        self.cancelled_by = who
 
     def account(self) -> Message | None:
         """Which rows were written and verified, which are unverified or refused, which were not tried."""

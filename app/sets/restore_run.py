@@ -11,12 +11,13 @@ from app.sets.effects import warning_of
 from app.sets.plan import plan_restore
 from app.sets.reading import ParameterReader
 from app.sets.restore_record import Restore, RowResult
-from app.sets.restore_store import ENDED_MEANWHILE, RestoreStore
+from app.sets.restore_store import RestoreStore
 from app.web.access import Person
 from bus.contract import WriteParameter
 from bus.errors import unit_error
 from bus.messages import Message
 
+ENDED_MEANWHILE = Message("row_in_doubt")
 _STOPS = frozenset({"unverified", "not_sent", "bus_closed"})
 """Outcomes of a row after which the others cannot be expected to do better."""
 
@@ -33,10 +34,13 @@ class RestoreRun:
 
     async def run(self) -> None:
         """Leaves the restore ``equal`` or ``different``."""
-        await self._store.begin(self._restore)
+        restore = self._restore
+        await self._store.save(restore)
         await self._check_review()
         await self._write_rows()
-        await self._prove()
+        restore.state = "proving"
+        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
+        restore.state = "different" if restore.remaining else "equal"
 
     async def _check_review(self) -> None:
         """Plan again with the unit's present values: a review of other rows or values does not count."""
@@ -59,17 +63,21 @@ class RestoreRun:
                 raise Problem(409, "cancelled", Message.of("restore_left_off", who=who, done=done, n=n))
             if self._would_surprise(row):
                 raise Problem(409, "moved", Message("unit_started_since_review"))
-            await self._store.sending(restore, place)
+            unverified = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+            # Should nothing more be stored, the row counts as unverified.
+            await self._store.save(
+                replace(restore, rows=[*restore.rows[:place], unverified, *restore.rows[place + 1 :]])
+            )
             try:
                 restore.rows[place] = await self._write(row)
             except asyncio.CancelledError:
-                restore.rows[place] = replace(row, outcome="unverified", message=ENDED_MEANWHILE)
+                restore.rows[place] = unverified
                 raise
             except Problem as problem:
                 restore.rows[place] = replace(row, outcome="not_sent", message=problem.message)
                 raise
             finally:
-                await self._store.row(restore, place)
+                await self._store.save(restore)
             _go_on_or_raise(restore.rows[place])
 
     async def _write(self, row: RowResult) -> RowResult:
@@ -86,12 +94,6 @@ class RestoreRun:
         if result.outcome == "refused" and result.unit_error is not None:
             message = Message.of("row_refused", error=unit_error(result.unit_error))
         return replace(row, outcome=result.outcome, message=message, read_back=result.read_back)
-
-    async def _prove(self) -> None:
-        restore = self._restore
-        restore.state = "proving"
-        restore.proven = await self._reader.read_unit(self._person, restore.unit, urgent=True)
-        restore.state = "different" if restore.remaining else "equal"
 
     def _would_surprise(self, row: RowResult) -> bool:
         """Whether this row changes what a unit does that runs now and did not when it was reviewed."""

@@ -12,6 +12,7 @@ import structlog
 from app.audit.log import EventLog
 from app.errors import StoreError
 from app.live.state.bus_live import BusLive
+from app.sets.acts import END_SCHEDULE, SCHEDULE
 from app.sets.keeper import SetKeeper
 from app.sets.taking import read_together
 from app.web.access import Person, Role
@@ -54,13 +55,13 @@ class SetSchedule:
 
     async def set(self, person: Person, minute_of_day: int | None) -> None:
         """Take the sets every day at a minute of the day, or no longer (None)."""
+        SCHEDULE.check(person)
+        performed = END_SCHEDULE.by(person)
+        if minute_of_day is not None:
+            performed = SCHEDULE.by(person, time=f"{minute_of_day // 60:02}:{minute_of_day % 60:02}")
         await self._keeper.store.set_schedule(self._bus, minute_of_day)
         self._overdue = {}
-        what = Message("event_sets_not_scheduled")
-        if minute_of_day is not None:
-            time = f"{minute_of_day // 60:02}:{minute_of_day % 60:02}"
-            what = Message.of("event_sets_scheduled", time=time)
-        await self._record(person, what)
+        await self._events.record(**performed, bus=self._bus)
 
     async def follow(self, person: Person) -> None:
         """Run indefinitely; ``person`` is the author of the sets in the events. Sets due today while
@@ -113,14 +114,10 @@ class SetSchedule:
         """Reported once; tried again as long as it is overdue."""
         first, overdue.why = not overdue.why, why
         if first:
-            await self._record(person, Message.of("event_set_not_taken", unit=unit), unit, why)
-
-    async def _record(
-        self, person: Person, what: Message, unit: int | None = None, message: Message | str = ""
-    ) -> None:
-        await self._events.record(
-            kind="parameter_set", **person.author, bus=self._bus, unit=unit, what=what, message=message
-        )
+            what, author = Message.of("event_set_not_taken", unit=unit), person.author
+            await self._events.record(
+                kind="parameter_set", **author, bus=self._bus, unit=unit, what=what, message=why
+            )
 
 
 def due_between(minute_of_day: int, since: datetime, until: datetime) -> datetime | None:

@@ -13,13 +13,12 @@ from app.errors import Problem, or_404
 from app.live.lookup import unit_or_404
 from app.live.state.bus_live import LiveState
 from app.sets.lookup import set_or_404, unit_rows_or_404
-from app.sets.model import UnitRows
+from app.sets.model import ParameterSetSummary, UnitRows
 from app.sets.reading import known_rows
-from app.sets.store import SetStore, SetSummary
+from app.sets.store import SetStore
 from app.web.shape import parse_integer
 from bus.instants import UnixTime
 from bus.messages import Message
-from bus.settings import UnitSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,43 +33,36 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class SideOption:
-    """A side that can be chosen: ``text`` as an address names it, ``unit`` and ``name`` of its section,
-    ``taken_at``, ``title`` and ``origin`` of a stored set (None: the live unit)."""
+    """A side that can be chosen: ``text`` as an address names it, ``name`` and ``group`` of its section,
+    empty and None where it is not configured. What a stored set has is None or empty of the live unit."""
 
     text: str
     bus: str
     unit: int
     name: str
+    group: str | None
     taken_at: UnixTime | None = None
     title: str = ""
     golden: bool = False
     origin: str = ""
 
-    @property
-    def place(self) -> tuple[str, int]:
-        return self.bus, self.unit
 
-
-def choices(live: LiveState, sets: Sequence[SetSummary]) -> list[SideOption]:
+def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
     """Every unit as last read, then every unit of every stored set, newest first."""
+    units = {
+        (bus, unit): one.settings for bus, line in live.buses.items() for unit, one in line.units.items()
+    }
     found = [
-        SideOption(f"live:{bus}:{number}", bus, number, unit.settings.name)
-        for bus, line in live.buses.items()
-        for number, unit in line.units.items()
+        SideOption(f"live:{bus}:{unit}", bus, unit, settings.name, settings.group)
+        for (bus, unit), settings in units.items()
     ]
-    return found + [_stored(live, one, unit) for one in sets for unit in one.units]
-
-
-def _stored(live: LiveState, one: SetSummary, unit: int) -> SideOption:
-    known = _configured(live, one.bus, unit)
-    name, is_golden = known.name if known else "", unit in one.golden_for
-    text = f"set:{one.id}:{unit}"
-    return SideOption(text, one.bus, unit, name, one.taken_at, one.name, is_golden, one.origin)
-
-
-def _configured(live: LiveState, bus: str, unit: int) -> UnitSettings | None:
-    found = live.buses[bus].units.get(unit) if bus in live.buses else None
-    return found.settings if found else None
+    for one in sets:
+        for unit in one.units:
+            known = units.get((one.bus, unit))
+            place = (one.bus, unit, known.name if known else "", known.group if known else None)
+            taken = (one.taken_at, one.name, unit in one.golden_for, one.origin)
+            found.append(SideOption(f"set:{one.id}:{unit}", *place, *taken))
+    return found
 
 
 async def side(text: str, store: SetStore, live: LiveState) -> Side:
@@ -116,27 +108,17 @@ class Offers:
         return self.golden or next((choice.text for choice in self.own), "")
 
 
-def offers(live: LiveState, sets: Sequence[SetSummary], bus: str, unit: int) -> Offers:
+def offers(live: LiveState, sets: Sequence[ParameterSetSummary], bus: str, unit: int) -> Offers:
     """Everything that helps ``unit``; ``sets`` newest first."""
     group = live.buses[bus].units[unit].settings.group
     every = choices(live, sets)
-    own = [choice for choice in every if choice.taken_at is not None and choice.place == (bus, unit)]
-    others = [choice for choice in every if choice.place != (bus, unit)]
-
-    def is_distant(choice: SideOption) -> tuple[bool, bool]:
-        settings = _configured(live, choice.bus, choice.unit)
-        return choice.bus != bus, settings is None or settings.group != group
-
-    others.sort(key=is_distant)
-    stored = [choice for choice in others if choice.taken_at is not None]
-    return Offers(own, _newest_and_golden(stored), [one for one in others if one.taken_at is None])
-
-
-def _newest_and_golden(sets: Sequence[SideOption]) -> list[SideOption]:
+    own = [one for one in every if one.taken_at is not None and (one.bus, one.unit) == (bus, unit)]
+    others = [one for one in every if (one.bus, one.unit) != (bus, unit)]
+    others.sort(key=lambda one: (one.bus != bus, one.group != group))
+    sisters: list[SideOption] = []
     seen: set[tuple[str, int]] = set()
-    found: list[SideOption] = []
-    for choice in sets:
-        if choice.golden or choice.place not in seen:
-            found.append(choice)
-        seen.add(choice.place)
-    return found
+    for one in others:
+        if one.taken_at is not None and (one.golden or (one.bus, one.unit) not in seen):
+            sisters.append(one)
+            seen.add((one.bus, one.unit))
+    return Offers(own, sisters, [one for one in others if one.taken_at is None])

@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from app.database.queries import Tables, reading, writing
-from app.sets.model import ParameterRow, ParameterSet, SetOrigin, UnitRows
+from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, SetOrigin, UnitRows
 from bus.instants import UnixTime
 
 _HEAD = "bus, name, comment, taken_at, who, origin"
-
-
-@dataclass(frozen=True, slots=True)
-class SetSummary:
-    """A line of the list of sets."""
-
-    id: int
-    bus: str
-    name: str
-    comment: str
-    taken_at: UnixTime
-    who: str
-    origin: str
-    units: tuple[int, ...]
-    golden_for: tuple[int, ...]
 
 
 class SetStore(Tables):
@@ -76,8 +61,8 @@ class SetStore(Tables):
         unit: int | None = None,
         *,
         before: int | None = None,
-        most: int = -1,
-    ) -> list[SetSummary]:
+        limit: int = -1,
+    ) -> list[ParameterSetSummary]:
         """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
@@ -85,12 +70,12 @@ class SetStore(Tables):
             " (SELECT group_concat(unit) FROM golden_set WHERE set_id = id)"
             " FROM parameter_set WHERE (:bus IS NULL OR bus = :bus) AND (:unit IS NULL OR EXISTS"
             " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit))"
-            " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :most",
-            {"bus": bus, "unit": unit, "before": before, "most": most},
+            " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :limit",
+            {"bus": bus, "unit": unit, "before": before, "limit": limit},
         )
         return [
-            SetSummary(
-                set_id, of_bus, name, comment, taken_at, who, origin, _numbers(units), _numbers(golden_for)
+            ParameterSetSummary(
+                set_id, of_bus, name, comment, taken_at, who, origin, _numbers(golden_for), _numbers(units)
             )
             for set_id, of_bus, name, comment, taken_at, who, origin, units, golden_for in found
         ]

@@ -9,13 +9,15 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from app.errors import Problem, StoreError
+from app.sets.acts import SAVE
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.web.access import Person
 from bus.messages import Message
 
-_KEEP = 20
+MAX_TAKINGS = 20
+"""Readings whose progress is kept."""
 MAX_AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
 
@@ -56,9 +58,10 @@ class Takings:
         self, person: Person, keeper: SetKeeper, units: Sequence[int], name: str, comment: str
     ) -> Taking:
         """Read the units one after another and save their values as one set."""
+        SAVE.check(person)
         taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment)
         self._takings[taking.id] = taking
-        for old in list(self._takings)[:-_KEEP]:
+        for old in list(self._takings)[:-MAX_TAKINGS]:
             del self._takings[old]
         self.background.begin(self._run(person, keeper, taking), f"parameter set {taking.id}")
         return taking

@@ -2,43 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Any
 
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.live.api.schemas import MaybeTime, Time, UnitAddress
-from app.sets.compare import Compared, Comparison, with_unit
+from app.live.api.schemas import MaybeTime, UnitAddress
+from app.sets.compare import ParameterDifference, with_unit
 from app.sets.drift import DriftedParameter
-from app.sets.model import ParameterSet, UnitRows
-from app.sets.store import SetSummary
-from app.web.shape import MaybeMessage, MessageShown, iso, maybe_shown, message_shown
+from app.sets.model import Number, ParameterSet, SetHead, StoredRaw, UnitRows
+from app.web.shape import MessageObject, iso
 from bus.catalogue.parameters import PARAMETERS
-from bus.messages import Message, in_english
-
-Number = Annotated[int, Field(description="Number of the parameter, 1 to 40.")]
-StoredRaw = Annotated[
-    int | None, Field(description="Integer on the wire; null: not known, or a secret (#21).")
-]
-
-
-class SetHead(TypedDict):
-    """The first members of every response about a set."""
-
-    id: int
-    bus: str
-    name: str
-    comment: str
-    taken_at: Time
-    who: str
-    origin: Annotated[str, Field(description="Origin: by hand, on schedule, before the first write …")]
-    golden_for: Annotated[list[int], Field(description="Addresses of the units whose golden set it is.")]
-
-
-class ParameterSetSummary(SetHead):
-    """A stored parameter set without its values."""
-
-    units: Annotated[list[int], Field(description="Addresses of its units.")]
+from bus.messages import Message
 
 
 class ParameterSetParameter(TypedDict):
@@ -63,6 +39,7 @@ class ParameterSetUnit(TypedDict):
     parameters: list[ParameterSetParameter]
 
 
+@dataclass(frozen=True, slots=True)
 class ParameterSetShown(SetHead):
     """A stored parameter set with its values."""
 
@@ -77,29 +54,13 @@ class GoldenSet(TypedDict):
     golden: bool
 
 
-class ParameterDifference(TypedDict):
-    """One row of a comparison."""
-
-    number: Number
-    name: str
-    kind: Comparison
-    left: Annotated[str, Field(description="Value of the first set, as shown to people.")]
-    left_message: MessageShown
-    right: Annotated[str, Field(description="Value of the second.")]
-    right_message: MessageShown
-    left_raw: StoredRaw
-    right_raw: StoredRaw
-    meaning: Annotated[str, Field(description="What the difference means, English; empty: none.")]
-    meaning_message: MaybeMessage
-
-
+@dataclass(frozen=True, slots=True)
 class DriftRow(ParameterDifference):
     """A row in which a unit differs from its golden set, and whose change it is."""
 
     changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
     changed_at: MaybeTime
-    changed: Annotated[str, Field(description="at the panel, or by whom.")]
-    changed_message: MessageShown
+    changed: Annotated[MessageObject, Field(description="at the panel, or by whom.")]
 
 
 class DriftShown(TypedDict):
@@ -114,8 +75,7 @@ class OverdueSave(TypedDict):
     """A unit whose set of the day could not be saved yet."""
 
     unit: UnitAddress
-    why: Annotated[str, Field(description="Why, English.")]
-    why_message: MaybeMessage
+    why: Annotated[MessageObject | None, Field(description="Why.")]
 
 
 class SaveSchedule(TypedDict):
@@ -125,32 +85,19 @@ class SaveSchedule(TypedDict):
     overdue: list[OverdueSave]
 
 
-def summary_json(summary: SetSummary) -> ParameterSetSummary:
-    return {
-        **_head(summary),
-        "units": list(summary.units),
-    }
-
-
 def set_json(stored: ParameterSet) -> ParameterSetShown:
     """A complete set; secrets masked."""
-    return {
-        **_head(stored),
-        "units": [_unit_json(rows) for rows in stored.units],
-    }
-
-
-def _head(of: SetSummary | ParameterSet) -> SetHead:
-    return {
-        "id": of.id,
-        "bus": of.bus,
-        "name": of.name,
-        "comment": of.comment,
-        "taken_at": iso(of.taken_at),
-        "who": of.who,
-        "origin": of.origin,
-        "golden_for": sorted(of.golden_for),
-    }
+    return ParameterSetShown(
+        id=stored.id,
+        bus=stored.bus,
+        name=stored.name,
+        comment=stored.comment,
+        taken_at=stored.taken_at,
+        who=stored.who,
+        origin=stored.origin,
+        golden_for=tuple(sorted(stored.golden_for)),
+        units=[_unit_json(rows) for rows in stored.units],
+    )
 
 
 def _unit_json(rows: UnitRows) -> ParameterSetUnit:
@@ -172,32 +119,15 @@ def _unit_json(rows: UnitRows) -> ParameterSetUnit:
     return {"id": rows.unit, "name": rows.name, "parameters": parameters}
 
 
-def compared_json(row: Compared) -> ParameterDifference:
-    """One row of a comparison, as shown to people and raw."""
-    secret = PARAMETERS[row.number].secret
-    return {
-        "number": row.number,
-        "name": PARAMETERS[row.number].name,
-        "kind": row.kind,
-        "left": str(row.old),
-        "left_message": message_shown(row.old),
-        "right": str(row.new),
-        "right_message": message_shown(row.new),
-        "left_raw": None if secret or row.left is None else row.left.raw,
-        "right_raw": None if secret or row.right is None else row.right.raw,
-        "meaning": in_english(row.meaning),
-        "meaning_message": maybe_shown(row.meaning),
-    }
-
-
 def departure_json(departure: DriftedParameter) -> DriftRow:
     """A row of a comparison with the golden set, and whose change it is."""
     change = departure.change
-    changed = Message("changed_at_panel") if change is None else Message.of("changed_by", who=change["who"])
-    return {
-        **compared_json(departure.row),
-        "changed_by": None if change is None else change["who"],
-        "changed_at": None if change is None else iso(change["time"]),
-        "changed": str(changed),
-        "changed_message": message_shown(changed),
-    }
+    row: dict[str, Any] = {each.name: getattr(departure.row, each.name) for each in fields(departure.row)}
+    return DriftRow(
+        **row,
+        changed_by=None if change is None else change["who"],
+        changed_at=None if change is None else iso(change["time"]),
+        changed=Message("changed_at_panel")
+        if change is None
+        else Message.of("changed_by", who=change["who"]),
+    )

@@ -7,6 +7,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.sets.restore import RestoreService
 from app.swap import pages
+from app.swap.acts import ACTS
 from app.swap.service import SwapService
 from app.swap.store import SwapStore
 from bus.instants import unix_now
@@ -18,4 +19,4 @@ def make(services: Services) -> None:
     services.lifespan.add("swaps", start=swaps.load)
 
 
-FEATURE = Feature(make, (pages.router,))
+FEATURE = Feature(make, (pages.router,), ACTS)

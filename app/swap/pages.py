@@ -6,20 +6,20 @@ from functools import partial
 from time import time
 from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.commands.service.command_service import CommandService
-from app.commands.service.writer import Commands, ParameterWriter
+from app.commands.service.writer import Commands
 from app.errors import Problem
 from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
-from app.sets.api import ParameterSets, Sets
+from app.sets.api import ParameterSets
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import Chosen, post_source, set_or_404, unit_rows_or_404
-from app.sets.restore_api import Restores
-from app.sets.restore_view import RestoreRow, rows_left_out
+from app.sets.lookup import Chosen, Restores, Sets, post_source, set_or_404, unit_rows_or_404
+from app.sets.restore_view import RestoreOmission, rows_left_out
 from app.sets.sides import offers
+from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap
 from app.swap.rules import PROVEN, STEPS, Advice, advice, done_steps
 from app.swap.service import SwapService, look, source_of, step_text
@@ -30,13 +30,13 @@ from bus.messages import Message
 
 router = APIRouter(include_in_schema=False)
 
-
 Swaps = Annotated[SwapService, service(SwapService)]
+Beginner = Annotated[Person, BEGIN.permitted]
 
 
 @router.get("/swap/{bus}/{unit}")
 async def swap_page(
-    request: Request, _: ParameterWriter, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
+    request: Request, _: Beginner, sets: Sets, live: Live, swaps: Swaps, bus: str, unit: int
 ) -> Response:
     """What the spare shall become, then the path."""
     found = unit_or_404(live, bus, unit)
@@ -49,7 +49,7 @@ async def swap_page(
 @post_source(router, "/swap/{bus}/{unit}")
 async def begin(
     request: Request,
-    person: ParameterWriter,
+    person: Beginner,
     sets: Sets,
     live: Live,
     swaps: Swaps,
@@ -65,25 +65,25 @@ async def begin(
     return RedirectResponse(f"/swap/{bus}/{unit}", 303)
 
 
+async def swap_or_404(swaps: Swaps, bus: str, unit: int) -> Swap:
+    return swaps.of_or_404(bus, unit)
+
+
+SwapOfUnit = Annotated[Swap, Depends(swap_or_404)]
+"""The swap of ``{bus}`` and ``{unit}`` in the path."""
+
+
 @router.get("/swap/{bus}/{unit}/look")
 async def look_again(
-    request: Request,
-    person: ParameterWriter,
-    live: Live,
-    swaps: Swaps,
-    commands: Commands,
-    bus: str,
-    unit: int,
+    request: Request, person: Beginner, live: Live, swaps: Swaps, commands: Commands, swap: SwapOfUnit
 ) -> Response:
     """Read the wire; return the state of the swap and the next step."""
-    unit_or_404(live, bus, unit)
-    swap = swaps.of_or_404(bus, unit)
     now = PROVEN if swap.proven else await _advice(person, live, swaps, commands, swap)
     return render(
         request,
         "swap/_steps.html",
-        bus=bus,
-        unit=unit,
+        bus=swap.bus,
+        unit=swap.unit,
         advice=now,
         swap=swap,
         setpoints=_setpoints_left(swap),
@@ -105,48 +105,57 @@ async def _advice(
 
 
 @router.post("/swap/{bus}/{unit}/spare")
-async def it_is_the_spare(_: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
+async def confirm_spare(
+    person: Annotated[Person, CONFIRM_SPARE.permitted], swaps: Swaps, swap: SwapOfUnit
+) -> Response:
     """A person confirmed that the unit at the section's address is the spare."""
-    await swaps.confirm_spare(swaps.of_or_404(bus, unit))
-    return RedirectResponse(f"/swap/{bus}/{unit}", 303)
+    await swaps.confirm_spare(person, swap)
+    return RedirectResponse(f"/swap/{swap.bus}/{swap.unit}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/restore")
-async def begin_restore(
-    person: ParameterWriter, sets: Sets, restores: Restores, live: Live, swaps: Swaps, bus: str, unit: int
+async def restore_spare(
+    person: Annotated[Person, RESTORE_SPARE.permitted],
+    sets: Sets,
+    restores: Restores,
+    live: Live,
+    swaps: Swaps,
+    swap: SwapOfUnit,
 ) -> Response:
     """Plan the restore of the spare; the review of it comes next."""
-    unit_or_404(live, bus, unit)
-    swap = swaps.of_or_404(bus, unit)
+    unit_or_404(live, swap.bus, swap.unit)
     if swap.source is None:
         raise Problem(409, "no_set", Message("swap_without_set"))
     rows = unit_rows_or_404(await set_or_404(sets, swap.source.set), swap.source.unit)
-    restore = await restores.plan(person, bus, unit, rows)
-    await swaps.restoring(swap, restore)
+    restore = await restores.plan(person, swap.bus, swap.unit, rows, for_swap=True)
+    await swaps.begin_restore(person, swap, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/entered")
-async def entered(
-    person: ParameterWriter, keeper: ParameterSets, live: Live, swaps: Swaps, bus: str, unit: int
+async def save_entered(
+    person: Annotated[Person, SAVE_ENTERED.permitted],
+    keeper: ParameterSets,
+    live: Live,
+    swaps: Swaps,
+    swap: SwapOfUnit,
 ) -> Response:
     """Everything is entered from the sheet: read the complete unit and save it as a set."""
-    unit_or_404(live, bus, unit)
-    swap = swaps.of_or_404(bus, unit)
-    kept = await keeper.take(person, [unit], "", "", "from the sheet")
-    await swaps.entered(person, swap, kept)
+    unit_or_404(live, swap.bus, swap.unit)
+    kept = await keeper.take(person, [swap.unit], "", "", "from the sheet")
+    await swaps.save_entered(person, swap, kept)
     return RedirectResponse(f"/sets/{kept.id}", 303)
 
 
 @router.post("/swap/{bus}/{unit}/give-up")
-async def give_up(person: ParameterWriter, swaps: Swaps, bus: str, unit: int) -> Response:
+async def cancel(person: Annotated[Person, CANCEL.permitted], swaps: Swaps, swap: SwapOfUnit) -> Response:
     """Leave it; whatever was done at the unit stays."""
-    await swaps.give_up(person, swaps.of_or_404(bus, unit))
-    return RedirectResponse(f"/units/{bus}/{unit}", 303)
+    await swaps.cancel(person, swap)
+    return RedirectResponse(f"/units/{swap.bus}/{swap.unit}", 303)
 
 
-def _setpoints_left(swap: Swap) -> list[RestoreRow]:
+def _setpoints_left(swap: Swap) -> list[RestoreOmission]:
     """The setpoints that the spare does not have from the old unit, as they were not selected."""
     if swap.restore is None or not swap.proven:
         return []
-    return [row for row in rows_left_out(swap.restore) if row.left and row.left.reason == "operating_value"]
+    return [row for row in rows_left_out(swap.restore) if row.reason_code == "operating_value"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from app.audit.log import EventLog
 from app.commands.api.responses import outcome_message
@@ -19,10 +19,11 @@ from app.sets.keeper import SetKeeper
 from app.sets.lookup import FormSource
 from app.sets.model import ParameterSet
 from app.sets.reading import status_of
-from app.sets.restore import EndSubscriber
+from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.sides import side
 from app.sets.store import SetStore
+from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import FACTORY_ADDRESS, Advice, ProbeFinding, SwapState
 from app.swap.store import SwapStore
@@ -35,26 +36,16 @@ LOOK_WAIT_S = 2.0
 """How long a page waits for a probe before it shows the previous finding."""
 
 
-class RestoreLookup(Protocol):
-    """The restores that swaps lead to."""
-
-    async def find(self, restore_id: str) -> Restore | None:
-        """A restore by its id; None where there is none."""
-
-    def on_end(self, subscriber: EndSubscriber) -> None:
-        """Call ``subscriber`` with each restore that has ended."""
-
-
 class SwapService:
     """Keeps the swap of each unit, until it is ended or another of the unit begins."""
 
-    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreLookup, clock: Clock) -> None:
+    def __init__(self, events: EventLog, store: SwapStore, restores: RestoreService, clock: Clock) -> None:
         self._events = events
         self._store = store
         self._clock = clock
         self._swaps: dict[tuple[str, int], Swap] = {}
         self._restores = restores
-        restores.on_end(self.ended)
+        restores.on_end(self.on_restore_end)
 
     async def load(self) -> None:
         """Once at start, after the restores: what was under way when the server ended."""
@@ -66,7 +57,7 @@ class SwapService:
         return self._swaps.get((bus, unit))
 
     def of_or_404(self, bus: str, unit: int) -> Swap:
-        """The same. Raises Problem 404."""
+        """The swap of a section. Raises Problem 404 where none is begun."""
         return or_404(self.of(bus, unit), "unknown_swap", Message.of("swap_not_begun", unit=unit))
 
     async def begin(self, person: Person, bus: str, unit: int, source: SwapSource | None) -> Swap:
@@ -74,6 +65,7 @@ class SwapService:
 
         Raises Problem 409 where another swap of it is under way.
         """
+        BEGIN.check(person)
         under_way = self.of(bus, unit)
         if under_way is not None and not under_way.proven:
             other = Message.of("swap_under_way", who=account_shown(under_way.who), unit=unit)
@@ -81,7 +73,8 @@ class SwapService:
         swap = Swap(bus, unit, person.name, source, self._clock())
         await self._store.save(swap)
         self._swaps[bus, unit] = swap
-        await self._record(swap, person.name, Message.of("event_swap_begun", source=swap.source_message))
+        performed = BEGIN.by(person, source=swap.source_message)
+        await self._events.record(**performed, bus=bus, unit=unit)
         return swap
 
     async def look(self, swap: Swap, look: Callable[[], Coroutine[Any, Any, SwapState]]) -> SwapState | None:
@@ -102,25 +95,29 @@ class SwapService:
             return None
         return replace(swap.state, is_new=swap.is_new, equal=swap.equal)
 
-    async def confirm_spare(self, swap: Swap) -> None:
+    async def confirm_spare(self, person: Person, swap: Swap) -> None:
         """A person confirmed that the unit at the section's address is the spare."""
+        CONFIRM_SPARE.check(person)
         swap.is_new = True
-        swap.seen.append(Message("swap_named_by_person"))
+        swap.seen.append(Message(CONFIRM_SPARE.event))
         await self._store.save(swap)
 
-    async def restoring(self, swap: Swap, restore: Restore) -> None:
+    async def begin_restore(self, person: Person, swap: Swap, restore: Restore) -> None:
         """The restore of it has been planned."""
+        RESTORE_SPARE.check(person)
         swap.restore = restore
         await self._store.save(swap)
 
-    async def give_up(self, person: Person, swap: Swap) -> None:
+    async def cancel(self, person: Person, swap: Swap) -> None:
         """Close a swap that is not continued, or that was verified."""
+        CANCEL.check(person)
         del self._swaps[swap.bus, swap.unit]
         await self._store.remove(swap)
         if not swap.proven:
-            await self._record(swap, person.name, Message("event_swap_given_up"), swap.story)
+            performed = CANCEL.by(person)
+            await self._events.record(**performed, bus=swap.bus, unit=swap.unit, message=swap.story)
 
-    async def ended(self, restore: Restore) -> None:
+    async def on_restore_end(self, restore: Restore) -> None:
         """A restore is over: where it belongs to a swap and the full read was equal, so is the swap."""
         swap = self.of(restore.bus, restore.unit)
         if swap is None or restore.planned_at < swap.began_at or swap.proven:
@@ -138,26 +135,24 @@ class SwapService:
             Message.of("rows_left_out", rows=listed(left_out)) if left_out else None,
             Message("proven_by_full_read"),
         ]
-        await self._record(swap, restore.who, Message("event_swap_proven"), joined(story), outcome="verified")
+        await self._events.record(
+            kind=RESTORE_SPARE.kind,
+            who=restore.who,
+            bus=swap.bus,
+            unit=swap.unit,
+            what=Message(RESTORE_SPARE.event),
+            message=joined(story) or "",
+            outcome="verified",
+        )
 
-    async def entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
-        """Everything was entered from the sheet, and the complete unit was read: save it as a set."""
+    async def save_entered(self, person: Person, swap: Swap, kept: ParameterSet) -> None:
+        """Everything was entered from the sheet, and the complete unit was read and saved as ``kept``."""
+        SAVE_ENTERED.check(person)
         swap.proven = True
         await self._store.save(swap)
         story = joined([swap.story, Message("entered_from_sheet"), Message.of("kept_as_set", set=kept.id)])
-        await self._record(swap, person.name, Message("event_swap_kept"), story, outcome="verified")
-
-    async def _record(
-        self, swap: Swap, who: str, what: Message, message: Message | None = None, outcome: str | None = None
-    ) -> None:
         await self._events.record(
-            kind="swap",
-            who=who,
-            bus=swap.bus,
-            unit=swap.unit,
-            what=what,
-            message=message or "",
-            outcome=outcome,
+            **SAVE_ENTERED.by(person), bus=swap.bus, unit=swap.unit, message=story or "", outcome="verified"
         )
 
 
@@ -173,7 +168,7 @@ def step_text(advice: Advice, swap: Swap) -> Message:
 
 
 LOOK_TIMEOUT_S = 30.0
-LOOKS = 4
+MAX_PROBES = 4
 """Attempts at an address whose unit still responds to the scan."""
 
 
@@ -204,7 +199,7 @@ async def _at_section(
     commands: CommandService, live: LiveState, person: Person, bus: str, unit: int
 ) -> ProbeFinding:
     """One lost response is no absence: it would let the old unit, still on the cable, pass for the spare."""
-    for _ in range(LOOKS):
+    for _ in range(MAX_PROBES):
         kind = await _probe(commands, person, unit)
         if kind != "silent" or live.buses[bus].units[unit].link.link != "online":
             return kind
@@ -234,8 +229,9 @@ async def source_of(
 ) -> SwapSource | None:
     """What the form chooses, as a stored set: a neighbor is read now, a file is kept. None: the sheet.
 
-    ``keepers``: by bus. Raises Problem 404, 422 or 504.
+    ``keepers``: by bus. Raises Problem 403, 404, 422 or 504.
     """
+    BEGIN.check(person)
     if form.file and (rows := await form.uploaded(unit)):
         name = (form.file.filename or "")[:80]
         kept = await keepers(bus).keep(person, [rows], name, "", "from a file")

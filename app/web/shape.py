@@ -10,7 +10,7 @@ from io import StringIO
 from typing import Annotated, Any
 
 import msgspec
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, InstanceOf, PlainSerializer, WithJsonSchema
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
@@ -113,6 +113,10 @@ def reason_shown(message: Message) -> ReasonShown:
 
 def message_shown(message: Message) -> MessageShown:
     return {"code": message.code, "params": msgspec.to_builtins(message.params), "detail": str(message)}
+
+
+MessageObject = Annotated[InstanceOf[Message], PlainSerializer(message_shown, return_type=MessageShown)]
+"""A message as the member of a response: one object, which pages render in the language of the reader."""
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:

@@ -202,14 +202,18 @@ def test_a_backup_replaces_no_device_folder_or_link(tmp_path: Path, make: Callab
     assert (out.lstat().st_mode, out.lstat().st_ino) == (before.st_mode, before.st_ino)
 
 
+def text(detail: str) -> dict[str, Any]:
+    return {"code": "differs", "params": {}, "detail": detail}
+
+
 def row(number: int, name: str, **more: Any) -> dict[str, Any]:
-    values = {"present": "10.0 s", "wanted": "5.0 s", "present_raw": 100, "wanted_raw": 50}
+    values = {"present": text("10.0 s"), "wanted": text("5.0 s"), "present_raw": 100, "wanted_raw": 50}
     plain = {
         "reason": None,
         "warning": None,
         "outcome": None,
-        "message": "",
-        "meaning": "5.0 s instead of 10.0 s",
+        "message": None,
+        "meaning": text("5.0 s instead of 10.0 s"),
     }
     return {"number": number, "name": name, "selected": True, **values, **plain, **more}
 
@@ -221,16 +225,16 @@ def left_out(number: int, name: str, **more: Any) -> dict[str, Any]:
 PLAN = {
     "id": "r1",
     "state": "planned",
-    "cause": "",
+    "cause": None,
     "equal": 38,
-    "remarks": ["the unit runs"],
+    "remarks": [text("the unit runs")],
     "rows": [
-        row(6, "Acceleration Ramp Rate", warning="Changes how fast it is"),
-        row(20, "Speed Setpoint", selected=False, reason="Changes the machine's speed now"),
+        row(6, "Acceleration Ramp Rate", warning=text("Changes how fast it is")),
+        row(20, "Speed Setpoint", selected=False, reason=text("Changes the machine's speed now")),
     ],
     "left_out": [
-        left_out(20, "Speed Setpoint", reason="Changes the machine's speed now"),
-        left_out(21, "Operator Password", reason="secret, not stored in the set", differs=None),
+        left_out(20, "Speed Setpoint", reason=text("Changes the machine's speed now")),
+        left_out(21, "Operator Password", reason=text("secret, not stored in the set"), differs=None),
     ],
 }
 
@@ -274,7 +278,7 @@ def test_the_result_for_programs_has_the_rows_left_out_too(file: Path) -> None:
     done, _ = restore(file, "--yes", "--json")
     rows = json.loads(done.stdout)
     assert [(each["number"], each["outcome"]) for each in rows] == [(6, "verified"), (20, "left_out")]
-    assert rows[1]["message"] == "Changes the machine's speed now"
+    assert rows[1]["message"]["detail"] == "Changes the machine's speed now"
 
 
 @pytest.mark.parametrize(("numbers", "words"), [((6,), "#6 differs;"), ((6, 7), "#6, #7 differ;")])

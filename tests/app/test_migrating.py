@@ -14,6 +14,11 @@ from app.database import Database
 from app.database.messages import UNREADABLE, messages_of, stored_messages
 from app.database.migrating import MIGRATIONS, migrations_in
 from app.errors import StoreError
+from app.sets.model import ParameterRow, UnitRows
+from app.sets.order import Write
+from app.sets.plan import LeftOut, RestorePlan
+from app.sets.restore_record import RowResult
+from app.sets.restore_store import RestoreStore
 from bus.messages import Message
 
 FIRST = "CREATE TABLE a (x INTEGER);\nINSERT INTO a VALUES (1);\n"
@@ -81,7 +86,7 @@ def test_every_migration_has_a_different_number() -> None:
     assert len(set(numbers)) == len(numbers)
 
 
-def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
+async def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
     """Results by key and rows of restores held #21; the keys remain refused to every sender."""
     before = tmp_path / "before"
     before.mkdir()
@@ -98,17 +103,20 @@ def test_what_was_kept_of_a_secret_is_overwritten(tmp_path: Path) -> None:
         ):
             old.write_now(lambda c, row=row: c.execute(f"INSERT INTO {row}"))  # type: ignore[misc]
     with closing(Database(path)) as new:
-        rows = new.read_now(lambda c: [tuple(row)[2:5] for row in c.execute("SELECT * FROM restore_row")])
-        values = new.read_now(lambda c: [row["raw"] for row in c.execute("SELECT * FROM restore_value")])
+        restore = await RestoreStore(new).load("r")
         known = new.read_now(lambda c: idempotency.find(c, "anna 0.0", "mine"))
-    assert rows == [(21, -1, -1), (6, 50, 51)]
-    assert values == [None]
+    assert restore is not None
+    assert [(row.write.present, row.write.wanted, row.read_back) for row in restore.rows] == [
+        (-1, -1, None),
+        (50, 51, 51),
+    ]
+    assert restore.wanted.raw(21) is None
     assert known is not None
     assert (known.command, known.result.outcome) == ("", "unverified")
     assert b"73195" not in path.read_bytes(), "nor in a free page"
 
 
-def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path) -> None:
+async def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path) -> None:
     before = tmp_path / "before"
     before.mkdir()
     for step in MIGRATIONS.glob("00[0-5]*.sql"):
@@ -132,10 +140,55 @@ def test_the_texts_of_an_earlier_version_stay_as_they_were(tmp_path: Path) -> No
         return [[str(message) for message in messages_of(text)] for text in found]
 
     with closing(Database(path)) as new:
-        assert stored("restore", "cause") == [[texts[0]]]
-        assert stored("restore_row", "message") == [[texts[0]], []]
-        assert stored("restore_left_out", "reason") == [[texts[0]]]
         assert stored("swap", "seen") == [texts[1].split("\n"), []]
+        restore = await RestoreStore(new).load("r")
+    assert restore is not None
+    assert str(restore.cause) == texts[0]
+    assert [row.message and str(row.message) for row in restore.rows] == [texts[0], None]
+    assert [str(left.text) for left in restore.left_out] == [texts[0]]
+
+
+async def test_a_restore_of_an_earlier_version_stays_as_it_was(tmp_path: Path) -> None:
+    before, path = tmp_path / "before", tmp_path / "lineside.db"
+    before.mkdir()
+    for step in MIGRATIONS.glob("*.sql"):
+        if int(step.name[:4]) < 120:
+            shutil.copy(step, before)
+    stopped = stored_messages([Message.of("restore_left_off", who="ben", done=1, n=2)])
+    rows = (
+        ("restore", ("r", "b", 2, "Nip", "anna", 1000.25, 36, "stopped", stopped, "cancelled")),
+        ("restore_row", ("r", 1, 7, 50, 60, "not_sent", "[]", None)),
+        ("restore_row", ("r", 0, 6, 0, 50, "refused", "{", 40)),
+        ("restore_left_out", ("r", 17, stored_messages([Message("row_address")]), 0, "address")),
+        ("restore_left_out", ("r", 12, "[]", 1, None)),
+        ("restore_value", ("r", "wanted", 6, 50, 1, 999.5)),
+        ("restore_value", ("r", "before", 6, 0, 1, None)),
+        ("restore_value", ("r", "before", 30, None, 0, None)),
+        ("restore", ("s", "b", 2, "Nip", "anna", 1001.0, 40, "running", "[]", None)),
+    )
+    with closing(Database(path, before)) as old:
+        for table, row in rows:
+            insert = f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})"
+            old.write_now(lambda c, insert=insert, row=row: c.execute(insert, row))  # type: ignore[misc]
+    with closing(Database(path)) as new:
+        later, restore = await RestoreStore(new).of_unit("b", 2)
+        assert [one.id for one in await RestoreStore(new).under_way()] == ["s"]
+    address, remote = LeftOut(17, "address", Message("row_address")), LeftOut(12, "not_in_remote", UNREADABLE)
+    assert (later.state, later.rows, later.plan, later.proven) == (
+        "running",
+        [],
+        RestorePlan((), (), 40),
+        None,
+    )
+    assert (restore.who, restore.planned_at, restore.state) == ("anna", 1000.25, "stopped")
+    assert (str(restore.cause), restore.cause_code) == ("canceled by ben after 1 of 2 rows", "cancelled")
+    assert restore.rows == [
+        RowResult(Write(6, 0, 50), "refused", None, 40),
+        RowResult(Write(7, 50, 60), "not_sent"),
+    ]
+    assert restore.plan == RestorePlan((Write(6, 0, 50), Write(7, 50, 60)), (remote, address), 36)
+    assert restore.wanted == UnitRows(2, "Nip", {6: ParameterRow(6, 50, read_at=999.5)})
+    assert restore.before.rows == {6: ParameterRow(6, 0), 30: ParameterRow(30, None, available=False)}
 
 
 def test_a_stored_text_that_is_no_message_is_shown_as_that() -> None:

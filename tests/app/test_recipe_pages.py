@@ -56,3 +56,28 @@ async def test_the_name_of_a_unit_is_no_word_of_the_page(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
     page = await viewer.get(f"/recipes/{recipe.id}", headers={"Accept-Language": "de"})
     assert '<th scope="row">Line</th>' in page.text
+
+
+async def test_programs_see_what_a_load_would_do_and_what_departed(house: House) -> None:
+    bus = house.services[LiveState].buses["dry-end"]
+    bus.apply([ParameterValue(unit=1, number=number, at=1, raw=raw) for number, raw in ((3, 1), (8, 0))])
+    recipe = await house.services[RecipeBook].save(ANNA, "dry-end", "Board", "", {1: 700})
+    viewer = await house.signed_in(Role.VIEWER)
+    run = (await viewer.get(f"/api/v1/recipes/{recipe.id}/dry-run")).json()
+    [step] = run["units"]
+    assert (run["loadable"], step["id"], step["name"], step["raw"], step["new"]) == (
+        False,
+        1,
+        "Unwind",
+        700,
+        "70.0",
+    )
+    assert (step["old"], step["ramp_s"], step["obstacle"]["code"]) == (None, None, "obstacle_no_link")
+    assert step["effect"]["detail"].startswith("becomes 70.0")
+    assert not {"measure", "risks"} & step.keys()
+    await house.services[RecipeBook].store.mark_loaded("dry-end", recipe.id, "anna", time.time())
+    await house.services[RecipeBook].load_marks()
+    del bus.units[1]
+    [departed] = (await viewer.get("/api/v1/buses/dry-end/recipe")).json()["departed"]
+    assert (departed["id"], departed["name"], departed["recipe"]) == (1, "unit 1", "700")
+    assert departed["now"]["code"] == "unit_not_configured"

@@ -10,7 +10,7 @@ from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
-from app.recipes.rules import NOT_CONFIGURED, LoadStep, Recipe, RecipeSetpoint, dry_run, setpoints_now
+from app.recipes.rules import NOT_CONFIGURED, Recipe, RecipeDryRunStep, RecipeSetpoint, dry_run, setpoints_now
 from app.recipes.store import RecipeStore
 from app.web.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
@@ -82,7 +82,7 @@ async def test_the_dry_run_shows_old_new_and_the_time_of_the_ramp(scene: Scene) 
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 11000, 2: 0})
     run = scene.book.try_out(ANNA, recipe)
     assert run.loadable
-    assert [(step.old, step.new, step.ramp_s) for step in run.steps] == [
+    assert [(str(step.old), step.new, step.ramp_s) for step in run.steps] == [
         ("100.0", "1100.0", 5.0),
         ("100.0", "0.0", 0.25),
     ]
@@ -193,7 +193,7 @@ def a_recipe(*setpoints: RecipeSetpoint) -> Recipe:
     return Recipe("dry-end", "Kraft 80", "", "anna", 0.0, setpoints)
 
 
-def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[LoadStep, ...]:
+def steps_of(live: LiveState, *setpoints: RecipeSetpoint) -> tuple[RecipeDryRunStep, ...]:
     return dry_run(a_recipe(*setpoints), live.buses["dry-end"], lambda _unit, _raw: None, unix_now()).steps
 
 
@@ -204,7 +204,7 @@ def test_a_unit_that_is_not_configured_is_named_by_its_address() -> None:
 
 def test_what_a_unit_has_now_is_unknown_until_it_was_read() -> None:
     [step] = steps_of(a_bus(), RecipeSetpoint(1, 1200, "speed"))
-    assert (step.old, in_english(step.effect)) == ("", "becomes 1200; what it has now is not known")
+    assert (step.old, in_english(step.effect)) == (None, "becomes 1200; what it has now is not known")
 
 
 def test_a_unit_whose_mode_was_not_read_cannot_be_loaded() -> None:

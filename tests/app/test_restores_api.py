@@ -73,7 +73,8 @@ async def test_a_plan_shows_which_rows_are_selected_and_why_not(
     setpoint = next(row for row in planned["rows"] if row["number"] == 20)
     assert (setpoint["reason_code"], setpoint["effect"]) == ("operating_value", "setpoint")
     assert (setpoint["present_raw"], setpoint["wanted_raw"]) == (1000, 1216)
-    assert setpoint["reason"] == setpoint["warning"] == "Changes the machine's speed now"
+    assert setpoint["reason"] == setpoint["warning"]
+    assert setpoint["reason"]["detail"] == "Changes the machine's speed now"
     left = {row["number"]: (row["reason_code"], row["differs"]) for row in planned["left_out"]}
     assert left == {
         20: ("operating_value", True),

@@ -17,7 +17,7 @@ def test_all_forty_rows_are_there_and_unread_ones_are_marked() -> None:
     compared = compare(unit({6: 50}), unit({}))
     assert [row.number for row in compared] == list(PARAMETERS)
     assert {row.kind for row in compared} == {"unknown"}
-    assert next(row for row in compared if row.number == 6).new == Message("value_not_known")
+    assert next(row for row in compared if row.number == 6).right == Message("value_not_known")
 
 
 def test_a_ramp_explains_what_the_machine_will_do() -> None:
@@ -30,7 +30,7 @@ def test_a_ramp_explains_what_the_machine_will_do() -> None:
 
 def test_each_side_shows_speeds_with_its_decimals() -> None:
     row = next(row for row in differences(unit({3: 1, 9: 1000}), unit({3: 2, 9: 2000})) if row.number == 9)
-    assert (row.old, row.new) == (number("100.0"), number("20.00"))
+    assert (row.left, row.right) == (number("100.0"), number("20.00"))
 
 
 def test_tolerance_in_raw_counts() -> None:
@@ -40,14 +40,14 @@ def test_tolerance_in_raw_counts() -> None:
 
 def test_the_password_is_compared_but_never_shown() -> None:
     (row,) = differences(unit({21: 4711}), unit({21: 815}))
-    assert "4711" not in f"{row.old}{row.new}{row.meaning}"
-    assert "815" not in f"{row.old}{row.new}{row.meaning}"
+    assert "4711" not in f"{row.left}{row.right}{row.meaning}"
+    assert "815" not in f"{row.left}{row.right}{row.meaning}"
 
 
 def test_a_parameter_that_only_one_of_them_has_is_a_difference() -> None:
     lacking = UnitRows(1, "Nip", {40: ParameterRow(40, None, available=False)})
     (row,) = differences(unit({40: 1}), lacking)
-    assert (row.kind, row.new) == ("unavailable", Message("value_not_in_unit"))
+    assert (row.kind, row.right) == ("unavailable", Message("value_not_in_unit"))
     assert differences(lacking, lacking) == []
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from app.errors import Problem, StoreError
 from app.sets.taking import Takings
+from app.web.access import Person, Role
 from bus.messages import Message
 from tests.app.played_commands import ANNA, SetScene
 from tests.app.screens import translator
@@ -42,9 +43,9 @@ async def test_a_set_keeps_every_value_with_its_evidence(scene: Scene) -> None:
 
 async def test_the_list_goes_on_before_the_oldest_that_was_shown(scene: Scene) -> None:
     ids = [(await scene.keeper.take(ANNA, [1], "", "")).id for _ in range(3)]
-    newest = await scene.store.summaries(most=2)
+    newest = await scene.store.summaries(limit=2)
     assert [summary.id for summary in newest] == ids[:0:-1]
-    older = await scene.store.summaries(before=newest[-1].id, most=2)
+    older = await scene.store.summaries(before=newest[-1].id, limit=2)
     assert [summary.id for summary in older] == ids[:1]
 
 
@@ -72,6 +73,24 @@ async def test_a_reading_that_cannot_be_stored_ends_as_failed_with_its_reason(
     assert (taking.state, taking.set_id) == ("failed", None)
     reasons = [taking.cause] if failing == "saving" else list(taking.missing.values())
     assert {str(reason) for reason in reasons} == {"the disk is full"}
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    kept, person, takings = (
+        await scene.keeper.take(ANNA, [1], "", ""),
+        Person("ben", role, "session"),
+        Takings(),
+    )
+    read = len(scene.commands.sent)
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.keeper.take(person, [1])
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.keeper.mark_golden(person, kept, 1)
+    with pytest.raises(Problem, match="role engineer"):
+        takings.begin(person, scene.keeper, [1], "", "")
+    assert len(scene.commands.sent) == read
+    assert [summary.golden_for for summary in await scene.store.summaries()] == [()]
 
 
 @pytest.mark.parametrize("change", ["UPDATE parameter_set_row SET raw = 1", "DELETE FROM parameter_set_row"])

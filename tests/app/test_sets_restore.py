@@ -12,15 +12,18 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
+from app.sets.order import Write
 from app.sets.plan import Selection
 from app.sets.reading import ParameterReader
 from app.sets.restore import RestoreService
 from app.sets.restore_record import Restore
 from app.sets.restore_store import RestoreStore
+from app.web.access import Person, Role
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
 
+BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
 
 
@@ -111,13 +114,30 @@ async def test_a_timeout_stops_it_and_a_second_run_finishes_the_rest(a_scene: Se
 async def test_a_canceled_restore_lists_the_rows_done(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan()
-    restore.cancel("ben")
+    scene.restores.cancel(BEN, restore)
     await scene.finish(restore)
     assert restore.state == "stopped"
     assert restore.cause == Message.of("restore_left_off", who="ben", done=0, n=4)
     assert str(restore.cause) == "canceled by ben after 0 of 4 rows"
     assert {row.outcome for row in restore.rows} == {"not_sent"}
     assert scene.commands.written == []
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(a_scene: SetsScene, role: Role) -> None:
+    scene, person = a_scene(), Person("vera", role, "session")
+    restore = await scene.plan()
+    read = len(scene.commands.sent)
+    with pytest.raises(Problem, match="role engineer"):
+        await scene.restores.plan(person, "dry-end", 2, rows(WANTED))
+    with pytest.raises(Problem, match="role engineer"):
+        scene.restores.select(person, restore, Selection(exclude=frozenset({6})))
+    for act in (scene.restores.start, scene.restores.cancel):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            act(person, restore)
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (restore.state, restore.cancelled_by, len(scene.commands.sent)) == ("planned", "", read)
+    assert len(restore.rows) == len(WANTED)
 
 
 async def test_it_starts_once_and_one_at_a_time_for_a_unit(a_scene: SetsScene) -> None:
@@ -182,6 +202,30 @@ async def test_what_a_restore_found_is_the_same_after_the_next_start(a_scene: Se
     assert [row.number for row in kept.remaining] == [7]
 
 
+async def test_a_stored_restore_holds_nothing_of_the_operator_password(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    restore = await scene.run({6: 50, 21: 4711})
+    assert scene.commands.memory[2][21] == 4711
+    kept = await scene.server().find(restore.id)
+    assert kept is not None
+    assert [(row.write, row.read_back) for row in kept.rows if row.write.number == 21] == [
+        (Write(21, -1, -1), None)
+    ]
+    assert all(side is not None and side.raw(21) is None for side in (kept.wanted, kept.before, kept.proven))
+    select = "SELECT content FROM restore"
+    [[content]] = await scene.store.database.read(lambda connection: connection.execute(select).fetchall())
+    assert "4711" not in content
+
+
+async def test_a_stored_restore_that_cannot_be_read_is_left_out(a_scene: SetsScene) -> None:
+    scene = a_scene()
+    kept, broken = await scene.run(), await scene.run({6: 51})
+    update = "UPDATE restore SET content = '{}' WHERE id = ?"
+    await scene.store.database.write(lambda connection: connection.execute(update, (broken.id,)))
+    assert [one.id for one in await scene.server().of_unit("dry-end", 2)] == [kept.id]
+    assert await scene.server().find(broken.id) is None
+
+
 async def test_a_unit_in_local_is_reported_beforehand_and_is_not_called_equal(a_scene: SetsScene) -> None:
     scene = a_scene()
     scene.commands.memory[2][19] = 0
@@ -217,11 +261,11 @@ async def test_a_deselected_row_is_not_written_and_not_missed(a_scene: SetsScene
 async def test_a_plan_takes_another_choice_until_it_begins(a_scene: SetsScene) -> None:
     scene = a_scene()
     restore = await scene.plan(WANTED | {20: 5})
-    scene.restores.select(restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
+    scene.restores.select(ANNA, restore, Selection(include=frozenset({20}), exclude=frozenset({6})))
     await scene.finish(restore)
     assert {number for _, number, _ in scene.commands.written} == {7, 9, 12, 20}
     with pytest.raises(Problem) as refused:
-        scene.restores.select(restore, Selection())
+        scene.restores.select(ANNA, restore, Selection())
     assert refused.value.code == "already_started"
 
 

@@ -152,6 +152,15 @@ def test_a_daily_minute_is_due_once_also_over_midnight() -> None:
     assert due_between(60, at(20, 0, 58), at(21, 1, 0)) == at(21, 1, 0), "the last of two"
 
 
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    await scene.schedule.set(ANNA, 125)
+    for minute in (0, None):
+        with pytest.raises(Problem, match="role engineer"):
+            await scene.schedule.set(Person("ben", role, "session"), minute)
+    assert await scene.store.schedule() == {"dry-end": 125}
+
+
 async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
     await scene.schedule.set(ANNA, 125)
     assert await scene.store.schedule() == {"dry-end": 125}

@@ -13,18 +13,18 @@ import pytest
 from app.database import Database
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
-from app.sets.model import ParameterSet, UnitRows
+from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
 from app.sets.order import Write
 from app.sets.plan import LeftOut, RestorePlan
 from app.sets.restore import EndSubscriber
 from app.sets.restore_record import Restore, RestoreState, RowResult
 from app.sets.sides import offers
-from app.sets.store import SetStore, SetSummary
+from app.sets.store import SetStore
 from app.swap.record import Swap, SwapSource
 from app.swap.rules import STEPS, ProbeFinding, SwapState, advice, done_steps
-from app.swap.service import LOOKS, SwapService, look, step_text
+from app.swap.service import MAX_PROBES, SwapService, look, step_text
 from app.swap.store import SwapStore
-from app.web.access import Person
+from app.web.access import Person, Role
 from bus.contract import Action, FoundUnit, Outcome, Result, ScanBus, UnitLink
 from bus.messages import Message, term
 from bus.settings import BusSettings
@@ -117,12 +117,12 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
         swap.saw(seen)
     assert swap.is_new
     restore = a_restore(state="different")
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
     assert swap.equal is False
     assert len(events.events) == 1
     restore.state = "equal"
-    await scene.swaps.ended(restore)
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
+    await scene.swaps.on_restore_end(restore)
     assert swap.proven
     [_, end] = events.events
     assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
@@ -136,9 +136,28 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
         assert part in end["message"]
 
 
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
+    swap, swaps, person = await scene.begin(), scene.swaps, Person("ben", role, "session")
+    kept = ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9)
+    for step in (
+        swaps.begin(person, "dry-end", 1, None),
+        swaps.confirm_spare(person, swap),
+        swaps.begin_restore(person, swap, a_restore(state="planned")),
+        swaps.save_entered(person, swap, kept),
+        swaps.cancel(person, swap),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await step
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert (swap.is_new, swap.restore, swap.proven, swap.seen) == (False, None, False, [])
+    assert (swaps.of("dry-end", 1), swaps.of("dry-end", 2)) == (None, swap)
+    assert len(scene.events.events) == 1
+
+
 async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: Scene) -> None:
     swap = await scene.begin()
-    await scene.swaps.ended(a_restore(state="equal", planned_at=99.0))
+    await scene.swaps.on_restore_end(a_restore(state="equal", planned_at=99.0))
     assert (swap.restore, swap.proven) == (None, False)
 
 
@@ -146,7 +165,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
     await scene.swaps.look(swap, lambda: shown(state("silent")))
     await scene.swaps.look(swap, lambda: shown(state("digimax", remote=True)))
-    await scene.swaps.ended(restore)
+    await scene.swaps.on_restore_end(restore)
 
     scene.restores[restore.id] = restore
     again = scene.another()
@@ -156,7 +175,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
     with pytest.raises(Problem, match="anna has already started a swap of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
-    await again.give_up(ANNA, known)
+    await again.cancel(ANNA, known)
     later = scene.another()
     await later.load()
     assert later.of("dry-end", 2) is None
@@ -167,7 +186,7 @@ async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene
     assert scene.events.events[-1]["what"] == "unit swap started, from the parameter sheet"
     ready = advice(state("digimax", remote=True))
     assert step_text(ready, swap) == Message("swap_enter_sheet")
-    await scene.swaps.entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
+    await scene.swaps.save_entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))
     assert swap.equal
     proven = advice(state("digimax", remote=True, equal=True))
     assert step_text(proven, swap) == Message("swap_compare_with_sheet")
@@ -188,7 +207,7 @@ def test_a_unit_without_a_set_is_offered_those_of_its_group_first() -> None:
     )
     live = LiveState([settings], started_at=0.0)
     sets = [
-        SetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", units, golden)
+        ParameterSetSummary(number, "dry-end", "", "", float(number), "anna", "by hand", golden, units)
         for number, units, golden in ((4, (1, 2), ()), (3, (2,), ()), (2, (2,), (2,)))
     ]
     helps = offers(live, sets, "dry-end", 3)
@@ -221,7 +240,7 @@ class Wire:
     [
         ("online", ["silent", "digimax"], "digimax"),
         ("online", ["silent", "silent", "garbled"], "garbled"),
-        ("online", ["silent"] * LOOKS + ["silent"], "silent"),
+        ("online", ["silent"] * MAX_PROBES + ["silent"], "silent"),
         ("offline", ["silent", "silent"], "silent"),
     ],
 )

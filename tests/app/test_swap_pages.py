@@ -8,6 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.sets.restore import RestoreService
 from app.sets.store import SetStore
 from app.swap.service import SwapService
 from app.web.access import Role
@@ -69,3 +70,20 @@ async def test_what_names_no_source_begins_nothing(
     refused = await client.post(SWAP, data={"source": source})
     assert refused.status_code in (404, 422)
     assert house.services[SwapService].of(BUS, 2) is None
+
+
+async def test_the_restore_of_a_spare_leads_back_to_the_swap_and_no_other_does(
+    house: House, client: httpx.AsyncClient
+) -> None:
+    number = await stored(client)
+    await client.post(SWAP, data={"source": f"set:{number}:2"})
+    planned = await client.post(f"{SWAP}/restore")
+    again = await client.post(f"{planned.headers['location']}/again")
+    other = await client.post(f"/units/{BUS}/2/restore", data={"source": f"set:{number}:2"})
+    links = []
+    for review in (planned, again, other):
+        path = review.headers["location"]
+        assert (await client.post(f"/api/v1{path}/start")).status_code == 202
+        await house.services[RestoreService].background.settled()
+        links.append(f'href="{SWAP}"' in (await client.get(path)).text)
+    assert links == [True, True, False]

@@ -83,7 +83,7 @@ async def test_a_restore_stops_between_two_rows(
     assert (await client.post(f"/api/v1/restores/{plan['id']}/start")).status_code == 202
     end = await ended(house, plan["id"])
     assert (end["state"], end["cause_code"]) == ("stopped", "rights_withdrawn")
-    assert end["cause"].startswith(cause)
+    assert end["cause"]["detail"].startswith(cause)
     assert [row["outcome"] for row in end["rows"]] == (
         ["verified"] * STOPPED_AFTER + ["not_sent"] * (ROWS - STOPPED_AFTER)
     )
@@ -118,7 +118,7 @@ async def test_a_restore_under_a_token_ends_with_the_token(
     line.before_write = before
     await client.post(f"/api/v1/restores/{plan['id']}/start")
     end = await ended(house, plan["id"])
-    assert end["cause"].startswith("rights withdrawn: the token was revoked or has expired")
+    assert end["cause"]["detail"].startswith("rights withdrawn: the token was revoked or has expired")
     assert len(line.written) == 1
 
 

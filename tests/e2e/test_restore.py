@@ -279,7 +279,7 @@ def test_a_file_that_is_too_long_and_a_unit_that_is_not_there(site: Site, tmp_pa
         response = client.post("/buses/line/units/9/restores", json={"document": good})
         assert (response.status_code, "9" in response.json()["detail"]) == (404, True)
         planned = client.post("/buses/line/units/1/restores", json={"document": good}).json()
-        assert "the set is from unit 2, this is unit 1: check every row" in planned["remarks"]
+        assert "the set is from unit 2, this is unit 1: check every row" in str(planned["remarks"])
     file = tmp_path / "good.toml"
     file.write_text("\ufeff" + good, encoding="utf-8")
     result = runner.invoke(cli, ["restore", *to(site, 9), str(file)])
