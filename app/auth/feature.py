@@ -8,6 +8,7 @@ from functools import partial
 from app.audit.log import EventLog
 from app.auth import api, pages, users
 from app.auth.accounts import Accounts
+from app.auth.acts import ACTS
 from app.auth.identity import Identity
 from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
@@ -31,4 +32,4 @@ def make(services: Services) -> None:
     services.add(Identity(database, sign_in, services.worker_tokens))
 
 
-FEATURE = Feature(make, (api.router, pages.router, users.router))
+FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable
+from typing import Annotated
 
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth.accounts import Accounts
+from app.auth.acts import (
+    ADD_PANEL,
+    ADD_USER,
+    CREATE_TOKEN,
+    DISABLE_USER,
+    ENABLE_USER,
+    REMOVE_USER,
+    REVOKE_TOKEN,
+    SET_PASSWORD,
+    SET_ROLE,
+)
 from app.auth.pages import FormText, Keeping, address_of
-from app.web.access import PEOPLE_ROLES, Admin, Role, role_named
+from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
 from app.web.templating import render
 from bus.errors import CallerError
@@ -66,22 +78,21 @@ async def users_page(request: Request, _: Admin, accounts: Keeping) -> HTMLRespo
 @router.post("/users")
 async def add_user(
     request: Request,
-    person: Admin,
+    person: Annotated[Person, ADD_USER.permitted],
     accounts: Keeping,
     name: FormText = "",
     role: FormText = "viewer",
     password: FormText = "",
 ) -> Response:
     """A person, by password."""
-    by, origin = person.name, address_of(request)
-    add = accounts.add_user(name.strip(), role_named(role), password, by=by, origin=origin)
+    add = accounts.add_user(name.strip(), role_named(role), password, by=person, origin=address_of(request))
     return await change_response(request, accounts, add)
 
 
 @router.post("/users/panels")
 async def add_panel(
     request: Request,
-    person: Admin,
+    person: Annotated[Person, ADD_PANEL.permitted],
     accounts: Keeping,
     panel: FormText = "",
     panel_role: FormText = "viewer",
@@ -89,41 +100,52 @@ async def add_panel(
     home: FormText = "/",
 ) -> Response:
     """A panel on the wall, by PIN; it only looks unless it is given more."""
-    by, origin = person.name, address_of(request)
     role, begins = role_named(panel_role), home.strip() or "/"
-    add = accounts.add_panel(panel.strip(), role, pin, begins, by=by, origin=origin)
+    add = accounts.add_panel(panel.strip(), role, pin, begins, by=person, origin=address_of(request))
     return await change_response(request, accounts, add)
 
 
 @router.post("/users/{name}/role")
 async def set_role(
-    request: Request, person: Admin, accounts: Keeping, name: str, role: FormText = ""
+    request: Request,
+    person: Annotated[Person, SET_ROLE.permitted],
+    accounts: Keeping,
+    name: str,
+    role: FormText = "",
 ) -> Response:
     """Change the role of a user."""
-    change = accounts.set_role(name, role_named(role), by=person.name, origin=address_of(request))
+    change = accounts.set_role(name, role_named(role), by=person, origin=address_of(request))
     return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/disable")
-async def disable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
+async def disable(
+    request: Request, person: Annotated[Person, DISABLE_USER.permitted], accounts: Keeping, name: str
+) -> Response:
     """Disable a user; every session ends."""
-    change = accounts.set_disabled(name, True, by=person.name, origin=address_of(request))
+    change = accounts.set_disabled(name, True, by=person, origin=address_of(request))
     return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/enable")
-async def enable(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
+async def enable(
+    request: Request, person: Annotated[Person, ENABLE_USER.permitted], accounts: Keeping, name: str
+) -> Response:
     """Enable a user again."""
-    change = accounts.set_disabled(name, False, by=person.name, origin=address_of(request))
+    change = accounts.set_disabled(name, False, by=person, origin=address_of(request))
     return await change_response(request, accounts, change)
 
 
 @router.post("/users/{name}/password")
 async def reset_password(
-    request: Request, person: Admin, accounts: Keeping, name: str, password: FormText = ""
+    request: Request,
+    person: Annotated[Person, SET_PASSWORD.permitted],
+    accounts: Keeping,
+    name: str,
+    password: FormText = "",
 ) -> Response:
     """A new password (a PIN for a panel); every session ends."""
-    reset = accounts.set_password(name, password, by=person.name, origin=address_of(request))
+    reset = accounts.set_password(name, password, by=person, origin=address_of(request))
     return await change_response(request, accounts, reset)
 
 
@@ -134,17 +156,19 @@ async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
 
 
 @router.post("/users/{name}/remove")
-async def remove(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
+async def remove(
+    request: Request, person: Annotated[Person, REMOVE_USER.permitted], accounts: Keeping, name: str
+) -> Response:
     """Remove a user, whose actions stay in the events."""
     return await change_response(
-        request, accounts, accounts.remove_user(name, by=person.name, origin=address_of(request))
+        request, accounts, accounts.remove_user(name, by=person, origin=address_of(request))
     )
 
 
 @router.post("/users/tokens")
 async def create_token(
     request: Request,
-    person: Admin,
+    person: Annotated[Person, CREATE_TOKEN.permitted],
     accounts: Keeping,
     token: FormText = "",
     token_role: FormText = "viewer",
@@ -158,7 +182,7 @@ async def create_token(
             role_named(token_role, Role),
             bus=token_bus,
             expires_days=_days(expires),
-            by=person.name,
+            by=person,
             origin=address_of(request),
         )
     except CallerError as error:
@@ -174,10 +198,12 @@ async def review_revocation(request: Request, _: Admin, accounts: Keeping, name:
 
 
 @router.post("/users/tokens/{name}/revoke")
-async def revoke_token(request: Request, person: Admin, accounts: Keeping, name: str) -> Response:
+async def revoke_token(
+    request: Request, person: Annotated[Person, REVOKE_TOKEN.permitted], accounts: Keeping, name: str
+) -> Response:
     """It is refused from the next request on."""
     return await change_response(
-        request, accounts, accounts.revoke_token(name, by=person.name, origin=address_of(request))
+        request, accounts, accounts.revoke_token(name, by=person, origin=address_of(request))
     )
 
 

@@ -22,6 +22,7 @@ from app.main import create_app
 from app.server.connections import EXTENSION
 from app.web.access import Person, Requires, Role
 from app.web.routes import demands, refuse_undeclared
+from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
@@ -111,7 +112,7 @@ def test_each_websocket(tmp_path: Path, role: Role | None) -> None:
         if role:
             make = app.state.services[Accounts].create_token
             bus = "dry-end" if role is Role.WORKER else ""
-            token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
+            token = client.portal.call(lambda: make("t", role, bus=bus, **BY))  # type: ignore[union-attr]
             headers["authorization"] = f"Bearer {token}"
         paths = sockets(app)
         assert {path for path, _ in paths} >= {"/live", "/feed"}

@@ -17,6 +17,7 @@ from app.auth.accounts import Accounts
 from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, respond_while_allowed, while_allowed
 from app.main import create_app
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import settings_in
 
 NEVER_S = 1e6
@@ -232,13 +233,12 @@ def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:
     """It was looked at every 20 s."""
     app = create_app(settings_in(tmp_path))
     accounts = app.state.services[Accounts]
-    by = {"by": "t", "origin": "t"}
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]
-        token = call(lambda: accounts.create_token("t", Role.VIEWER, **by))
+        token = call(lambda: accounts.create_token("t", Role.VIEWER, **BY))
         with client.websocket_connect("/live", headers={"authorization": f"Bearer {token}"}) as socket:
             socket.receive_text()
-            call(lambda: accounts.revoke_token("t", **by))
+            call(lambda: accounts.revoke_token("t", **BY))
             with pytest.raises(WebSocketDisconnect) as ended:
                 read_to_the_end(socket)
     assert ended.value.code == NO_LONGER_SIGNED_IN

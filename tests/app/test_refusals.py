@@ -11,6 +11,7 @@ from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.database import Database
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
@@ -52,7 +53,7 @@ async def test_tokens_that_are_not_good_are_one_event_a_minute(house: House) -> 
 
 async def test_a_token_that_has_expired_is_named(house: House) -> None:
     accounts = house.services[Accounts]
-    token = await accounts.create_token("report", Role.VIEWER, expires_days=1, by="ann", origin="test")
+    token = await accounts.create_token("report", Role.VIEWER, expires_days=1, **BY)
     await house.services[Database].write(lambda c: c.execute("UPDATE tokens SET expires_at = 1.0"))
     response = await house.client(Authorization=f"Bearer {token}").get("/api/v1/line")
     assert (response.status_code, "expired on 1970-01-01" in response.json()["detail"]) == (401, True)
