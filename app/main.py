@@ -30,6 +30,7 @@ from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.recipes import feature as recipes
 from app.server.forwarded import Forwarded
+from app.server.refusal_log import RefusalLog
 from app.server.security_headers import SecurityHeaders
 from app.server.starting import StartInTurn
 from app.sets import feature as sets
@@ -96,12 +97,12 @@ def create_app(
     app.add_middleware(AnonymousInTurn)
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
-    app.add_middleware(RecordRefusals, events=services[EventLog])
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
     app.add_middleware(StartInTurn)
     app.add_middleware(Begun)
+    app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)
     guard(app, services[Turns])
     return app

@@ -17,6 +17,7 @@ from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
+from app.server.refusal_log import RefusalLog
 
 
 def make(services: Services) -> None:
@@ -29,6 +30,7 @@ def make(services: Services) -> None:
     services.lifespan.add("rights", rights.watch)
     lifetimes = Lifetimes.of(settings.server.sessions)
     sign_in = services.add(SignIn(database, passwords, events, lifetimes, site=site, rechecks=rechecks))
+    services.add(RefusalLog())
     services.add(Identity(database, sign_in, services.worker_tokens))
 
 

@@ -19,7 +19,7 @@ from app.server.accepting import accept_connections
 from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
-from app.server.refusal_log import ErrorLines, NoteRefused, RefusalLog
+from app.server.refusal_log import ErrorLines, RefusalLog
 from app.server.stamping import StampingProtocol
 from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
@@ -42,8 +42,8 @@ class Server(uvicorn.Server):
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
-        refusals, errors = RefusalLog(), ErrorLines()
-        super().__init__(_config(NoteRefused(app, refusals), self._watch, connections, refusals))
+        refusals, errors = self.services[RefusalLog], ErrorLines()
+        super().__init__(_config(app, self._watch, connections, refusals))
         errors.install()
         self._sum_up = (refusals.sum_up, errors.sum_up)
         self._serving = serving
