@@ -29,17 +29,16 @@ from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.recipes import feature as recipes
+from app.server.admission import RequestAdmission
 from app.server.forwarded import Forwarded
 from app.server.refusal_log import RefusalLog
 from app.server.security_headers import SecurityHeaders
-from app.server.starting import StartInTurn
 from app.sets import feature as sets
 from app.settings import Settings
 from app.swap import feature as swap
 from app.web import feature as web
 from app.web import problems
 from app.web.anonymous import AnonymousInTurn
-from app.web.arrival import Begun
 from app.web.bounds import RequestRules
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
 from app.web.templating import Templates
@@ -100,8 +99,7 @@ def create_app(
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
-    app.add_middleware(StartInTurn)
-    app.add_middleware(Begun)
+    app.add_middleware(RequestAdmission)
     app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)
     guard(app, services[Turns])

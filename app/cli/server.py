@@ -16,12 +16,12 @@ from app.feed.workers import Workers
 from app.live.api.line_stream import LineStream
 from app.main import create_app
 from app.server.accepting import accept_connections
+from app.server.admission import LoopTurns
 from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
 from app.server.refusal_log import ErrorLines, RefusalLog
 from app.server.stamping import StampingProtocol
-from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
 
@@ -105,7 +105,7 @@ def _config(app: Any, watch: LoopWatch, connections: Connections, refusals: Refu
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames."""
     protocol = partial(
-        StampingProtocol, watch=watch, open_connections=connections, turns=Starts(), refusals=refusals
+        StampingProtocol, watch=watch, open_connections=connections, turns=LoopTurns(), refusals=refusals
     )
     return uvicorn.Config(
         app,

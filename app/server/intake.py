@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 
-from app.server.starting import Starts
+from app.server.admission import LoopTurns
 
 SLICE_BYTES = 512
 """Given to the parser at once: 85 empty frames or chunks of a byte."""
@@ -24,7 +24,7 @@ class InputInTurn(asyncio.Protocol):
 
     transport: asyncio.Transport
 
-    def __init__(self, *args: object, turns: Starts, **options: object) -> None:
+    def __init__(self, *args: object, turns: LoopTurns, **options: object) -> None:
         super().__init__(*args, **options)
         self._turns = turns
         self._unparsed = bytearray()

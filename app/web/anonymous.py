@@ -8,8 +8,8 @@ from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
 from app.server.addresses import source_of
+from app.server.admission import HEALTH
 from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.server.starting import HEALTH
 from app.web.access import person_of
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.web.security import refuse

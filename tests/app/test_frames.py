@@ -16,10 +16,10 @@ from websockets.exceptions import ConnectionClosedError
 from websockets.frames import Frame, Opcode
 from websockets.streams import StreamReader
 
+from app.server.admission import LoopTurns
 from app.server.connections import Connection, Connections
 from app.server.frames import Outlet, outlet_of, text_frame
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 
 PATIENCE_S = 30.0
@@ -75,7 +75,7 @@ async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
             {},
             connection=Connection("127.0.0.1", None),
             open_connections=Connections(),
-            turns=Starts(),
+            turns=LoopTurns(),
             refusals=RefusalLog(),
         )
 

@@ -12,6 +12,7 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
+from app.server.admission import LoopTurns
 from app.server.connections import EXTENSION, MAX_OF_ADDRESS, Connections
 from app.server.counted_protocol import CLOSING_S
 from app.server.http import (
@@ -23,7 +24,6 @@ from app.server.http import (
 )
 from app.server.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
 GET = HEAD + b"\r\n"
@@ -40,7 +40,7 @@ class Site:
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
-    turns: Starts = field(default_factory=Starts)
+    turns: LoopTurns = field(default_factory=LoopTurns)
     refusals: RefusalLog = field(default_factory=RefusalLog)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
+from app.server.admission import LoopTurns
 from app.server.intake import MAX_BYTES_A_TURN, MAX_PIECES_A_TURN, SLICE_BYTES, InputInTurn
-from app.server.starting import Starts
 
 
 class Transport(asyncio.Transport):
@@ -27,7 +27,7 @@ class Transport(asyncio.Transport):
 class Parser(InputInTurn):
     """Finds ``pieces`` in each slice; ``turns_taken`` has the bytes that were parsed in each turn."""
 
-    def __init__(self, turns: Starts, key: str, pieces: int = 0) -> None:
+    def __init__(self, turns: LoopTurns, key: str, pieces: int = 0) -> None:
         super().__init__(turns=turns)
         self.transport = self.fake = Transport()
         self._key = key
@@ -70,14 +70,14 @@ async def parsed(*parsers: Parser) -> None:
 
 
 async def test_a_short_request_is_parsed_at_once() -> None:
-    parser = Parser(Starts(), "a")
+    parser = Parser(LoopTurns(), "a")
     parser.data_received(b"GET")
     assert (parser.parsed, parser.fake.is_read) == ([b"GET"], True)
 
 
 @pytest.mark.parametrize(("pieces", "most"), [(0, MAX_BYTES_A_TURN), (50, 2 * SLICE_BYTES)])
 async def test_a_turn_has_few_bytes_and_few_pieces(pieces: int, most: int) -> None:
-    parser = Parser(Starts(), "a", pieces)
+    parser = Parser(LoopTurns(), "a", pieces)
     sent = bytes(range(256)) * 800
     parser.data_received(sent)
     assert not parser.fake.is_read
@@ -90,7 +90,7 @@ async def test_a_turn_has_few_bytes_and_few_pieces(pieces: int, most: int) -> No
 
 
 async def test_one_connection_has_a_turn_in_each_iteration_and_senders_alternate() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     flood = [Parser(turns, "a", MAX_PIECES_A_TURN) for _ in range(40)]
     other = Parser(turns, "b")
     for parser in flood:
@@ -104,7 +104,7 @@ async def test_one_connection_has_a_turn_in_each_iteration_and_senders_alternate
 
 
 async def test_a_short_request_does_not_wait_for_floods_of_the_same_sender() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     flood = [Parser(turns, "a", MAX_PIECES_A_TURN) for _ in range(40)]
     for parser in flood:
         parser.data_received(b"x" * 20 * SLICE_BYTES)
@@ -122,7 +122,7 @@ async def test_a_short_request_does_not_wait_for_floods_of_the_same_sender() -> 
 
 
 async def test_what_the_parser_is_not_ready_for_waits_unread() -> None:
-    parser = Parser(Starts(), "a")
+    parser = Parser(LoopTurns(), "a")
     parser.is_ready = False
     parser.data_received(b"GET")
     await asyncio.sleep(0)
@@ -133,7 +133,7 @@ async def test_what_the_parser_is_not_ready_for_waits_unread() -> None:
 
 
 async def test_a_connection_that_is_read_before_its_turn_is_held_back_again() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     Parser(turns, "a").data_received(b"GET")
     parser = Parser(turns, "a")
     parser.data_received(b"G")
@@ -145,7 +145,7 @@ async def test_a_connection_that_is_read_before_its_turn_is_held_back_again() ->
 
 
 async def test_input_that_is_dropped_is_not_parsed() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     Parser(turns, "a").data_received(b"GET")
     parser = Parser(turns, "a")
     parser.data_received(b"GET")

@@ -15,13 +15,13 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
+from app.server.admission import LoopTurns
 from app.server.connections import EXTENSION, Connections
 from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
 from app.server.intake import SLICE_BYTES
 from app.server.pace import STALL_S
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
 from app.server.trust import trust_sender
 from app.server.websocket import (
     MAX_FRAMES_AT_ONCE,
@@ -115,7 +115,7 @@ async def site() -> AsyncIterator[Site]:
         site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
     )
     loop = asyncio.get_running_loop()
-    shared = {"open_connections": site.connections, "turns": Starts(), "refusals": RefusalLog()}
+    shared = {"open_connections": site.connections, "turns": LoopTurns(), "refusals": RefusalLog()}
     server = await loop.create_server(
         lambda: HttpProtocol(config, site.state, {}, **shared),
         "127.0.0.1",
