@@ -11,8 +11,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
+from app.server.connection_protocol import ConnectionProtocol
 from app.server.connections import EXTENSION, Connection
-from app.server.counted_protocol import CountedProtocol
 from app.server.pace import Awaited, Pace
 from app.server.refusal import (
     MALFORMED,
@@ -40,7 +40,7 @@ class BeyondBoundsError(Exception):
     """Ends the parsing of a request."""
 
 
-class HttpProtocol(CountedProtocol, HttpToolsProtocol):
+class HttpProtocol(ConnectionProtocol, HttpToolsProtocol):
     """One connection. The server calls :meth:`check` once a second."""
 
     def __init__(self, *args: Any, **options: Any) -> None:

@@ -10,9 +10,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import CloseCode, Frame
 from websockets.protocol import State
 
+from app.server.connection_protocol import ConnectionProtocol
 from app.server.connections import EXTENSION as CONNECTION
 from app.server.connections import Connection
-from app.server.counted_protocol import CountedProtocol
 from app.server.frames import EXTENSION, OUTLET
 from app.server.trust import EXTENSION as TRUST
 from bus.bucket import Bucket
@@ -28,7 +28,7 @@ MAX_AFTER_CLOSE_BYTES = 4096
 """Of what a page sent before it saw the server's Close frame, its own Close frame included."""
 
 
-class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
+class WebSocketProtocol(ConnectionProtocol, WebSocketsSansIOProtocol):
     """Handshake, control frames, close and every ``send`` are uvicorn's; only complete frames that are ready
     may bypass it. It writes what it has in the same turn too, so the two cannot mix within a message.
     """
@@ -52,7 +52,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         drop them all at once."""
         self._unparsed.clear()
         self.disconnected = True  # the app may send before that turn
-        self._turns.run(self._turn_key(), partial(super().connection_lost, exc))
+        self._turns.run(self._sender(), partial(super().connection_lost, exc))
 
     def give_way(self) -> None:
         """Make room at once."""

@@ -13,8 +13,8 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.server.admission import LoopTurns
+from app.server.connection_protocol import CLOSING_S
 from app.server.connections import EXTENSION, MAX_OF_ADDRESS, Connections
-from app.server.counted_protocol import CLOSING_S
 from app.server.http import (
     MAX_HEAD_BYTES,
     MAX_HEADERS,

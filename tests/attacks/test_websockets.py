@@ -16,10 +16,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
 from app.server.admission import LoopTurns
+from app.server.connection_protocol import CLOSING_S, SLICE_BYTES
 from app.server.connections import EXTENSION, Connections
-from app.server.counted_protocol import CLOSING_S
 from app.server.http import HttpProtocol
-from app.server.intake import SLICE_BYTES
 from app.server.pace import STALL_S
 from app.server.refusal_log import RefusalLog
 from app.server.trust import trust_sender

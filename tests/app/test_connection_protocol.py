@@ -7,7 +7,14 @@ import asyncio
 import pytest
 
 from app.server.admission import LoopTurns
-from app.server.intake import MAX_BYTES_A_TURN, MAX_PIECES_A_TURN, SLICE_BYTES, InputInTurn
+from app.server.connection_protocol import (
+    MAX_BYTES_A_TURN,
+    MAX_PIECES_A_TURN,
+    SLICE_BYTES,
+    ConnectionProtocol,
+)
+from app.server.connections import Connection, Connections
+from app.server.refusal_log import RefusalLog
 
 
 class Transport(asyncio.Transport):
@@ -24,13 +31,13 @@ class Transport(asyncio.Transport):
         self.is_read = True
 
 
-class Parser(InputInTurn):
+class Parser(ConnectionProtocol):
     """Finds ``pieces`` in each slice; ``turns_taken`` has the bytes that were parsed in each turn."""
 
     def __init__(self, turns: LoopTurns, key: str, pieces: int = 0) -> None:
-        super().__init__(turns=turns)
+        super().__init__(open_connections=Connections(), turns=turns, refusals=RefusalLog())
+        self.connection = Connection("192.0.2.1", None, account=key)
         self.transport = self.fake = Transport()
-        self._key = key
         self._pieces_a_slice = pieces
         self.parsed: list[bytes] = []
         self.turns_taken: list[int] = []
@@ -45,9 +52,6 @@ class Parser(InputInTurn):
 
     def _is_ready(self) -> bool:
         return self.is_ready
-
-    def _turn_key(self) -> str:
-        return self._key
 
     def _take_turn(self) -> None:
         before = len(self._unparsed)
