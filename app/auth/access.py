@@ -16,7 +16,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import EventLog
 from app.auth.identity import ExpiredTokenError, Identity
-from app.auth.lasting import Rechecks, respond_while_allowed, while_allowed
+from app.auth.lasting import Rechecks, run_while_allowed
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.connections import identify
@@ -73,12 +73,11 @@ class Identify:
         withdrawal = partial(
             self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
         )
-        if scope["type"] == "websocket":
+        is_socket = scope["type"] == "websocket"
+        if is_socket:
             await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
-            await while_allowed(self._app(scope, receive, send), withdrawal, send)
-            return
         # Returning without the rest makes the server cut the connection, as an incomplete response.
-        await respond_while_allowed(partial(self._app, scope, receive), withdrawal, send)
+        await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
 
     async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
         """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""

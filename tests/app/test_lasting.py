@@ -14,7 +14,7 @@ from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, respond_while_allowed, while_allowed
+from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, run_while_allowed
 from app.main import create_app
 from app.web.access import Role
 from tests.administrator import BY
@@ -33,7 +33,7 @@ class Socket:
     async def send(self, message: MutableMapping[str, Any]) -> None:
         self.sent.append(message)
 
-    async def work(self) -> None:
+    async def work(self, _send: Send) -> None:
         try:
             await asyncio.Event().wait()
         finally:
@@ -75,7 +75,7 @@ async def ended(task: asyncio.Future[None]) -> None:
 
 async def test_it_ends_with_its_right() -> None:
     socket, right = Socket(), Right()
-    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    task = asyncio.ensure_future(run_while_allowed(socket.work, right.withdrawn, socket.send, is_socket=True))
     await settled()
     right.withdraw()
     await ended(task)
@@ -92,19 +92,19 @@ async def test_what_ends_without_a_change_is_noticed_in_time() -> None:
 async def test_a_socket_that_ended_is_not_closed_again() -> None:
     socket = Socket()
 
-    async def short() -> None:
+    async def short(_: Send) -> None:
         return None
 
-    await while_allowed(short(), Right().withdrawn, socket.send)
+    await run_while_allowed(short, Right().withdrawn, socket.send, is_socket=True)
     assert socket.sent == []
 
 
 async def test_a_failure_comes_through() -> None:
-    async def fail() -> None:
+    async def fail(_: Send) -> None:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        await while_allowed(fail(), Right().withdrawn, Socket().send)
+        await run_while_allowed(fail, Right().withdrawn, Socket().send, is_socket=True)
 
 
 async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> None:
@@ -114,7 +114,7 @@ async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> No
         raise ZeroDivisionError
 
     right.on_look = fail
-    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    task = asyncio.ensure_future(run_while_allowed(socket.work, right.withdrawn, socket.send, is_socket=True))
     await settled()
     right.rechecks.now()
     with pytest.raises(ZeroDivisionError):
@@ -124,7 +124,9 @@ async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> No
 
 async def test_a_server_that_ends_takes_it_along() -> None:
     socket = Socket()
-    task = asyncio.ensure_future(while_allowed(socket.work(), Right().withdrawn, socket.send))
+    task = asyncio.ensure_future(
+        run_while_allowed(socket.work, Right().withdrawn, socket.send, is_socket=True)
+    )
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -190,7 +192,7 @@ async def test_a_response_in_pieces_ends_with_its_right(waits_in: str) -> None:
             waiting.set()
             await asyncio.Event().wait()
 
-    task = asyncio.ensure_future(respond_while_allowed(respond, right.withdrawn, slow))
+    task = asyncio.ensure_future(run_while_allowed(respond, right.withdrawn, slow))
     await waiting.wait()
     right.rechecks.now("ann")
     await settled()
@@ -205,7 +207,7 @@ async def test_a_response_that_a_server_cuts_off_is_canceled() -> None:
         await send(PIECE)
         await asyncio.Event().wait()
 
-    task = asyncio.ensure_future(respond_while_allowed(respond, Right().withdrawn, Socket().send))
+    task = asyncio.ensure_future(run_while_allowed(respond, Right().withdrawn, Socket().send))
     await settled()
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -220,7 +222,7 @@ async def test_a_response_at_once_is_not_followed() -> None:
         await send({"type": "http.response.body", "body": b"x"})
         await settled()
 
-    await respond_while_allowed(respond, right.withdrawn, Socket().send)
+    await run_while_allowed(respond, right.withdrawn, Socket().send)
     assert right.looks == 0
 
 
