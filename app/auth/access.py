@@ -19,7 +19,7 @@ from app.auth.identity import ExpiredTokenError, Identity
 from app.auth.lasting import Rechecks, run_while_allowed
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
-from app.server.connections import identify
+from app.server.client_connection import client_connection
 from app.server.handshakes import Handshakes
 from app.server.refusal_log import REFUSED, RefusalLog
 from app.web.access import Person, Role, account_shown, not_signed_in
@@ -69,7 +69,7 @@ class Identify:
         if person is None:
             await self._app(scope, receive, send)
             return
-        identify(scope, person.account)
+        client_connection(scope).identify(person.account)
         withdrawal = partial(
             self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
         )

@@ -69,6 +69,18 @@ class ConnectionProtocol(asyncio.Protocol):
         self._backlog = Backlog()
         super().resume_writing()
 
+    # --- as :class:`app.server.client_connection.ClientConnection` -------------------------------------
+
+    def identify(self, account: str) -> None:
+        self._open_connections.identify(self.connection, account)
+
+    def trust(self) -> None:
+        """Only a WebSocket has messages."""
+
+    def write(self, _frame: bytes, /) -> bool:
+        """Only a WebSocket has frames."""
+        return False
+
     # --- of the protocol that parses -----------------------------------------------------------------
 
     def _parse(self, data: bytes) -> None:
@@ -93,9 +105,6 @@ class ConnectionProtocol(asyncio.Protocol):
         if now - self._closing_since > CLOSING_S:
             self.transport.abort()
         return True
-
-    def _identify(self, account: str) -> None:
-        self._open_connections.identify(self.connection, account)
 
     def _sender(self) -> str:
         """The account, or the address of a stranger: one with many connections has no more turns."""

@@ -8,15 +8,12 @@ no others. Signed-in users, the bus workers among them, are counted by account, 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
-from starlette.types import Scope
-
 from app.server.addresses import Network, is_within, source_of
 
-EXTENSION = "lineside.connection"
 MAX_OF_ADDRESS = 512
 """Of strangers; all browsers of a plant may share an address until they have sent their cookie, and return at
 once after a restart."""
@@ -110,10 +107,3 @@ class Connections:
 
     def _key(self, connection: Connection) -> str:
         return connection.account or source_of(connection.address)
-
-
-def identify(scope: Scope, account: str) -> None:
-    """Count the connection of a request for this account from now on, where the server offers to."""
-    offered: Callable[[str], None] | None = scope.get("extensions", {}).get(EXTENSION)
-    if offered is not None:
-        offered(account)

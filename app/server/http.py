@@ -11,8 +11,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
+from app.server.client_connection import EXTENSION
 from app.server.connection_protocol import ConnectionProtocol
-from app.server.connections import EXTENSION, Connection
+from app.server.connections import Connection
 from app.server.pace import Awaited, Pace
 from app.server.refusal import (
     MALFORMED,
@@ -165,7 +166,7 @@ class HttpProtocol(ConnectionProtocol, HttpToolsProtocol):
         elif not all(map(_is_met, self.headers)):
             self._give_up(NO_SUCH_EXPECTATION)
         self._pace.expect(Awaited.BODY, self.loop.time())
-        self._offered[EXTENSION] = self._identify
+        self._offered[EXTENSION] = self
         self.scope["extensions"] = self._offered
         super().on_headers_complete()
         if not self.pipeline:

@@ -1,4 +1,4 @@
-"""WebSockets as uvicorn speaks them, with the short way out of :mod:`app.server.frames`, and with bounds."""
+"""WebSockets as uvicorn speaks them, with the short way out of :mod:`app.server.client_connection`, and with bounds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import CloseCode, Frame
 from websockets.protocol import State
 
+from app.server.client_connection import EXTENSION
 from app.server.connection_protocol import ConnectionProtocol
-from app.server.connections import EXTENSION as CONNECTION
 from app.server.connections import Connection
-from app.server.frames import EXTENSION, OUTLET
-from app.server.trust import EXTENSION as TRUST
 from bus.bucket import Bucket
 from bus.instants import Monotonic
 
@@ -132,21 +130,21 @@ class WebSocketProtocol(ConnectionProtocol, WebSocketsSansIOProtocol):
     async def run_asgi(self) -> None:
         """Run the app, with the fast path in its scope."""
         offered = cast(dict[str, Any], self.scope["extensions"])
-        offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify, TRUST: self._trust}
+        offered[EXTENSION] = self
         try:
             await super().run_asgi()
         finally:
             offered.clear()  # it refers to this protocol, which would live until the next collection
 
     def write(self, frame: bytes, /) -> bool:
-        """As :class:`app.server.frames.Outlet`."""
+        """As :class:`app.server.client_connection.ClientConnection`."""
         transport = self.transport
         if self.conn.state is not State.OPEN or transport.is_closing() or transport.get_write_buffer_size():
             return False
         transport.write(frame)
         return True
 
-    def _trust(self) -> None:
+    def trust(self) -> None:
         """Take large messages, and as many as the app reads."""
         self._is_trusted, self.conn.max_message_size = True, self._most_bytes
 

@@ -19,7 +19,7 @@ from app.auth.access import COOKIE, PUBLIC_PATHS
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
 from app.main import create_app
-from app.server.connections import EXTENSION
+from app.server.client_connection import EXTENSION, NoClientConnection
 from app.web.access import Person, Requires, Role
 from app.web.routes import demands, refuse_undeclared
 from tests.administrator import BY
@@ -133,8 +133,12 @@ async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
     """Connections of accounts, the workers' among them, are counted apart from those of strangers."""
     seen: list[str] = []
 
+    class Noting(NoClientConnection):
+        def identify(self, account: str) -> None:
+            seen.append(account)
+
     async def offering(scope: Scope, receive: Receive, send: Send) -> None:
-        await house.app({**scope, "extensions": {EXTENSION: seen.append}}, receive, send)
+        await house.app({**scope, "extensions": {EXTENSION: Noting()}}, receive, send)
 
     page = await house.signed_in(Role.ENGINEER, "ann")
     transport = httpx.ASGITransport(offering)

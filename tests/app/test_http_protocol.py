@@ -13,8 +13,9 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.server.admission import LoopTurns
+from app.server.client_connection import client_connection
 from app.server.connection_protocol import CLOSING_S
-from app.server.connections import EXTENSION, MAX_OF_ADDRESS, Connections
+from app.server.connections import MAX_OF_ADDRESS, Connections
 from app.server.http import (
     MAX_HEAD_BYTES,
     MAX_HEADERS,
@@ -51,7 +52,7 @@ class Site:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self.requests += 1
         if scope["path"] == "/known":
-            scope["extensions"][EXTENSION]("ann")
+            client_connection(scope).identify("ann")
         while self.reads_bodies and (message := await receive()).get("more_body"):
             if message["type"] == "http.disconnect":
                 return
