@@ -38,7 +38,7 @@ from app.settings import Settings
 from app.swap import feature as swap
 from app.web import feature as web
 from app.web import problems
-from app.web.anonymous import AnonymousInTurn
+from app.web.anonymous import AnonymousLimiter
 from app.web.bounds import RequestRules
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
 from app.web.templating import Templates
@@ -93,7 +93,7 @@ def create_app(
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(AnonymousInTurn)
+    app.add_middleware(AnonymousLimiter)
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)

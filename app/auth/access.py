@@ -153,7 +153,7 @@ def _is_loopback(connection: HTTPConnection) -> bool:
 
 UNKNOWN_TOKEN = Message("unknown_token")
 REFUSED_ACCOUNT = "refused_account"
-"""In the scope: whose token it is that is not good any more."""
+"""Key in the scope: the account of an expired token."""
 
 
 class RecordRefusals:

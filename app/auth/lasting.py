@@ -14,7 +14,7 @@ from typing import Any
 from starlette.types import Message, Send
 
 RECHECK_S = 20.0
-"""For what ends without a change: the idle time of a session."""
+"""How often a right is checked that ends without a change, as the idle time of a session."""
 NO_LONGER_SIGNED_IN = 4401
 """Close code: 4000 and the HTTP status of the same refusal."""
 

@@ -24,8 +24,8 @@ from bus.messages import Message
 router = APIRouter(include_in_schema=False)
 
 
-SigningIn = Annotated[SignIn, service(SignIn)]
-Keeping = Annotated[Accounts, service(Accounts)]
+SignInService = Annotated[SignIn, service(SignIn)]
+AccountsService = Annotated[Accounts, service(Accounts)]
 FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
@@ -40,7 +40,7 @@ def address_of(connection: HTTPConnection) -> str:
 
 @router.get("/login", dependencies=[Depends(public)])
 async def login_page(
-    request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False, refused: bool = False
+    request: Request, sign_in: SignInService, next: str = "/", panel: bool = False, refused: bool = False
 ) -> Response:
     """The form; a signed-in user is redirected. ``refused``: an action has led here."""
     if person_of(request):
@@ -50,7 +50,11 @@ async def login_page(
 
 @router.post("/login", dependencies=[Depends(public)])
 async def log_in(
-    request: Request, sign_in: SigningIn, name: FormText = "", password: FormText = "", next: FormText = "/"
+    request: Request,
+    sign_in: SignInService,
+    name: FormText = "",
+    password: FormText = "",
+    next: FormText = "/",
 ) -> Response:
     """A person, by password."""
     return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
@@ -58,7 +62,7 @@ async def log_in(
 
 @router.post("/login/panel", dependencies=[Depends(public)])
 async def log_panel_in(
-    request: Request, sign_in: SigningIn, name: FormText = "", pin: FormText = "", next: FormText = "/"
+    request: Request, sign_in: SignInService, name: FormText = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
@@ -66,7 +70,7 @@ async def log_panel_in(
 
 @router.post("/logout")
 async def log_out(
-    request: Request, person: Annotated[Person, LOG_OUT.permitted], sign_in: SigningIn
+    request: Request, person: Annotated[Person, LOG_OUT.permitted], sign_in: SignInService
 ) -> Response:
     """End the session and forget the cookie."""
     cookie = request.cookies.get(COOKIE)
@@ -85,9 +89,9 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 
 @router.post("/account/language")
 async def choose_language(
-    request: Request, person: Viewer, accounts: Keeping, language: FormText = ""
+    request: Request, person: Viewer, accounts: AccountsService, language: FormText = ""
 ) -> Response:
-    """Empty: that of the browser."""
+    """Store the language that the user chose; empty: that of the browser."""
     if language and language not in templates_of(request).languages:
         raise CallerError(Message.of("no_such_language", language=language[:40]))
     await accounts.set_language(person, language)
@@ -98,13 +102,13 @@ async def choose_language(
 async def change_password(
     request: Request,
     person: Annotated[Person, CHANGE_OWN_PASSWORD.permitted],
-    accounts: Keeping,
-    sign_in: SigningIn,
+    accounts: AccountsService,
+    sign_in: SignInService,
     present: FormText = "",
     password: FormText = "",
     again: FormText = "",
 ) -> Response:
-    """Every other session of the user ends, this one goes on."""
+    """Change the own password; every other session of the user ends."""
     check_has_own_password(person)
     address, this_one = address_of(request), rules.secret_hash(request.cookies[COOKIE])
     try:

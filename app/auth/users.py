@@ -21,7 +21,7 @@ from app.auth.acts import (
     SET_PASSWORD,
     SET_ROLE,
 )
-from app.auth.pages import FormText, Keeping, address_of
+from app.auth.pages import AccountsService, FormText, address_of
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
 from app.web.templating import render
@@ -70,7 +70,7 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/users")
-async def users_page(request: Request, _: Admin, accounts: Keeping) -> HTMLResponse:
+async def users_page(request: Request, _: Admin, accounts: AccountsService) -> HTMLResponse:
     """Every user, and every token."""
     return await users_view(request, accounts)
 
@@ -79,12 +79,12 @@ async def users_page(request: Request, _: Admin, accounts: Keeping) -> HTMLRespo
 async def add_user(
     request: Request,
     person: Annotated[Person, ADD_USER.permitted],
-    accounts: Keeping,
+    accounts: AccountsService,
     name: FormText = "",
     role: FormText = "viewer",
     password: FormText = "",
 ) -> Response:
-    """A person, by password."""
+    """Add a person, who signs in by password."""
     add = accounts.add_user(name.strip(), role_named(role), password, by=person, origin=address_of(request))
     return await change_response(request, accounts, add)
 
@@ -93,13 +93,13 @@ async def add_user(
 async def add_panel(
     request: Request,
     person: Annotated[Person, ADD_PANEL.permitted],
-    accounts: Keeping,
+    accounts: AccountsService,
     panel: FormText = "",
     panel_role: FormText = "viewer",
     pin: FormText = "",
     home: FormText = "/",
 ) -> Response:
-    """A panel on the wall, by PIN; it only looks unless it is given more."""
+    """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
     add = accounts.add_panel(panel.strip(), role, pin, begins, by=person, origin=address_of(request))
     return await change_response(request, accounts, add)
@@ -109,7 +109,7 @@ async def add_panel(
 async def set_role(
     request: Request,
     person: Annotated[Person, SET_ROLE.permitted],
-    accounts: Keeping,
+    accounts: AccountsService,
     name: str,
     role: FormText = "",
 ) -> Response:
@@ -120,7 +120,7 @@ async def set_role(
 
 @router.post("/users/{name}/disable")
 async def disable(
-    request: Request, person: Annotated[Person, DISABLE_USER.permitted], accounts: Keeping, name: str
+    request: Request, person: Annotated[Person, DISABLE_USER.permitted], accounts: AccountsService, name: str
 ) -> Response:
     """Disable a user; every session ends."""
     change = accounts.set_disabled(name, True, by=person, origin=address_of(request))
@@ -129,7 +129,7 @@ async def disable(
 
 @router.post("/users/{name}/enable")
 async def enable(
-    request: Request, person: Annotated[Person, ENABLE_USER.permitted], accounts: Keeping, name: str
+    request: Request, person: Annotated[Person, ENABLE_USER.permitted], accounts: AccountsService, name: str
 ) -> Response:
     """Enable a user again."""
     change = accounts.set_disabled(name, False, by=person, origin=address_of(request))
@@ -140,11 +140,11 @@ async def enable(
 async def reset_password(
     request: Request,
     person: Annotated[Person, SET_PASSWORD.permitted],
-    accounts: Keeping,
+    accounts: AccountsService,
     name: str,
     password: FormText = "",
 ) -> Response:
-    """A new password (a PIN for a panel); every session ends."""
+    """Set a new password, or the PIN of a panel; every session of the user ends."""
     reset = accounts.set_password(name, password, by=person, origin=address_of(request))
     return await change_response(request, accounts, reset)
 
@@ -157,7 +157,7 @@ async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
 
 @router.post("/users/{name}/remove")
 async def remove(
-    request: Request, person: Annotated[Person, REMOVE_USER.permitted], accounts: Keeping, name: str
+    request: Request, person: Annotated[Person, REMOVE_USER.permitted], accounts: AccountsService, name: str
 ) -> Response:
     """Remove a user, whose actions stay in the events."""
     return await change_response(
@@ -169,13 +169,13 @@ async def remove(
 async def create_token(
     request: Request,
     person: Annotated[Person, CREATE_TOKEN.permitted],
-    accounts: Keeping,
+    accounts: AccountsService,
     token: FormText = "",
     token_role: FormText = "viewer",
     token_bus: FormText = "",
     expires: FormText = "",
 ) -> HTMLResponse:
-    """The token is in this one response and nowhere else."""
+    """Create a token, which is in this one response and nowhere else."""
     try:
         secret = await accounts.create_token(
             token.strip(),
@@ -191,7 +191,7 @@ async def create_token(
 
 
 @router.get("/users/tokens/{name}/revoke")
-async def review_revocation(request: Request, _: Admin, accounts: Keeping, name: str) -> HTMLResponse:
+async def review_revocation(request: Request, _: Admin, accounts: AccountsService, name: str) -> HTMLResponse:
     """What revoking a token means, and whether a program has been using it, before it is done."""
     token = next((token for token in await accounts.tokens() if token.name == name), None)
     return render(request, "users/_review_revoke.html", name=name, used_at=token.used_at if token else None)
@@ -199,9 +199,9 @@ async def review_revocation(request: Request, _: Admin, accounts: Keeping, name:
 
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(
-    request: Request, person: Annotated[Person, REVOKE_TOKEN.permitted], accounts: Keeping, name: str
+    request: Request, person: Annotated[Person, REVOKE_TOKEN.permitted], accounts: AccountsService, name: str
 ) -> Response:
-    """It is refused from the next request on."""
+    """Revoke a token, which is refused from the next request on."""
     return await change_response(
         request, accounts, accounts.revoke_token(name, by=person, origin=address_of(request))
     )

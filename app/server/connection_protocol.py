@@ -22,9 +22,9 @@ CLOSING_S = 5.0
 SLICE_BYTES = 512
 """Given to the parser at once: 85 empty frames or chunks of a byte."""
 MAX_BYTES_A_TURN = 64 * 1024
-"""Of a body or a large message, which is few pieces."""
+"""Bytes of a body or a large message, which is few pieces, that one turn parses."""
 MAX_PIECES_A_TURN = 64
-"""After which no further slice is parsed in this turn."""
+"""Pieces after which a turn parses no further slice."""
 
 
 class ConnectionProtocol(asyncio.Protocol):

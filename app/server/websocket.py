@@ -1,4 +1,4 @@
-"""WebSockets as uvicorn speaks them, with the short way out of :mod:`app.server.client_connection`, and with bounds."""
+"""WebSockets as uvicorn speaks them, with bounds, and with a short way out for complete frames."""
 
 from __future__ import annotations
 

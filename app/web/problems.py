@@ -36,7 +36,7 @@ _CODES: dict[int, ProblemCode] = {
 }
 
 MAX_FAULTS = 20
-"""Of a body that are named."""
+"""Faults of one body that are named."""
 
 
 def wants_json(connection: HTTPConnection) -> bool:

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.web.access import Requires, Role, public
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
-from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
+from app.web.turns import DOWNLOAD, SEARCH, ReadLimiter, Turns
 
 
 class HeadAsGet:
@@ -82,7 +82,7 @@ def guard(app: FastAPI, turns: Turns) -> None:
         if isinstance(route, APIRoute):
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MAX_PLAIN_BODY_BYTES)
             if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
-                guarded = ReadInTurn(guarded, turns.reads)
+                guarded = ReadLimiter(guarded, turns.reads)
             route.app = RolesFirst(
                 guarded, [call for call in _calls(route.dependant) if isinstance(call, Requires)]
             )

@@ -38,7 +38,7 @@ UnitAddresses = Annotated[
 Numbers = Annotated[
     list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=40), AfterValidator(_each_once)
 ]
-"""Of parameters."""
+"""Numbers of parameters."""
 
 
 DATE_TIME = {"type": "string", "format": "date-time"}
@@ -121,5 +121,5 @@ def message_shown(message: Message) -> MessageShown:
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:
-    """The same; None where there is no message."""
+    """A text for programs; None where there is no message."""
     return None if message is None else message_shown(message)
