@@ -8,20 +8,7 @@ from dataclasses import dataclass, field
 
 from app.audit.act import Performed
 from app.audit.log import EventLog
-from app.auth import rules, store, strength
-from app.auth.acts import (
-    ADD_PANEL,
-    ADD_USER,
-    CHANGE_OWN_PASSWORD,
-    CREATE_TOKEN,
-    CREATE_WORKER_TOKEN,
-    DISABLE_USER,
-    ENABLE_USER,
-    REMOVE_USER,
-    REVOKE_TOKEN,
-    SET_PASSWORD,
-    SET_ROLE,
-)
+from app.auth import acts, rules, store, strength
 from app.auth.passwords import Passwords
 from app.auth.store import Token, User
 from app.database import Database
@@ -82,28 +69,28 @@ class Accounts:
         self, name: str, role: Role, password: str, *, by: Person, origin: str | Message
     ) -> None:
         """Add a person who signs in by a password. Raises CallerError."""
-        ADD_USER.check(by)
+        acts.ADD_USER.check(by)
         rules.check_name(name)
         strength.check_password(password, user=name, site=self.site)
         user = User(name, role, False, "/", "", False, self._clock(), None)
         await self._add(user, password)
-        await self._record(ADD_USER.by(by, name=name, role=term(role)), origin)
+        await self._record(acts.ADD_USER.by(by, name=name, role=term(role)), origin)
 
     async def add_panel(
         self, name: str, role: Role, pin: str, home: str, *, by: Person, origin: str | Message
     ) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
-        ADD_PANEL.check(by)
+        acts.ADD_PANEL.check(by)
         rules.check_name(name)
         rules.check_panel_role(role)
         strength.check_pin(pin)
         rules.check_home(home)
         await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
-        await self._record(ADD_PANEL.by(by, name=name, role=term(role)), origin)
+        await self._record(acts.ADD_PANEL.by(by, name=name, role=term(role)), origin)
 
     async def set_role(self, name: str, role: Role, *, by: Person, origin: str | Message) -> None:
         """Raises CallerError for an unknown user, for the last admin, and for a panel above operator."""
-        SET_ROLE.check(by)
+        acts.SET_ROLE.check(by)
 
         def change(connection: sqlite3.Connection) -> bool:
             found = store.user(connection, name)
@@ -112,37 +99,37 @@ class Accounts:
             return store.set_role(connection, name, role)
 
         await self._change(name, change)
-        await self._record(SET_ROLE.by(by, name=name, role=term(role)), origin)
+        await self._record(acts.SET_ROLE.by(by, name=name, role=term(role)), origin)
 
     async def set_disabled(self, name: str, disabled: bool, *, by: Person, origin: str | Message) -> None:
         """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
-        act = DISABLE_USER if disabled else ENABLE_USER
+        act = acts.DISABLE_USER if disabled else acts.ENABLE_USER
         act.check(by)
         await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
         await self._record(act.by(by, name=name), origin)
 
     async def remove_user(self, name: str, *, by: Person, origin: str | Message) -> None:
         """Raises CallerError for an unknown user and for the last admin."""
-        REMOVE_USER.check(by)
+        acts.REMOVE_USER.check(by)
         await self._change(name, lambda connection: store.remove_user(connection, name))
-        await self._record(REMOVE_USER.by(by, name=name), origin)
+        await self._record(acts.REMOVE_USER.by(by, name=name), origin)
 
     async def set_password(self, name: str, password: str, *, by: Person, origin: str | Message) -> None:
         """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raises
         CallerError."""
-        SET_PASSWORD.check(by)
+        acts.SET_PASSWORD.check(by)
         await self._set_password(name, password)
-        await self._record(SET_PASSWORD.by(by, name=name), origin)
+        await self._record(acts.SET_PASSWORD.by(by, name=name), origin)
 
     async def change_own_password(
         self, password: str, *, by: Person, origin: str | Message, keep: bytes
     ) -> None:
         """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
         one of the user ends. Raises CallerError."""
-        CHANGE_OWN_PASSWORD.check(by)
+        acts.CHANGE_OWN_PASSWORD.check(by)
         check_has_own_password(by)
         await self._set_password(by.name, password, keep)
-        await self._record(CHANGE_OWN_PASSWORD.by(by, name=by.name), origin, kept=by.name)
+        await self._record(acts.CHANGE_OWN_PASSWORD.by(by, name=by.name), origin, kept=by.name)
 
     async def set_language(self, person: Person, language: str) -> None:
         """The language that the user chose; empty: that of the browser. Raises Problem 403 for a program."""
@@ -161,7 +148,7 @@ class Accounts:
     ) -> str:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
         it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
-        act = CREATE_WORKER_TOKEN if bus else CREATE_TOKEN
+        act = acts.CREATE_WORKER_TOKEN if bus else acts.CREATE_TOKEN
         act.check(by)
         rules.check_name(name)
         rules.check_token_bus(role, bus, self.buses)
@@ -183,10 +170,10 @@ class Accounts:
 
     async def revoke_token(self, name: str, *, by: Person, origin: str | Message) -> None:
         """Raises CallerError for one that is not there."""
-        REVOKE_TOKEN.check(by)
+        acts.REVOKE_TOKEN.check(by)
         if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
             raise CallerError(Message.of("no_such_token", name=name[:80]))
-        await self._record(REVOKE_TOKEN.by(by, name=name), origin)
+        await self._record(acts.REVOKE_TOKEN.by(by, name=name), origin)
 
     async def _add(self, user: User, secret: str) -> None:
         hashed = await self._passwords.hash(secret)

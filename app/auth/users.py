@@ -9,18 +9,8 @@ from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
+from app.auth import acts
 from app.auth.accounts import Accounts
-from app.auth.acts import (
-    ADD_PANEL,
-    ADD_USER,
-    CREATE_TOKEN,
-    DISABLE_USER,
-    ENABLE_USER,
-    REMOVE_USER,
-    REVOKE_TOKEN,
-    SET_PASSWORD,
-    SET_ROLE,
-)
 from app.auth.pages import AccountsService, FormText, address_of
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
@@ -78,7 +68,7 @@ async def users_page(request: Request, _: Admin, accounts: AccountsService) -> H
 @router.post("/users")
 async def add_user(
     request: Request,
-    person: Annotated[Person, ADD_USER.permitted],
+    person: Annotated[Person, acts.ADD_USER.permitted],
     accounts: AccountsService,
     name: FormText = "",
     role: FormText = "viewer",
@@ -92,7 +82,7 @@ async def add_user(
 @router.post("/users/panels")
 async def add_panel(
     request: Request,
-    person: Annotated[Person, ADD_PANEL.permitted],
+    person: Annotated[Person, acts.ADD_PANEL.permitted],
     accounts: AccountsService,
     panel: FormText = "",
     panel_role: FormText = "viewer",
@@ -108,7 +98,7 @@ async def add_panel(
 @router.post("/users/{name}/role")
 async def set_role(
     request: Request,
-    person: Annotated[Person, SET_ROLE.permitted],
+    person: Annotated[Person, acts.SET_ROLE.permitted],
     accounts: AccountsService,
     name: str,
     role: FormText = "",
@@ -120,7 +110,10 @@ async def set_role(
 
 @router.post("/users/{name}/disable")
 async def disable(
-    request: Request, person: Annotated[Person, DISABLE_USER.permitted], accounts: AccountsService, name: str
+    request: Request,
+    person: Annotated[Person, acts.DISABLE_USER.permitted],
+    accounts: AccountsService,
+    name: str,
 ) -> Response:
     """Disable a user; every session ends."""
     change = accounts.set_disabled(name, True, by=person, origin=address_of(request))
@@ -129,7 +122,10 @@ async def disable(
 
 @router.post("/users/{name}/enable")
 async def enable(
-    request: Request, person: Annotated[Person, ENABLE_USER.permitted], accounts: AccountsService, name: str
+    request: Request,
+    person: Annotated[Person, acts.ENABLE_USER.permitted],
+    accounts: AccountsService,
+    name: str,
 ) -> Response:
     """Enable a user again."""
     change = accounts.set_disabled(name, False, by=person, origin=address_of(request))
@@ -139,7 +135,7 @@ async def enable(
 @router.post("/users/{name}/password")
 async def reset_password(
     request: Request,
-    person: Annotated[Person, SET_PASSWORD.permitted],
+    person: Annotated[Person, acts.SET_PASSWORD.permitted],
     accounts: AccountsService,
     name: str,
     password: FormText = "",
@@ -157,7 +153,10 @@ async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
 
 @router.post("/users/{name}/remove")
 async def remove(
-    request: Request, person: Annotated[Person, REMOVE_USER.permitted], accounts: AccountsService, name: str
+    request: Request,
+    person: Annotated[Person, acts.REMOVE_USER.permitted],
+    accounts: AccountsService,
+    name: str,
 ) -> Response:
     """Remove a user, whose actions stay in the events."""
     return await change_response(
@@ -168,7 +167,7 @@ async def remove(
 @router.post("/users/tokens")
 async def create_token(
     request: Request,
-    person: Annotated[Person, CREATE_TOKEN.permitted],
+    person: Annotated[Person, acts.CREATE_TOKEN.permitted],
     accounts: AccountsService,
     token: FormText = "",
     token_role: FormText = "viewer",
@@ -199,7 +198,10 @@ async def review_revocation(request: Request, _: Admin, accounts: AccountsServic
 
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(
-    request: Request, person: Annotated[Person, REVOKE_TOKEN.permitted], accounts: AccountsService, name: str
+    request: Request,
+    person: Annotated[Person, acts.REVOKE_TOKEN.permitted],
+    accounts: AccountsService,
+    name: str,
 ) -> Response:
     """Revoke a token, which is refused from the next request on."""
     return await change_response(
