@@ -71,25 +71,21 @@ async def run_while_allowed(
     """Run ``run``, which sends a response or has a WebSocket open, and end it when it is allowed no longer: a
     WebSocket by its close, a response in pieces where it is, also while it waits for its next piece or for a
     slow reader. A response that is sent at once costs nothing."""
-    running, watch = asyncio.current_task(), None
+    running, watch, is_over = asyncio.current_task(), None, False
     assert running is not None
 
     def end(_: asyncio.Task[None]) -> None:
-        running.cancel()
-
-    def follow() -> asyncio.Task[None]:
-        watch = asyncio.create_task(withdrawal())
-        watch.add_done_callback(end)
-        return watch
+        if not is_over:
+            running.cancel()
 
     async def sending(message: Message) -> None:
         nonlocal watch
         if watch is None and message.get("more_body"):
-            watch = follow()
+            watch = _follow(withdrawal, end)
         await send(message)
 
     if is_socket:
-        watch = follow()
+        watch = _follow(withdrawal, end)
     try:
         await run(sending)
     except asyncio.CancelledError:
@@ -100,6 +96,12 @@ async def run_while_allowed(
                 await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
         watch.result()  # raises where the right could not be looked up
     finally:
+        is_over = True
         if watch is not None:
-            watch.remove_done_callback(end)
             watch.cancel()
+
+
+def _follow(withdrawal: Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
+    watch = asyncio.create_task(withdrawal())
+    watch.add_done_callback(end)
+    return watch
