@@ -138,7 +138,7 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
         "user ann disabled",
         "user ann removed",
     ]
-    assert {event["who"] for event in found} == {"root"}
+    assert {event["who"] for event in found} == {"test"}
 
 
 CHANGES: dict[str, Callable[[Accounts, Person], Awaitable[object]]] = {
