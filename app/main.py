@@ -29,16 +29,16 @@ from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
 from app.recipes import feature as recipes
+from app.server.admission import RequestAdmission
 from app.server.forwarded import Forwarded
+from app.server.refusal_log import RefusalLog
 from app.server.security_headers import SecurityHeaders
-from app.server.starting import StartInTurn
 from app.sets import feature as sets
 from app.settings import Settings
 from app.swap import feature as swap
 from app.web import feature as web
 from app.web import problems
-from app.web.anonymous import AnonymousInTurn
-from app.web.arrival import Begun
+from app.web.anonymous import AnonymousLimiter
 from app.web.bounds import RequestRules
 from app.web.routes import HeadAsGet, guard, refuse_undeclared
 from app.web.templating import Templates
@@ -93,15 +93,14 @@ def create_app(
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
     app.add_middleware(HeadAsGet)
-    app.add_middleware(AnonymousInTurn)
+    app.add_middleware(AnonymousLimiter)
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
-    app.add_middleware(RecordRefusals, events=services[EventLog])
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
-    app.add_middleware(StartInTurn)
-    app.add_middleware(Begun)
+    app.add_middleware(RequestAdmission)
+    app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)
     guard(app, services[Turns])
     return app

@@ -26,9 +26,8 @@ from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import BusLive
 from app.messages import Language
 from app.sets.drift import BusDrift
-from app.web.page_head import PageHead
 from app.web.services import Registry
-from app.web.templating import Templates
+from app.web.templating import PageHead, Templates
 from bus.instants import unix_now
 
 

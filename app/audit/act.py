@@ -8,7 +8,7 @@ from typing import Any, TypedDict
 from fastapi import Depends
 
 from app.audit.kinds import EventKind
-from app.web.access import Person, Requires, Role, Via, refuse_without
+from app.web.access import Person, Requires, Role, refuse_without
 from bus.messages import TEXTS, Message, ParamValue
 
 
@@ -16,8 +16,8 @@ class Performed(TypedDict):
     """What `EventLog.record` takes of an act."""
 
     kind: EventKind
-    who: str
-    origin: Via
+    who: str | Message
+    origin: str | Message
     what: Message
 
 

@@ -12,14 +12,16 @@ from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
+from starlette.websockets import WebSocketDisconnect
 
 from app.audit.log import EventLog
 from app.auth.identity import ExpiredTokenError, Identity
-from app.auth.lasting import Rechecks, respond_while_allowed, while_allowed
+from app.auth.lasting import Rechecks, run_while_allowed
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
-from app.server.connections import identify
+from app.server.client_connection import client_connection
 from app.server.handshakes import Handshakes
+from app.server.refusal_log import REFUSED, RefusalLog
 from app.web.access import Person, Role, account_shown, not_signed_in
 from app.web.problems import is_fragment, problem_json, wants_json
 from app.web.security import LOOPBACK, refuse
@@ -67,16 +69,15 @@ class Identify:
         if person is None:
             await self._app(scope, receive, send)
             return
-        identify(scope, person.account)
+        client_connection(scope).identify(person.account)
         withdrawal = partial(
             self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
         )
-        if scope["type"] == "websocket":
+        is_socket = scope["type"] == "websocket"
+        if is_socket:
             await asyncio.sleep(self._handshakes.wait_s(person.account, monotonic_now()))
-            await while_allowed(self._app(scope, receive, send), withdrawal, send)
-            return
         # Returning without the rest makes the server cut the connection, as an incomplete response.
-        await respond_while_allowed(partial(self._app, scope, receive), withdrawal, send)
+        await run_while_allowed(partial(self._app, scope, receive), withdrawal, send, is_socket=is_socket)
 
     async def _is_still(self, connection: HTTPConnection, person: Person) -> bool:
         """Whether who opened a connection may have it still; a store that fails ends nothing that runs."""
@@ -150,34 +151,41 @@ def _is_loopback(connection: HTTPConnection) -> bool:
     return client in LOOPBACK and connection.url.hostname in LOOPBACK
 
 
-_STARTS = frozenset({"http.response.start", "websocket.http.response.start"})
 UNKNOWN_TOKEN = Message("unknown_token")
 REFUSED_ACCOUNT = "refused_account"
-"""In the scope: whose token it is that is not good any more."""
+"""Key in the scope: the account of an expired token."""
 
 
 class RecordRefusals:
-    """Counts each 403, and each 401 for a bearer token. A page without a sign-in is no attack."""
+    """Logs what was refused, by the address of its client, and counts in the events each 403, and each 401
+    for a bearer token. A page without a sign-in is no attack."""
 
-    def __init__(self, app: ASGIApp, events: EventLog) -> None:
+    def __init__(self, app: ASGIApp, events: EventLog, log: RefusalLog) -> None:
         self._app = app
         self._events = events
+        self._log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         status = 0
 
         async def watching(message: AsgiMessage) -> None:
             nonlocal status
-            if message["type"] in _STARTS:
-                status = message["status"]
+            status = message.get("status", status)
             await send(message)
 
-        await self._app(scope, receive, watching)
+        try:
+            await self._app(scope, receive, watching)
+        except WebSocketDisconnect:  # before its handshake had a response
+            self._log.note(_address_of(scope), "incomplete", scope["path"])
+            return
+        if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
+            return
+        self._log.note(_address_of(scope), str(status), scope["path"])
         # Without an event a refusal is as good: the disk may be full.
         with suppress(StoreError):
             if status == 403:
                 await self._count_forbidden(scope)
-            elif status == 401 and Headers(scope=scope).get("authorization"):
+            elif status == 401:
                 account: str | None = scope.get(REFUSED_ACCOUNT)
                 who = account_shown(account) if account else UNKNOWN_TOKEN
                 await self._count(Message("event_token_refused"), who, scope)
@@ -192,10 +200,14 @@ class RecordRefusals:
             )
 
     async def _count(self, what: Message, who: str | Message, scope: Scope, message: str = "") -> None:
-        client = scope.get("client")
         # Of IPv6 the subnet: a sender has as many of its addresses as it likes.
-        origin = source_of(client[0]) if client else ""
+        origin = source_of(_address_of(scope))
         await self._events.repeated.count("access_refused", what, who=who, origin=origin, message=message)
+
+
+def _address_of(scope: Scope) -> str:
+    client: tuple[str, int] = scope.get("client") or ("", 0)
+    return client[0]
 
 
 def _requested(scope: Scope) -> str:

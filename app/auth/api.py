@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from fastapi import APIRouter
 from typing_extensions import TypedDict
 
-from app.web.access import Role, Via, Viewer
+from app.web.access import Role, Viewer
 from app.web.api_route import ApiRoute
 
 router = APIRouter(prefix="/api/v1", tags=["who"], route_class=ApiRoute)
@@ -16,10 +18,11 @@ class CurrentUser(TypedDict):
 
     name: str
     role: Role
-    via: Via
+    via: Literal["session", "token", "worker", "demo"]
 
 
 @router.get("/me")
 async def get_current_user(person: Viewer) -> CurrentUser:
     """The current user: name and role."""
+    assert person.via != "console"
     return {"name": person.name, "role": person.role, "via": person.via}

@@ -8,6 +8,7 @@ from functools import partial
 from app.audit.log import EventLog
 from app.auth import api, pages, users
 from app.auth.accounts import Accounts
+from app.auth.acts import ACTS
 from app.auth.identity import Identity
 from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords
@@ -16,6 +17,7 @@ from app.auth.rules import Lifetimes
 from app.auth.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
+from app.server.refusal_log import RefusalLog
 
 
 def make(services: Services) -> None:
@@ -28,7 +30,8 @@ def make(services: Services) -> None:
     services.lifespan.add("rights", rights.watch)
     lifetimes = Lifetimes.of(settings.server.sessions)
     sign_in = services.add(SignIn(database, passwords, events, lifetimes, site=site, rechecks=rechecks))
+    services.add(RefusalLog())
     services.add(Identity(database, sign_in, services.worker_tokens))
 
 
-FEATURE = Feature(make, (api.router, pages.router, users.router))
+FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

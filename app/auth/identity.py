@@ -83,7 +83,7 @@ class Identity:
         )
 
     async def _note(self, work: Callable[[sqlite3.Connection], None]) -> None:
-        """When an account was last used. On a disk that takes nothing the line can still be watched."""
+        """Store when an account was last used. On a full disk the line can still be watched."""
         with suppress(StoreError):
             await self._database.write(work)
 

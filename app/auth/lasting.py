@@ -14,7 +14,7 @@ from typing import Any
 from starlette.types import Message, Send
 
 RECHECK_S = 20.0
-"""For what ends without a change: the idle time of a session."""
+"""How often a right is checked that ends without a change, as the idle time of a session."""
 NO_LONGER_SIGNED_IN = 4401
 """Close code: 4000 and the HTTP status of the same refusal."""
 
@@ -65,54 +65,43 @@ class Rechecks:
                 del self._open[account]
 
 
-async def while_allowed(work: Awaitable[None], withdrawal: Withdrawal, send: Send) -> None:
-    """Run ``work``, a WebSocket from its opening to its end; end it when it is allowed no longer."""
-    task, withdrawn = asyncio.ensure_future(work), asyncio.ensure_future(withdrawal())
-    try:
-        await asyncio.wait({task, withdrawn}, return_when=asyncio.FIRST_COMPLETED)
-        if task.done():
-            task.result()
-            return
-        await _end(task)
-        with suppress(RuntimeError, OSError):
-            await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
-        withdrawn.result()
-    finally:
-        await _end(withdrawn)
-        await _end(task)
-
-
-async def respond_while_allowed(
-    respond: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send
+async def run_while_allowed(
+    run: Callable[[Send], Awaitable[None]], withdrawal: Withdrawal, send: Send, *, is_socket: bool = False
 ) -> None:
-    """Run ``respond``, which sends a response. One in pieces ends where it is when it is allowed no longer,
-    also while it waits for its next piece or for a slow reader; one that is sent at once costs nothing."""
-    response, watch, is_cut = asyncio.current_task(), None, False
-    assert response is not None
+    """Run ``run``, which sends a response or has a WebSocket open, and end it when it is allowed no longer: a
+    WebSocket by its close, a response in pieces where it is, also while it waits for its next piece or for a
+    slow reader. A response that is sent at once costs nothing."""
+    running, watch, is_over = asyncio.current_task(), None, False
+    assert running is not None
 
-    async def cut() -> None:
-        nonlocal is_cut
-        await withdrawal()
-        is_cut = True
-        response.cancel()
+    def end(_: asyncio.Task[None]) -> None:
+        if not is_over:
+            running.cancel()
 
     async def sending(message: Message) -> None:
         nonlocal watch
         if watch is None and message.get("more_body"):
-            watch = asyncio.create_task(cut())
+            watch = _follow(withdrawal, end)
         await send(message)
 
+    if is_socket:
+        watch = _follow(withdrawal, end)
     try:
-        await respond(sending)
+        await run(sending)
     except asyncio.CancelledError:
-        if not is_cut or response.uncancel():
+        if watch is None or not watch.done() or running.uncancel():
             raise
+        if is_socket:
+            with suppress(RuntimeError, OSError):
+                await send({"type": "websocket.close", "code": NO_LONGER_SIGNED_IN})
+        watch.result()  # raises where the right could not be looked up
     finally:
+        is_over = True
         if watch is not None:
             watch.cancel()
 
 
-async def _end(task: asyncio.Future[None]) -> None:
-    if not task.done():
-        task.cancel()
-        await asyncio.wait({task})
+def _follow(withdrawal: Withdrawal, end: Callable[[asyncio.Task[None]], None]) -> asyncio.Task[None]:
+    watch = asyncio.create_task(withdrawal())
+    watch.add_done_callback(end)
+    return watch

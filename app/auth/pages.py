@@ -11,10 +11,11 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
 from app.auth.access import COOKIE
-from app.auth.accounts import Accounts
+from app.auth.accounts import Accounts, check_has_own_password
+from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
 from app.auth.signin import SignIn, WrongSecretError
 from app.errors import Problem
-from app.web.access import Viewer, person_of, public
+from app.web.access import Person, Viewer, person_of, public
 from app.web.services import service
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
@@ -23,8 +24,8 @@ from bus.messages import Message
 router = APIRouter(include_in_schema=False)
 
 
-SigningIn = Annotated[SignIn, service(SignIn)]
-Keeping = Annotated[Accounts, service(Accounts)]
+SignInService = Annotated[SignIn, service(SignIn)]
+AccountsService = Annotated[Accounts, service(Accounts)]
 FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
 """Distinguishes a browser with an earlier sign-in from those of strangers; it signs no one in."""
@@ -39,7 +40,7 @@ def address_of(connection: HTTPConnection) -> str:
 
 @router.get("/login", dependencies=[Depends(public)])
 async def login_page(
-    request: Request, sign_in: SigningIn, next: str = "/", panel: bool = False, refused: bool = False
+    request: Request, sign_in: SignInService, next: str = "/", panel: bool = False, refused: bool = False
 ) -> Response:
     """The form; a signed-in user is redirected. ``refused``: an action has led here."""
     if person_of(request):
@@ -49,7 +50,11 @@ async def login_page(
 
 @router.post("/login", dependencies=[Depends(public)])
 async def log_in(
-    request: Request, sign_in: SigningIn, name: FormText = "", password: FormText = "", next: FormText = "/"
+    request: Request,
+    sign_in: SignInService,
+    name: FormText = "",
+    password: FormText = "",
+    next: FormText = "/",
 ) -> Response:
     """A person, by password."""
     return await _sign_in(request, sign_in, name.strip(), password, next, panel=False)
@@ -57,14 +62,16 @@ async def log_in(
 
 @router.post("/login/panel", dependencies=[Depends(public)])
 async def log_panel_in(
-    request: Request, sign_in: SigningIn, name: FormText = "", pin: FormText = "", next: FormText = "/"
+    request: Request, sign_in: SignInService, name: FormText = "", pin: FormText = "", next: FormText = "/"
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
 
 
 @router.post("/logout")
-async def log_out(request: Request, person: Viewer, sign_in: SigningIn) -> Response:
+async def log_out(
+    request: Request, person: Annotated[Person, LOG_OUT.permitted], sign_in: SignInService
+) -> Response:
     """End the session and forget the cookie."""
     cookie = request.cookies.get(COOKIE)
     if cookie:
@@ -82,37 +89,33 @@ async def account_page(request: Request, _: Viewer, done: str = "") -> HTMLRespo
 
 @router.post("/account/language")
 async def choose_language(
-    request: Request, person: Viewer, accounts: Keeping, language: FormText = ""
+    request: Request, person: Viewer, accounts: AccountsService, language: FormText = ""
 ) -> Response:
-    """Empty: that of the browser."""
+    """Store the language that the user chose; empty: that of the browser."""
     if language and language not in templates_of(request).languages:
         raise CallerError(Message.of("no_such_language", language=language[:40]))
-    _refuse_programs(person.via)
-    await accounts.set_language(person.name, language)
+    await accounts.set_language(person, language)
     return RedirectResponse("/account?done=language", 303)
 
 
 @router.post("/account/password")
 async def change_password(
     request: Request,
-    person: Viewer,
-    accounts: Keeping,
-    sign_in: SigningIn,
+    person: Annotated[Person, CHANGE_OWN_PASSWORD.permitted],
+    accounts: AccountsService,
+    sign_in: SignInService,
     present: FormText = "",
     password: FormText = "",
     again: FormText = "",
 ) -> Response:
-    """Every other session of the user ends, this one goes on."""
-    _refuse_programs(person.via)
-    if person.panel:
-        raise Problem(403, "forbidden", Message("panel_pin_by_admin"))
-    name, address = person.name, address_of(request)
-    this_one = rules.secret_hash(request.cookies[COOKIE])
+    """Change the own password; every other session of the user ends."""
+    check_has_own_password(person)
+    address, this_one = address_of(request), rules.secret_hash(request.cookies[COOKIE])
     try:
-        await sign_in.check_present(name, present, address, _device_of(request))
+        await sign_in.check_present(person.name, present, address, _device_of(request))
         if password != again:
             raise CallerError(Message("new_passwords_differ"))
-        await accounts.set_password(name, password, by=name, origin=address, keep=this_one)
+        await accounts.change_own_password(password, by=person, origin=address, keep=this_one)
     except CallerError as fault:
         return _account(request, fault=fault)
     return RedirectResponse("/account?done=password", 303)
@@ -174,11 +177,6 @@ async def _login_form(
 
 def _account(request: Request, *, done: str = "", fault: CallerError | None = None) -> HTMLResponse:
     return render(request, "auth/account.html", status=422 if fault else 200, done=done, fault=fault)
-
-
-def _refuse_programs(via: str) -> None:
-    if via != "session":
-        raise Problem(403, "forbidden", Message("no_account"))
 
 
 def _own(path: str) -> str:

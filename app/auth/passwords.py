@@ -19,7 +19,8 @@ class Passwords:
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="passwords")
 
     async def hash(self, secret: str) -> str:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, hash_now, secret)
+        """The hash to store."""
+        return await asyncio.get_running_loop().run_in_executor(self._pool, _hasher.hash, secret)
 
     async def verify(self, stored: str, secret: str) -> bool:
         """Whether ``stored`` is a hash of the secret."""
@@ -27,11 +28,6 @@ class Passwords:
 
     def close(self) -> None:
         self._pool.shutdown()
-
-
-def hash_now(secret: str) -> str:
-    """The hash to store, without a loop."""
-    return _hasher.hash(secret)
 
 
 def is_outdated(stored: str) -> bool:

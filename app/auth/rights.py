@@ -44,12 +44,12 @@ class Standing:
 
 
 def credential_of_user(user: User) -> str:
-    """Another text once the user was added again, or has another password."""
+    """A text that differs once the user was added again, or has another password."""
     return f"{user.created_at} {user.secret_serial}"
 
 
 def credential_of_token(token: Token) -> str:
-    """Another text once the token was revoked and created again."""
+    """A text that differs once the token was revoked and created again."""
     return f"{token.id} {token.created_at}"
 
 

@@ -17,7 +17,7 @@ from bus.messages import Message, term
 
 LONGEST_NAME = 40
 _LETTERS = frozenset(string.ascii_letters + string.digits + "._@-" + "ßæœøþłÆŒØÞŁ")
-"""Of a name, each with or without accents: no letter of one script looks like one of another."""
+"""A name has these, each with or without accents: no letter of one script looks like one of another."""
 _SAME_SHAPE = str.maketrans("01i", "oll")
 """Look-alikes in a sans-serif font, in small letters: ``I``, ``l`` and 1."""
 
@@ -39,7 +39,7 @@ class Lifetime:
 
 @dataclass(frozen=True)
 class Lifetimes:
-    """Of the sign-ins of people and of panels."""
+    """How long the sign-ins of people and of panels last."""
 
     person: Lifetime
     panel: Lifetime

@@ -11,6 +11,7 @@ from math import ceil
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.auth import rules, store, strength
+from app.auth.acts import LOG_OUT
 from app.auth.lasting import Rechecks
 from app.auth.passwords import Passwords, is_outdated
 from app.auth.rules import Lifetimes
@@ -103,10 +104,12 @@ class SignIn:
             raise CallerError(Message("present_password_wrong"))
 
     async def sign_out(self, cookie: str, person: Person, address: str) -> None:
+        """End the session of a cookie, which is of this person. Raises Problem 403."""
+        LOG_OUT.check(person)
         await self.end(rules.secret_hash(cookie), person.name)
-        await self._events.record(
-            kind="logout", what=Message("event_signed_out"), who=person.name, origin=address
-        )
+        performed = LOG_OUT.by(person)
+        performed["origin"] = address
+        await self._events.record(**performed)
 
     async def has_no_users(self) -> bool:
         if not self._has_users:

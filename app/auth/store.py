@@ -85,7 +85,7 @@ def users(connection: sqlite3.Connection) -> list[User]:
 
 
 def secret_hashes(connection: sqlite3.Connection) -> list[str]:
-    """Of the passwords and PINs of all users, the oldest user first."""
+    """The hashes of the passwords and PINs of all users, the oldest user first."""
     query = "SELECT secret_hash FROM users ORDER BY created_at, name"
     return [row["secret_hash"] for row in connection.execute(query)]
 
@@ -106,7 +106,7 @@ def add_user(connection: sqlite3.Connection, user: User, secret_hash: str) -> No
 
 
 def set_role(connection: sqlite3.Connection, name: str, role: Role) -> bool:
-    """Whether there is such a user."""
+    """Store the role of a user. Whether there is such a user."""
     return connection.execute("UPDATE users SET role = ? WHERE name = ?", (role, name)).rowcount == 1
 
 
@@ -121,7 +121,7 @@ def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str, keep
 
 
 def replace_hash(connection: sqlite3.Connection, name: str, before: str, secret_hash: str) -> None:
-    """Another hash of the same password or PIN; nothing where the user has got another one meanwhile."""
+    """Store another hash of the same password or PIN, unless the user has got another one meanwhile."""
     change = "UPDATE users SET secret_hash = ? WHERE name = ? AND secret_hash = ?"
     connection.execute(change, (secret_hash, name, before))
 
@@ -139,7 +139,7 @@ def set_language(connection: sqlite3.Connection, name: str, language: str) -> No
 
 
 def remove_user(connection: sqlite3.Connection, name: str) -> bool:
-    """Whether there was such a user. What the user did stays in the events."""
+    """Delete a user, whose events stay. Whether there was such a user."""
     return connection.execute("DELETE FROM users WHERE name = ?", (name,)).rowcount == 1
 
 
@@ -240,5 +240,5 @@ def note_token_used(connection: sqlite3.Connection, number: int, now: UnixTime) 
 
 
 def revoke_token(connection: sqlite3.Connection, name: str) -> bool:
-    """Whether there was such a token."""
+    """Delete a token. Whether there was such a token."""
     return connection.execute("DELETE FROM tokens WHERE name = ?", (name,)).rowcount == 1

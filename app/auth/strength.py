@@ -19,7 +19,7 @@ FEWEST_PIECES = 7
 FEWEST_SIGNS = 5
 FEWEST_PIECES_OF_PIN = 4
 MIN_NAME = 4
-"""Of a name that a password may not contain; a shorter one is in too many words."""
+"""Letters of a name that a password may not contain; a shorter one is in too many words."""
 _PIN = re.compile(r"\d{6,12}")
 
 _LOOK_ALIKES = str.maketrans("013457@$!|", "oieastasii")
@@ -56,7 +56,7 @@ _PAD = {
 }
 MIN_RUN = 3
 LONGEST_EASY_BLOCK = 7
-"""Of a text that is one block again and again."""
+"""Characters of a block that a text only repeats, where that makes it easy to guess."""
 
 
 def check_password(password: str, *, user: str, site: str) -> None:
@@ -151,7 +151,8 @@ def _word(text: str, place: int) -> int:
 
 
 def _run(text: str, place: int) -> int:
-    """Of one sign, or of signs each next to the one before in the alphabet, or of evenly spaced digits."""
+    """Length of a run of one sign, of signs each next to the one before in the alphabet, or of evenly spaced
+    digits; 0: there is none."""
     if place + 1 >= len(text):
         return 0
     step = ord(text[place + 1]) - ord(text[place])
@@ -164,7 +165,7 @@ def _run(text: str, place: int) -> int:
 
 
 def _walk(text: str, place: int, keys: dict[str, tuple[float, float]]) -> int:
-    """Of neighboring keys."""
+    """Length of a run of neighboring keys; 0: there is none."""
     end = place + 1
     while end < len(text) and _are_neighbors(keys.get(text[end - 1]), keys.get(text[end])):
         end += 1
@@ -178,7 +179,7 @@ def _are_neighbors(one: tuple[float, float] | None, other: tuple[float, float] |
 
 
 def _repeated(text: str, place: int) -> int:
-    """Repeats an earlier piece."""
+    """Length of a piece that is there earlier; 0: there is none."""
     length = MIN_RUN
     while place + length <= len(text) and text[place : place + length] in text[:place]:
         length += 1

@@ -26,14 +26,14 @@ FREE, FREE_OF_PANEL = 5, 3
 """Failures of a name at one place without any wait; a PIN has few digits."""
 FIRST_WAIT_S, LONGEST_WAIT_S = 2.0, 300.0
 FORGOTTEN_AFTER_S = 900.0
-"""Without a failure; the longest wait is over by then."""
+"""Failures no longer count after so long without one; the longest wait is over by then."""
 OF_ADDRESS, OF_ADDRESS_WINDOW_S = 30, 300.0
 """Failures of one address, but for browsers with their own count: more than one sit behind a proxy."""
 OF_NAME = 10
 """Tries of one name from networks where no one ever signed in, all together, before they are slowed down."""
 OF_NAME_EVERY_S, OF_PANEL_EVERY_S = 10.0, 30.0
 MAX_KEPT = 10_000
-"""Of names, addresses and pairs each; what was used longest ago goes first."""
+"""How many names, addresses and pairs each are remembered; what was used longest ago goes first."""
 
 
 @dataclass(slots=True)
@@ -60,12 +60,12 @@ class _Bounded(Generic[K, V]):
         return len(self._values)
 
     def get(self, key: K) -> V:
-        """For reading; a changed value must be `kept`."""
+        """The value of a key, for reading; one that is changed must be `kept`."""
         found = self._values.get(key)
         return self._new() if found is None else found
 
     def kept(self, key: K) -> V:
-        """To change: the newest now."""
+        """The value of a key, to be changed; the key is the newest from now on."""
         found = self._values.setdefault(key, self._new())
         self._values.move_to_end(key)
         while len(self._values) > self._most:
@@ -89,7 +89,7 @@ class Attempt:
 
     @property
     def known(self) -> bool:
-        """Whether it is no stranger's."""
+        """Whether the place is known from an earlier sign-in."""
         return self.own_browser or self.used_network
 
     @property
@@ -110,7 +110,7 @@ class Throttle:
         self._panels: _Bounded[str, Bucket] = _Bounded(most, lambda: Bucket(1 / OF_PANEL_EVERY_S, OF_NAME))
 
     def wait_s(self, attempt: Attempt, now: Monotonic) -> float:
-        """For how many seconds this is not to be tried; 0.0: now."""
+        """For how many seconds an attempt must wait; 0.0: not at all."""
         waits = [self._wait_of_pair(attempt, now)]
         if not attempt.own_browser:
             waits.append(self._places.get(attempt.place).wait_s(now))
@@ -119,19 +119,20 @@ class Throttle:
         return max(waits)
 
     def begin(self, attempt: Attempt, now: Monotonic) -> None:
-        """It is tried. Noted before its end, lest many at once each be the last that is allowed."""
+        """Count an attempt before its result is known, lest many at once each be the last that is allowed."""
         if not attempt.known:
             self._names_of(attempt).kept(attempt.name).pour(1, now)
 
     def failed(self, attempt: Attempt, now: Monotonic) -> None:
+        """Count a wrong secret."""
         failures = self._pairs.kept(attempt.pair)
         failures.count, failures.at = failures.recent(now) + 1, now
         if not attempt.own_browser:
             self._places.kept(attempt.place).pour(1, now)
 
     def succeeded(self, attempt: Attempt, now: Monotonic) -> None:
-        """It was right: nothing counts against the name's own browser. What was tried from its network still
-        does: others share it, and would learn that there is such a user."""
+        """Count a right secret: nothing counts against the name's own browser. What was tried from its
+        network still does: others share it, and would learn that there is such a user."""
         if attempt.own_browser:
             self._pairs.drop(attempt.pair)
         if not attempt.known:

@@ -17,6 +17,7 @@ from app.cli.check_store import check_store
 from app.database import Database
 from app.database.private import make_private
 from app.settings import load
+from app.web.access import Person, Role
 from bus.messages import Message
 
 T = TypeVar("T")
@@ -29,6 +30,12 @@ def who_calls() -> str | Message:
         return getpass.getuser()
     except (KeyError, OSError):
         return ORIGIN
+
+
+def console() -> Person:
+    """The user of this machine as the caller of an act: a user who can write the store has every role."""
+    who = who_calls()
+    return Person("" if isinstance(who, Message) else who, Role.ADMIN, "console")
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:

@@ -16,12 +16,12 @@ from app.feed.workers import Workers
 from app.live.api.line_stream import LineStream
 from app.main import create_app
 from app.server.accepting import accept_connections
+from app.server.admission import LoopTurns
 from app.server.connections import Connections
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
-from app.server.refusal_log import ErrorLines, NoteRefused, RefusalLog
+from app.server.refusal_log import ErrorLines, RefusalLog
 from app.server.stamping import StampingProtocol
-from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 from app.settings import Settings
 
@@ -42,8 +42,8 @@ class Server(uvicorn.Server):
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
-        refusals, errors = RefusalLog(), ErrorLines()
-        super().__init__(_config(NoteRefused(app, refusals), self._watch, connections, refusals))
+        refusals, errors = self.services[RefusalLog], ErrorLines()
+        super().__init__(_config(app, self._watch, connections, refusals))
         errors.install()
         self._sum_up = (refusals.sum_up, errors.sum_up)
         self._serving = serving
@@ -105,7 +105,7 @@ def _config(app: Any, watch: LoopWatch, connections: Connections, refusals: Refu
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames."""
     protocol = partial(
-        StampingProtocol, watch=watch, open_connections=connections, turns=Starts(), refusals=refusals
+        StampingProtocol, watch=watch, open_connections=connections, turns=LoopTurns(), refusals=refusals
     )
     return uvicorn.Config(
         app,

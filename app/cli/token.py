@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from app.auth.accounts import Accounts
-from app.cli.accounts import ORIGIN, who_calls, with_accounts
+from app.cli.accounts import ORIGIN, console, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
@@ -37,7 +37,7 @@ def create(
 
         async def work(accounts: Accounts) -> str:
             return await accounts.create_token(
-                name, chosen, bus=bus, expires_days=expires, by=who_calls(), origin=ORIGIN
+                name, chosen, bus=bus, expires_days=expires, by=console(), origin=ORIGIN
             )
 
         typer.echo(with_accounts(config, work))
@@ -58,7 +58,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
     with ending():
-        with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
+        with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console(), origin=ORIGIN))
 
 
 def _day(at: UnixTime) -> str:

@@ -12,7 +12,7 @@ from app.errors import Problem
 from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.workers import Workers
-from app.server.trust import trust_sender
+from app.server.client_connection import client_connection
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
@@ -61,7 +61,7 @@ class WorkerSocket:
 
     def admit(self) -> None:
         """Take the large messages that follow Hello."""
-        trust_sender(self._websocket.scope)
+        client_connection(self._websocket.scope).trust()
 
     async def close(self, reason: str) -> None:
         """End it, with as many words as a close frame holds; at its end already, nothing happens."""

@@ -10,7 +10,7 @@ Address = IPv4Address | IPv6Address
 Network = IPv4Network | IPv6Network
 
 SUBNET_BITS = 64
-"""Of IPv6, what one subscriber or one machine has at least (RFC 6177, 2)."""
+"""Prefix of an IPv6 subnet, which one subscriber or one machine has at least (RFC 6177, 2)."""
 MAX_REMEMBERED = 1024
 
 

@@ -8,18 +8,15 @@ no others. Signed-in users, the bus workers among them, are counted by account, 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
-from starlette.types import Scope
-
 from app.server.addresses import Network, is_within, source_of
 
-EXTENSION = "lineside.connection"
 MAX_OF_ADDRESS = 512
-"""Of strangers; all browsers of a plant may share an address until they have sent their cookie, and return at
-once after a restart."""
+"""Connections of strangers at one address; all browsers of a plant may share an address until they have sent
+their cookie, and return at once after a restart."""
 MAX_STRANGERS = 1024
 MAX_OF_ACCOUNT = 600
 MAX_IN_ALL = 2000
@@ -43,7 +40,7 @@ class Connection:
     holder: ConnectionHolder | None
     """None once it has ended: the protocol refers to it, and neither would go before the next collection."""
     account: str = ""
-    """Of whom it has shown a valid credential."""
+    """The account that it has shown a valid credential of; empty: a stranger."""
 
     def drop(self) -> None:
         if self.holder is not None:
@@ -65,13 +62,13 @@ class Connections:
         self._count = {True: 0, False: 0}
 
     def open(self, connection: Connection) -> None:
-        """One more. A trusted proxy counts as one account: it has its own limits for its clients."""
+        """Count one more. A trusted proxy counts as one account: it has its own limits for its clients."""
         if is_within(connection.address, self._trusted):
             connection.account = f"proxy {connection.address}"
         self._add(connection)
 
     def identify(self, connection: Connection, account: str) -> None:
-        """It has shown a valid credential of this account."""
+        """Count a connection for the account that it has shown a valid credential of."""
         if connection.account or connection not in self._strangers.get(self._key(connection), ()):
             return
         self.close(connection)
@@ -79,7 +76,7 @@ class Connections:
         self._add(connection)
 
     def close(self, connection: Connection) -> None:
-        """One less; nothing happens where it was dropped before."""
+        """Count one less, unless it was dropped before."""
         groups, key = self._groups(connection), self._key(connection)
         if connection in groups.get(key, ()):
             del groups[key][connection]
@@ -110,10 +107,3 @@ class Connections:
 
     def _key(self, connection: Connection) -> str:
         return connection.account or source_of(connection.address)
-
-
-def identify(scope: Scope, account: str) -> None:
-    """Count the connection of a request for this account from now on, where the server offers to."""
-    offered: Callable[[str], None] | None = scope.get("extensions", {}).get(EXTENSION)
-    if offered is not None:
-        offered(account)

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, OrderedDict, deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from math import inf
+from types import MappingProxyType
 from typing import Generic, TypeVar
 
 K = TypeVar("K")
@@ -20,8 +21,8 @@ class TooManyWaitingError(Exception):
     """Nothing more is put into the queue."""
 
 
-class _Waiting(Generic[K]):
-    """One class of keys: each with what waits, in the order in which they have their turn."""
+class RoundRobin(Generic[K]):
+    """What waits, by key; the keys have their turn one after the other."""
 
     def __init__(self) -> None:
         self._turns: OrderedDict[K, deque[asyncio.Future[None]]] = OrderedDict()
@@ -43,10 +44,13 @@ class _Waiting(Generic[K]):
         if not turns:
             del self._turns[key]
 
-    def next(self, busy: Counter[K], at_once_of_key: int) -> tuple[K, asyncio.Future[None]] | None:
-        """The first of the next key that may have one more turn; that key goes to the end."""
+    def next(
+        self, busy: Mapping[K, int] = MappingProxyType({}), at_once_of_key: int = 1
+    ) -> tuple[K, asyncio.Future[None]] | None:
+        """The first of the next key that may have one more turn beside those that are ``busy``; that key goes
+        to the end."""
         for key in self._turns:
-            if busy[key] < at_once_of_key:
+            if busy.get(key, 0) < at_once_of_key:
                 turn = self._turns[key][0]
                 self.discard(key, turn)
                 if key in self._turns:
@@ -76,7 +80,7 @@ class FairQueue(Generic[K]):
         self._most_of_key = at_once_of_key + most_waiting_of_key
         self._most_waiting_of_class = most_waiting / 2
         self._rest = rest
-        self._waiting: dict[bool, _Waiting[K]] = {True: _Waiting(), False: _Waiting()}
+        self._waiting: dict[bool, RoundRobin[K]] = {True: RoundRobin(), False: RoundRobin()}
         self._busy: Counter[K] = Counter()
         self._known_next = True
 

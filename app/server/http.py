@@ -12,8 +12,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-from app.server.connections import EXTENSION, Connection
-from app.server.counted_protocol import CountedProtocol
+from app.server.client_connection import EXTENSION
+from app.server.connection_protocol import ConnectionProtocol
+from app.server.connections import Connection
 from app.server.pace import Awaited, Pace
 from app.server.refusal import (
     MALFORMED,
@@ -41,7 +42,7 @@ class BeyondBoundsError(Exception):
     """Ends the parsing of a request."""
 
 
-class HttpProtocol(CountedProtocol, HttpToolsProtocol):
+class HttpProtocol(ConnectionProtocol, HttpToolsProtocol):
     """One connection. The server calls :meth:`check` once a second."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -166,7 +167,7 @@ class HttpProtocol(CountedProtocol, HttpToolsProtocol):
         elif not all(map(_is_met, self.headers)):
             self._give_up(NO_SUCH_EXPECTATION)
         self._pace.expect(Awaited.BODY, self.loop.time())
-        self._offered[EXTENSION] = self._identify
+        self._offered[EXTENSION] = self
         self.scope["extensions"] = self._offered
         super().on_headers_complete()
         if not self.pipeline:

@@ -9,8 +9,6 @@ from __future__ import annotations
 import logging
 
 import structlog
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
-from starlette.websockets import WebSocketDisconnect
 
 from app.server.addresses import source_of
 from app.server.repeats import Repeats
@@ -50,31 +48,6 @@ class RefusalLog:
         """Log the numbers of the minutes that have passed; to be called about once a second."""
         for source, count in self._repeats.take_counts(self._now()).items():
             _log.warning(f"refused {count:,} requests from {source} in the last minute")
-
-
-class NoteRefused:
-    """Middleware: notes each response that refuses a request or a handshake."""
-
-    def __init__(self, app: ASGIApp, refusals: RefusalLog) -> None:
-        self._app = app
-        self._refusals = refusals
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def watching(message: Message) -> None:
-            if message.get("status") in REFUSED and _is_shown(scope, message["status"]):
-                address = (scope.get("client") or ("",))[0]
-                self._refusals.note(address, str(message["status"]), scope["path"])
-            await send(message)
-
-        try:
-            await self._app(scope, receive, watching)
-        except WebSocketDisconnect:  # before its handshake had a response
-            self._refusals.note((scope.get("client") or ("",))[0], "incomplete", scope["path"])
-
-
-def _is_shown(scope: Scope, status: int) -> bool:
-    """Whether it is worth a line: a browser without a session gets a 401 too."""
-    return status != 401 or any(name == b"authorization" for name, _ in scope["headers"])
 
 
 class ErrorLines(logging.Handler):

@@ -5,14 +5,11 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+from app.server.admission import ARRIVED_AT
 from app.server.connection_arrivals import ConnectionArrivals
 from app.server.http import HttpProtocol
 from app.server.loop_watch import LoopWatch
 from app.server.tcp_wait import TcpSocket, tcp_wait
-
-ARRIVED_AT = "lineside.arrived_at"
-"""Key in the ``state`` of an ASGI scope: the moment at which the first byte of a request arrived, seconds by
-:func:`time.monotonic`."""
 
 
 class StampingProtocol(HttpProtocol):

@@ -1,4 +1,4 @@
-"""WebSockets as uvicorn speaks them, with the short way out of :mod:`app.server.frames`, and with bounds."""
+"""WebSockets as uvicorn speaks them, with bounds, and with a short way out for complete frames."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import CloseCode, Frame
 from websockets.protocol import State
 
-from app.server.connections import EXTENSION as CONNECTION
+from app.server.client_connection import EXTENSION
+from app.server.connection_protocol import ConnectionProtocol
 from app.server.connections import Connection
-from app.server.counted_protocol import CountedProtocol
-from app.server.frames import EXTENSION, OUTLET
-from app.server.trust import EXTENSION as TRUST
 from bus.bucket import Bucket
 from bus.instants import Monotonic
 
@@ -28,7 +26,7 @@ MAX_AFTER_CLOSE_BYTES = 4096
 """Of what a page sent before it saw the server's Close frame, its own Close frame included."""
 
 
-class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
+class WebSocketProtocol(ConnectionProtocol, WebSocketsSansIOProtocol):
     """Handshake, control frames, close and every ``send`` are uvicorn's; only complete frames that are ready
     may bypass it. It writes what it has in the same turn too, so the two cannot mix within a message.
     """
@@ -52,7 +50,7 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
         drop them all at once."""
         self._unparsed.clear()
         self.disconnected = True  # the app may send before that turn
-        self._turns.run(self._turn_key(), partial(super().connection_lost, exc))
+        self._turns.run(self._sender(), partial(super().connection_lost, exc))
 
     def give_way(self) -> None:
         """Make room at once."""
@@ -132,21 +130,21 @@ class WebSocketProtocol(CountedProtocol, WebSocketsSansIOProtocol):
     async def run_asgi(self) -> None:
         """Run the app, with the fast path in its scope."""
         offered = cast(dict[str, Any], self.scope["extensions"])
-        offered |= {EXTENSION: {OUTLET: self}, CONNECTION: self._identify, TRUST: self._trust}
+        offered[EXTENSION] = self
         try:
             await super().run_asgi()
         finally:
             offered.clear()  # it refers to this protocol, which would live until the next collection
 
     def write(self, frame: bytes, /) -> bool:
-        """As :class:`app.server.frames.Outlet`."""
+        """As :class:`app.server.client_connection.ClientConnection`."""
         transport = self.transport
         if self.conn.state is not State.OPEN or transport.is_closing() or transport.get_write_buffer_size():
             return False
         transport.write(frame)
         return True
 
-    def _trust(self) -> None:
+    def trust(self) -> None:
         """Take large messages, and as many as the app reads."""
         self._is_trusted, self.conn.max_message_size = True, self._most_bytes
 

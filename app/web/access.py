@@ -20,7 +20,8 @@ from bus.errors import CallerError
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
-Via = Literal["session", "token", "worker", "demo"]
+Via = Literal["session", "token", "worker", "demo", "console"]
+"""How a person is known; ``console``: calls the command line of the server, and sends no request."""
 
 
 class Author(TypedDict):

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from starlette.requests import ClientDisconnect, HTTPConnection
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
 from app.errors import Problem
 from app.server.addresses import source_of
-from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.server.starting import HEALTH
+from app.server.admission import HEALTH
+from app.server.fair_queue import FairQueue
 from app.web.access import person_of
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
 from app.web.security import refuse
-from bus.messages import Message
+from app.web.turns import turn_of
 
 MAX_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 MAX_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
@@ -22,7 +22,7 @@ REST = 4.0
 without the rest it would wait for another page each time."""
 
 
-class AnonymousInTurn:
+class AnonymousLimiter:
     """Serves a request without a person in its turn, and only once its body has arrived.
 
     Otherwise a burst of them would be begun in one iteration of the event loop, before everyone else's.
@@ -48,28 +48,12 @@ class AnonymousInTurn:
 
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
-            body = await _complete_body(receive)
+            body = await Request(scope, receive).body()
         except ClientDisconnect:
             return
         client = HTTPConnection(scope).client
-        try:
-            async with self._turns.turn(source_of(client.host if client else ""), known=False):
-                await self._app(scope, _replaying(body, receive), send)
-        except TooManyWaitingError:
-            problem = Problem(429, "too_many", Message("too_many_requests"))
-            raise problem.with_headers(Retry_After="2") from None
-
-
-async def _complete_body(receive: Receive) -> bytes:
-    """Raises ClientDisconnect where the rest of it does not come."""
-    body, more = bytearray(), True
-    while more:
-        message = await receive()
-        if message["type"] == "http.disconnect":
-            raise ClientDisconnect
-        body += message.get("body", b"")
-        more = message.get("more_body", False)
-    return bytes(body)
+        async with turn_of(self._turns, source_of(client.host if client else ""), known=False):
+            await self._app(scope, _replaying(body, receive), send)
 
 
 def _replaying(body: bytes, receive: Receive) -> Receive:

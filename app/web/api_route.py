@@ -19,7 +19,7 @@ from app.web.schema_problem import usual_problems
 from bus.messages import Message
 
 MAX_MEMBERS = 1000
-"""Of a JSON object; the largest has one for each of 255 units. Each unknown one is a separate fault."""
+"""Members of a JSON object; the largest has one for each of 255 units. An unknown one is a fault each."""
 RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 RequestKey = Annotated[
     str | None,

@@ -13,15 +13,12 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.errors import Problem
-from app.server.stamping import ARRIVED_AT
+from app.server.admission import ARRIVED_AT, BEGUN_AT
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
 
-BEGUN_AT = "lineside.begun_at"
-"""Key in the ``state`` of an ASGI scope: the moment at which the app began with a request."""
 SENT_AT = "lineside-sent-at"
 _CLICKED_AT = ("lineside-clicked-at", "lineside-asked-at")
 _CLICKED_AT_IN_QUERY = ("clicked_at", "asked_at")
@@ -29,21 +26,6 @@ _CLICKED_AT_IN_QUERY = ("clicked_at", "asked_at")
 MAX_AHEAD_S = 5.0
 """How far a program's clock may be ahead of the server's."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-
-
-class Begun:
-    """Middleware: notes when the app begins with a request, before its body is read. Without the server's
-    stamp of the first byte it counts from the call of the app."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http":
-            state = scope.setdefault("state", {})
-            state[BEGUN_AT] = monotonic_now()
-            state.setdefault(ARRIVED_AT, state[BEGUN_AT])
-        await self._app(scope, receive, send)
 
 
 def made_at(connection: HTTPConnection) -> Monotonic:

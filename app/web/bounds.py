@@ -23,9 +23,9 @@ from app.web.shape import parse_integer
 from bus.messages import Message
 
 MAX_BODY_BYTES = 2 * 1024 * 1024
-"""Of a request that carries a file of parameter sets: 255 units take 0.7 MB."""
+"""Bound of a body that carries a file of parameter sets: 255 units take 0.7 MB."""
 MAX_PLAIN_BODY_BYTES = 64 * 1024
-"""Of any other: the largest are the setpoints of 255 units."""
+"""Bound of any other body: the largest are the setpoints of 255 units."""
 LONGEST_PATH = 1000
 LONGEST_QUERY = 20_000
 """Bytes; the longest that a page makes names a value of each of 255 units."""
@@ -105,8 +105,8 @@ def _out_of_bounds(scope: Scope) -> Problem | None:
 
 
 def _readable(headers: list[tuple[bytes, bytes]]) -> Iterator[tuple[bytes, bytes]]:
-    """Without cookies that have a quotation mark. None of ours has, and to unquote one takes n² steps
-    (CVE-2024-7592, Python before 3.11.10)."""
+    """Headers without the cookies that have a quotation mark. None of ours has, and to unquote one takes n²
+    steps (CVE-2024-7592, Python before 3.11.10)."""
     for name, value in headers:
         if name == b"cookie" and b'"' in value:
             value = b";".join(pair for pair in value.split(b";") if b'"' not in pair)

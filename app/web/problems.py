@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
 
-import msgspec
 import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
@@ -20,7 +19,7 @@ from starlette.websockets import WebSocket
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
-from app.web.shape import reason_shown
+from app.web.shape import message_shown, reason_shown
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import Message
@@ -37,7 +36,7 @@ _CODES: dict[int, ProblemCode] = {
 }
 
 MAX_FAULTS = 20
-"""Of a body that are named."""
+"""Faults of one body that are named."""
 
 
 def wants_json(connection: HTTPConnection) -> bool:
@@ -117,7 +116,7 @@ def invalid(errors: Sequence[Any]) -> Problem:
         return Problem(422, "invalid", Message("body_not_json"))
     found = [(_place(error["loc"]), fault_message(error)) for error in errors[:MAX_FAULTS]]
     faults = [Message.of("fault_at", where=where, fault=fault) for where, fault in found]
-    named = [{"where": where, "message": str(fault), **msgspec.to_builtins(fault)} for where, fault in found]
+    named = [{"where": where, **message_shown(fault)} for where, fault in found]
     return Problem(422, "invalid", Message.of("fields_malformed", errors=faults), errors=named)
 
 

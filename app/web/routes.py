@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.web.access import Requires, Role, public
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
-from app.web.turns import DOWNLOAD, SEARCH, ReadInTurn, Turns
+from app.web.turns import DOWNLOAD, SEARCH, ReadLimiter, Turns
 
 
 class HeadAsGet:
@@ -48,22 +48,20 @@ def _calls(dependant: Any) -> Iterator[Any]:
         yield from _calls(dependency)
 
 
-def _requirements(dependant: Any) -> Iterator[Requires]:
-    return (call for call in _calls(dependant) if isinstance(call, Requires))
-
-
-def _roles(route: RouteContext) -> Iterator[Role | None]:
+def _declared(route: Any) -> list[Any]:
     dependant = getattr(route, "dependant", None)
-    for call in _calls(dependant) if dependant is not None else ():
-        if isinstance(call, Requires):
-            yield call.role
-        elif call is public:
-            yield None
+    calls = _calls(dependant) if dependant is not None else ()
+    return [call for call in calls if isinstance(call, Requires) or call is public]
+
+
+def required(app: FastAPI) -> Iterator[tuple[RouteContext, list[Any]]]:
+    """Each route with what it declares: its `Requires`, or that it is `public`; an empty list: nothing."""
+    return ((route, _declared(route)) for route in iter_route_contexts(app.routes))
 
 
 def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:
     """The roles that each route requires; ``None``: public, an empty set: none declared."""
-    return [(route, set(_roles(route))) for route in iter_route_contexts(app.routes)]
+    return [(route, {getattr(each, "role", None) for each in calls}) for route, calls in required(app)]
 
 
 def refuse_undeclared(app: FastAPI) -> None:
@@ -84,8 +82,10 @@ def guard(app: FastAPI, turns: Turns) -> None:
         if isinstance(route, APIRoute):
             guarded: ASGIApp = BoundedBody(route.app, route.max_body_size or MAX_PLAIN_BODY_BYTES)
             if "GET" in (route.methods or ()) and not {SEARCH, DOWNLOAD} & set(route.dependencies):
-                guarded = ReadInTurn(guarded, turns.reads)
-            route.app = RolesFirst(guarded, list(_requirements(route.dependant)))
+                guarded = ReadLimiter(guarded, turns.reads)
+            route.app = RolesFirst(
+                guarded, [call for call in _calls(route.dependant) if isinstance(call, Requires)]
+            )
 
 
 class RolesFirst:

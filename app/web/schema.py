@@ -16,45 +16,7 @@ from app.web.access import Viewer
 from app.web.assets import Asset
 from app.web.bounds import parse_apart
 from app.web.schema_names import with_published_names
-from app.web.schema_problem import problem_schemas
-
-DESCRIPTIONS = {
-    "idempotency-key": "Id of this command, 1 to 200 characters: sent twice, the command is executed once.",
-    "alarm_id": "Id of an occurrence of an alarm.",
-    "before": "Only entries before this id: next of the page before.",
-    "bus": "Name of a bus in lineside.toml.",
-    "format": "Of the times or of the file.",
-    "from": "Start of the span, ISO 8601 with zone; an hour before its end when left out.",
-    "from_unit": "Address of a unit of the document, 1 to 255.",
-    "gaps": "Read in the gaps of the scan only: slower, and the scan keeps its rate.",
-    "kind": "Only events of this kind.",
-    "limit": "Entries per response.",
-    "group": "Only alarms of this group: what they are about; own: those of the configuration.",
-    "name": "Name of the recipe.",
-    "maintenance_id": "Id of a maintenance.",
-    "number": "Number of the output (1 to 6) or of the parameter (1 to 40).",
-    "other_id": "Id of the other parameter set.",
-    "other_unit": "Address of the unit in the other set, 1 to 255; the same when left out.",
-    "points": "Points of the response, 1 to 20000.",
-    "recipe_id": "Id of a version of a recipe.",
-    "priority": "Only alarms of this priority.",
-    "refresh": "Read all parameters from the unit now.",
-    "resolution": "auto: values if they are stored for the complete span, else minutes.",
-    "restore_id": "Id of a restore.",
-    "search": "Only events with this text.",
-    "seconds": "As text, this many seconds back, up to 3600.",
-    "secrets": "With the operator password (#21).",
-    "series": "bus/unit/value, such as dry-end/1/actual; several times.",
-    "set_id": "Id of a parameter set.",
-    "state": "Only alarms in this state; when left out, all that are not normal.",
-    "timeout_s": "Time that the command may wait for the wire, 0.05 to 30 s; 2 s when left out.",
-    "to": "End of the span, ISO 8601 with zone; now when left out.",
-    "tolerance": "Raw counts that still pass as equal.",
-    "unit": "Address of the unit (#17), 1 to 255.",
-    "value": "commanded, actual, analog, the name of an input, output.1 to output.6, remote or at_speed.",
-    "who": "Only events of this user or token.",
-}
-"""By the name of the parameter; of a header in small letters."""
+from app.web.schema_problem import PARTS, problem_schemas
 
 
 def describe_parameters(document: dict[str, Any]) -> None:
@@ -63,8 +25,8 @@ def describe_parameters(document: dict[str, Any]) -> None:
         for operation in path.values():
             for parameter in operation.get("parameters", ()):
                 name = parameter["name"] if parameter["in"] != "header" else parameter["name"].lower()
-                if name in DESCRIPTIONS:
-                    parameter.setdefault("description", DESCRIPTIONS[name])
+                if name in PARTS["parameters"]:
+                    parameter.setdefault("description", PARTS["parameters"][name])
 
 
 router = APIRouter(include_in_schema=False)
@@ -99,22 +61,13 @@ def leave_bodies_out(document: dict[str, Any]) -> None:
                         content["schema"] = schema
 
 
-SENT_AT_HEADER = {
-    "name": "Lineside-Sent-At",
-    "in": "header",
-    "required": False,
-    "schema": {"type": "string", "examples": ["2026-11-21T03:12:00.250Z"]},
-    "description": "When the write was made, ISO 8601 with zone; without it, when it arrived.",
-}
-"""Without ``format``: openapi-python-client generates no call with a ``date-time`` in a header."""
-
-
 def add_sent_at(document: dict[str, Any]) -> None:
-    """Every write may state when it was made: the server reads the header beside the routes."""
+    """Every write may state when it was made: the server reads the header beside the routes. Its schema has
+    no ``format``: openapi-python-client generates no call with a ``date-time`` in a header."""
     for path in document["paths"].values():
         for method, operation in path.items():
             if method not in ("get", "head"):
-                operation.setdefault("parameters", []).append(SENT_AT_HEADER)
+                operation.setdefault("parameters", []).append(PARTS["sentAt"])
 
 
 def openapi_document(app: Any) -> dict[str, Any]:

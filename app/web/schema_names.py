@@ -29,7 +29,7 @@ def with_published_names(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _portable(schema: dict[str, Any]) -> dict[str, Any]:
-    """Of a dictionary with a pattern for its keys, client generators understand the values only this way."""
+    """The schema of a dictionary with a pattern for its keys, in the form that generators understand."""
     patterns = schema.get("patternProperties", {})
     if len(patterns) != 1:
         return schema

@@ -70,7 +70,7 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
 
 
 ONCE = ("host", "authorization", "content-type", "content-encoding", "transfer-encoding", "idempotency-key")
-"""Of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
+"""Headers that may be there once: of two, a proxy may have believed one and we the other (RFC 9110, 5.3)."""
 
 
 def header_problem(scope: Scope) -> Problem | None:

@@ -89,7 +89,7 @@ def service(kind: type[Any]) -> Any:
 
 
 def bus_service(kind: type[Any]) -> Any:
-    """The same for a service of ``{bus}`` in the path. Raises Problem 404."""
+    """A dependency of FastAPI: the service of this type of ``{bus}`` in the path. Raises Problem 404."""
 
     async def look_up(connection: HTTPConnection, bus: str) -> Any:
         return bus_service_of(connection, bus, kind)

@@ -38,7 +38,7 @@ UnitAddresses = Annotated[
 Numbers = Annotated[
     list[Annotated[int, Field(ge=1, le=40)]], Field(max_length=40), AfterValidator(_each_once)
 ]
-"""Of parameters."""
+"""Numbers of parameters."""
 
 
 DATE_TIME = {"type": "string", "format": "date-time"}
@@ -100,15 +100,20 @@ _REMARKS = frozenset({"nothing_sent", "outcome_because"})
 """Texts that only add a remark to their ``reason``."""
 
 
+def _subject(message: Message) -> Message:
+    """What a text is about, without the remarks that were added to it."""
+    inner = message.params.get("reason") if message.code in _REMARKS else None
+    return _subject(inner) if isinstance(inner, Message) else message
+
+
 def reason_shown(message: Message) -> ReasonShown:
     """A text with the code and the values of what it is about, each value a number or an English text."""
-    inner = message.params.get("reason") if message.code in _REMARKS else None
-    about = inner if isinstance(inner, Message) else message
+    subject = _subject(message)
     params = {
         name: value if isinstance(value, (int, float)) else shown(value, ENGLISH)
-        for name, value in about.params.items()
+        for name, value in subject.params.items()
     }
-    return {"reason": about.code, "params": params, "detail": str(message)}
+    return {"reason": subject.code, "params": params, "detail": str(message)}
 
 
 def message_shown(message: Message) -> MessageShown:
@@ -120,5 +125,5 @@ MessageObject = Annotated[InstanceOf[Message], PlainSerializer(message_shown, re
 
 
 def maybe_shown(message: Message | None) -> MessageShown | None:
-    """The same; None where there is no message."""
+    """A text for programs; None where there is no message."""
     return None if message is None else message_shown(message)

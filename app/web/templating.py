@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from time import time
@@ -19,8 +20,15 @@ from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
 from app.web.formats import Formats
-from app.web.page_head import PageHead
 from app.web.services import service_of
+
+
+@dataclass(frozen=True, slots=True)
+class PageHead:
+    """What the head of a page shows from its first paint, before a script has run. ``alarms``: the fields of
+    the alarms in the language of a reader."""
+
+    alarms: Callable[[Language], Mapping[str, Any]]
 
 
 class Compiled(FileSystemBytecodeCache):

@@ -21,18 +21,18 @@ from bus.messages import Message
 
 MAX_AT_ONCE = 2
 MAX_WAITING = 30
-"""Of searches, and of downloads."""
+"""How many searches, and how many downloads, of an account may wait."""
 MAX_READS = 6
 MAX_WAITING_READS = 200
-"""Of everything else that is read."""
+"""How many other reads of an account may wait."""
 
 
 @asynccontextmanager
-async def turn_of(turns: FairQueue[str], account: str) -> AsyncIterator[None]:
-    """Wait for a turn, and have it. Raises Problem 429 where too many wait."""
+async def turn_of(turns: FairQueue[str], key: str, *, known: bool = True) -> AsyncIterator[None]:
+    """Wait for a turn of an account or an address, and have it. Raises Problem 429 where too many wait."""
     async with AsyncExitStack() as stack:
         try:
-            await stack.enter_async_context(turns.turn(account))
+            await stack.enter_async_context(turns.turn(key, known=known))
         except TooManyWaitingError:
             raise Problem(429, "too_many", Message("too_many_requests")).with_headers(
                 Retry_After="2"
@@ -64,7 +64,7 @@ SEARCH = _in_turn(lambda turns: turns.searches)
 DOWNLOAD = _in_turn(lambda turns: turns.downloads)
 
 
-class ReadInTurn:
+class ReadLimiter:
     """Makes few responses of one account at a time. To render a page of a long line takes the event loop tens
     of milliseconds; the requests of others come in between."""
 

@@ -20,6 +20,7 @@ from app.notification.settings import NotifySettings
 from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
+from tests.administrator import BY
 
 PASSWORD = "correct horse battery"
 HOST = "plant.example"
@@ -53,7 +54,7 @@ class House:
 
     async def add(self, name: str, role: Role) -> None:
         """A person with the password of all."""
-        await self.services[Accounts].add_user(name, role, PASSWORD, by="test", origin="test")
+        await self.services[Accounts].add_user(name, role, PASSWORD, **BY)
 
     async def signed_in(self, role: Role, name: str = "") -> httpx.AsyncClient:
         """A browser of a new person who has signed in."""
@@ -67,7 +68,7 @@ class House:
     async def token(self, role: Role) -> str:
         """A bearer token."""
         bus = "dry-end" if role is Role.WORKER else ""
-        return await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, by="t", origin="t")
+        return await self.services[Accounts].create_token(f"key-{role}", role, bus=bus, **BY)
 
     async def program(self, role: Role) -> httpx.AsyncClient:
         """A program with a token."""

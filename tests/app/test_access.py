@@ -19,9 +19,10 @@ from app.auth.access import COOKIE, PUBLIC_PATHS
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
 from app.main import create_app
-from app.server.connections import EXTENSION
+from app.server.client_connection import EXTENSION, NoClientConnection
 from app.web.access import Person, Requires, Role
 from app.web.routes import demands, refuse_undeclared
+from tests.administrator import BY
 from tests.app.complete_app import EVERY_ROLE, HOST, PASSWORD, House, complete_app, settings_in
 
 FILLED = {"bus": "dry-end", "unit": "1", "number": "1", "name": "nobody", "version": "x"}
@@ -111,7 +112,7 @@ def test_each_websocket(tmp_path: Path, role: Role | None) -> None:
         if role:
             make = app.state.services[Accounts].create_token
             bus = "dry-end" if role is Role.WORKER else ""
-            token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
+            token = client.portal.call(lambda: make("t", role, bus=bus, **BY))  # type: ignore[union-attr]
             headers["authorization"] = f"Bearer {token}"
         paths = sockets(app)
         assert {path for path, _ in paths} >= {"/live", "/feed"}
@@ -132,8 +133,12 @@ async def test_the_server_learns_whose_a_connection_is(house: House) -> None:
     """Connections of accounts, the workers' among them, are counted apart from those of strangers."""
     seen: list[str] = []
 
+    class Noting(NoClientConnection):
+        def identify(self, account: str) -> None:
+            seen.append(account)
+
     async def offering(scope: Scope, receive: Receive, send: Send) -> None:
-        await house.app({**scope, "extensions": {EXTENSION: seen.append}}, receive, send)
+        await house.app({**scope, "extensions": {EXTENSION: Noting()}}, receive, send)
 
     page = await house.signed_in(Role.ENGINEER, "ann")
     transport = httpx.ASGITransport(offering)

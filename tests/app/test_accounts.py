@@ -3,22 +3,42 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 import pytest
 
+from app.audit.act import Act
 from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.auth import rules
+from app.auth import rules, store
 from app.auth.accounts import Accounts
+from app.auth.acts import (
+    ACTS,
+    ADD_PANEL,
+    ADD_USER,
+    CHANGE_OWN_PASSWORD,
+    CREATE_TOKEN,
+    CREATE_WORKER_TOKEN,
+    DISABLE_USER,
+    ENABLE_USER,
+    LOG_OUT,
+    REMOVE_USER,
+    REVOKE_TOKEN,
+    SET_PASSWORD,
+    SET_ROLE,
+)
 from app.auth.passwords import Passwords
 from app.database import Database
-from app.web.access import Role
+from app.errors import Problem
+from app.web.access import Person, Role
 from bus.errors import CallerError
+from bus.messages import Message
+from tests.administrator import BY
 
-BY = {"by": "root", "origin": "test"}
 PASSWORD = "correct horse"
+PIN = "471193"
+ANN = Person("ann", Role.OPERATOR, "session")
 
 
 @pytest.fixture
@@ -118,7 +138,77 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
         "user ann disabled",
         "user ann removed",
     ]
-    assert {event["who"] for event in found} == {"root"}
+    assert {event["who"] for event in found} == {"test"}
+
+
+CHANGES: dict[str, Callable[[Accounts, Person], Awaitable[object]]] = {
+    act.name: change
+    for act, change in (
+        (ADD_USER, lambda accounts, by: accounts.add_user("eve", Role.ADMIN, PASSWORD, by=by, origin="t")),
+        (ADD_PANEL, lambda accounts, by: accounts.add_panel("p2", Role.VIEWER, PIN, "/", by=by, origin="t")),
+        (SET_ROLE, lambda accounts, by: accounts.set_role("ann", Role.ADMIN, by=by, origin="t")),
+        (DISABLE_USER, lambda accounts, by: accounts.set_disabled("ann", True, by=by, origin="t")),
+        (ENABLE_USER, lambda accounts, by: accounts.set_disabled("off", False, by=by, origin="t")),
+        (SET_PASSWORD, lambda accounts, by: accounts.set_password("ann", PASSWORD, by=by, origin="t")),
+        (REMOVE_USER, lambda accounts, by: accounts.remove_user("ann", by=by, origin="t")),
+        (CREATE_TOKEN, lambda accounts, by: accounts.create_token("t", Role.ADMIN, by=by, origin="t")),
+        (
+            CREATE_WORKER_TOKEN,
+            lambda accounts, by: accounts.create_token("t", Role.WORKER, bus="b", by=by, origin="t"),
+        ),
+        (REVOKE_TOKEN, lambda accounts, by: accounts.revoke_token("plc", by=by, origin="t")),
+        (
+            CHANGE_OWN_PASSWORD,
+            lambda accounts, by: accounts.change_own_password(PASSWORD, by=by, origin="t", keep=b""),
+        ),
+    )
+}
+"""By act, a change that a person requests."""
+
+
+async def stored(accounts: Accounts) -> tuple[object, ...]:
+    """All that a change can change."""
+    hashes = await accounts._database.read(store.secret_hashes)
+    events, _ = await accounts._events.page(Filter(), 50)
+    return (await accounts.users(), await accounts.tokens(), hashes, len(events))
+
+
+@pytest.mark.parametrize("act", [act for act in ACTS if act is not LOG_OUT], ids=lambda act: act.name)
+async def test_a_change_is_refused_to_a_person_without_its_role(accounts: Accounts, act: Act) -> None:
+    accounts.buses = ("b",)
+    await accounts.add_user("ann", Role.ENGINEER, PASSWORD, **BY)
+    await accounts.add_user("off", Role.VIEWER, PASSWORD, **BY)
+    await accounts.set_disabled("off", True, **BY)
+    await accounts.create_token("plc", Role.VIEWER, **BY)
+    before = await stored(accounts)
+    for role in Role:
+        if not role.includes(act.role):
+            with pytest.raises(Problem, match=f"role {act.role}") as refused:
+                await CHANGES[act.name](accounts, Person("ann", role, "session"))
+            assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert await stored(accounts) == before
+
+
+@pytest.mark.parametrize(
+    "person",
+    [Person("ann", Role.ADMIN, "token"), Person("ann", Role.OPERATOR, "session", panel=True)],
+    ids=["program", "panel"],
+)
+async def test_a_program_or_a_panel_changes_no_own_password(accounts: Accounts, person: Person) -> None:
+    await accounts.add_user("ann", Role.OPERATOR, PASSWORD, **BY)
+    before = await stored(accounts)
+    with pytest.raises(Problem, match=r"only a logged-in user|only an admin"):
+        await CHANGES[CHANGE_OWN_PASSWORD.name](accounts, person)
+    assert await stored(accounts) == before
+
+
+async def test_a_user_of_the_machine_without_a_name_is_recorded_as_the_command_line(
+    accounts: Accounts,
+) -> None:
+    line = Message("command_line")
+    await accounts.create_token("plc", Role.VIEWER, by=Person("", Role.ADMIN, "console"), origin=line)
+    events, _ = await accounts._events.page(Filter(kind="token"), 1)
+    assert (events[0]["who"], (await accounts.tokens())[0].created_by) == (str(line), str(line))
 
 
 async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts: Accounts) -> None:
@@ -130,7 +220,7 @@ async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts
     accounts.on_changed(receive)
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
-    await accounts.set_password("ann", "another good one", keep=b"session", **BY)
+    await accounts.change_own_password("another good one", keep=b"session", by=ANN, origin="test")
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
     assert received == ["", "", "ann", "", ""]

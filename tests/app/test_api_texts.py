@@ -30,7 +30,7 @@ AS_DATA = {
     "HistoryMark.old": "messages",
     "HistoryMark.what": "messages",
     "HistoryStatus.message": "reason",
-    "InvalidField.message": "code",
+    "InvalidField.detail": "code",
     "Message.detail": "code",
     "Problem.detail": "reason",
     "UnitResult.detail": "reason",

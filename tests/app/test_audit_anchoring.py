@@ -37,6 +37,7 @@ from app.messages import Languages
 from app.web.access import Role
 from app.web.formats import Formats
 from bus.messages import Message
+from tests.administrator import BY
 from tests.app.complete_app import settings_in
 
 RING = KeyRing((b"k" * 32,))
@@ -277,7 +278,7 @@ async def test_audit_faults_are_on_the_page_and_in_the_metrics(tmp_path: Path) -
     services = app.state.services
     async with services.lifespan.running():
         await services[Anchoring].export()
-        token = await services[Accounts].create_token("plc", Role.VIEWER, by="test", origin="test")
+        token = await services[Accounts].create_token("plc", Role.VIEWER, **BY)
         headers = {"Authorization": f"Bearer {token}"}
         transport = httpx.ASGITransport(app)
         async with httpx.AsyncClient(transport=transport, base_url="http://plant", headers=headers) as client:

@@ -14,6 +14,7 @@ from app.auth.pages import DEVICE_COOKIE
 from app.auth.throttle import FREE
 from app.database import Database
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app
 
 HTML = {"accept": "text/html"}
@@ -86,8 +87,7 @@ async def test_too_many_failures_are_refused_with_the_time_to_wait(house: House)
 
 
 async def test_a_panel_begins_at_its_home_page(house: House) -> None:
-    by = {"by": "t", "origin": "t"}
-    await house.services[Accounts].add_panel("p1", Role.VIEWER, PIN, "/units/dry-end/1", **by)
+    await house.services[Accounts].add_panel("p1", Role.VIEWER, PIN, "/units/dry-end/1", **BY)
     client = house.client()
     assert 'name="pin"' in (await client.get("/login?panel=true")).text
     response = await client.post("/login/panel", data={"name": "p1", "pin": PIN})

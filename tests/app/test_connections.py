@@ -10,14 +10,12 @@ from ipaddress import ip_network
 import pytest
 
 from app.server.connections import (
-    EXTENSION,
     MAX_IN_ALL,
     MAX_OF_ACCOUNT,
     MAX_OF_ADDRESS,
     MAX_STRANGERS,
     Connection,
     Connections,
-    identify,
 )
 from app.server.pace import LONGEST_BODY_S, MIN_RATE, STALL_S, WITHIN_S, Awaited, Backlog, Pace
 
@@ -127,13 +125,6 @@ def test_there_is_an_end_to_accounts_too(world: World) -> None:
     assert world.dropped == []
     world.open("new")
     assert len(world.dropped) == 1
-
-
-def test_a_request_is_identified_where_the_server_offers_to() -> None:
-    seen: list[str] = []
-    identify({"extensions": {EXTENSION: seen.append}}, "ann")
-    identify({"type": "http"}, "ann")
-    assert seen == ["ann"]
 
 
 @pytest.mark.parametrize("awaited", WITHIN_S)

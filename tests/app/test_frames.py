@@ -16,10 +16,12 @@ from websockets.exceptions import ConnectionClosedError
 from websockets.frames import Frame, Opcode
 from websockets.streams import StreamReader
 
+from app.server.admission import LoopTurns
+from app.server.client_connection import ClientConnection as Outlet
+from app.server.client_connection import client_connection
 from app.server.connections import Connection, Connections
-from app.server.frames import Outlet, outlet_of, text_frame
+from app.server.frames import text_frame
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
 from app.server.websocket import WebSocketProtocol
 
 PATIENCE_S = 30.0
@@ -38,7 +40,7 @@ def test_a_frame_has_its_complete_payload(size: int) -> None:
 
 
 def test_without_the_server_s_offer_nothing_goes_the_short_way() -> None:
-    assert not outlet_of({"type": "websocket"}).write(text_frame(b"x"))
+    assert not client_connection({"type": "websocket"}).write(text_frame(b"x"))
 
 
 class Echo:
@@ -58,7 +60,7 @@ class Echo:
 
     @property
     def outlet(self) -> Outlet:
-        return outlet_of(self.socket.scope)
+        return client_connection(self.socket.scope)
 
 
 @asynccontextmanager
@@ -75,7 +77,7 @@ async def held() -> AsyncIterator[tuple[Echo, ClientConnection]]:
             {},
             connection=Connection("127.0.0.1", None),
             open_connections=Connections(),
-            turns=Starts(),
+            turns=LoopTurns(),
             refusals=RefusalLog(),
         )
 

@@ -12,8 +12,10 @@ import uvicorn
 from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
-from app.server.connections import EXTENSION, MAX_OF_ADDRESS, Connections
-from app.server.counted_protocol import CLOSING_S
+from app.server.admission import LoopTurns
+from app.server.client_connection import client_connection
+from app.server.connection_protocol import CLOSING_S
+from app.server.connections import MAX_OF_ADDRESS, Connections
 from app.server.http import (
     MAX_HEAD_BYTES,
     MAX_HEADERS,
@@ -23,7 +25,6 @@ from app.server.http import (
 )
 from app.server.pace import MIN_RATE, PROMPT_S, STALL_S, WITHIN_S, Awaited
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
 
 HEAD = b"GET / HTTP/1.1\r\nHost: here\r\n"
 GET = HEAD + b"\r\n"
@@ -40,7 +41,7 @@ class Site:
     protocols: list[HttpProtocol] = field(default_factory=list)
     writers: list[asyncio.StreamWriter] = field(default_factory=list)
     connections: Connections = field(default_factory=Connections)
-    turns: Starts = field(default_factory=Starts)
+    turns: LoopTurns = field(default_factory=LoopTurns)
     refusals: RefusalLog = field(default_factory=RefusalLog)
     go: asyncio.Event = field(default_factory=asyncio.Event)
     requests: int = 0
@@ -51,7 +52,7 @@ class Site:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         self.requests += 1
         if scope["path"] == "/known":
-            scope["extensions"][EXTENSION]("ann")
+            client_connection(scope).identify("ann")
         while self.reads_bodies and (message := await receive()).get("more_body"):
             if message["type"] == "http.disconnect":
                 return

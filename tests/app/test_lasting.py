@@ -14,9 +14,10 @@ from starlette.types import Send
 from starlette.websockets import WebSocketDisconnect
 
 from app.auth.accounts import Accounts
-from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, respond_while_allowed, while_allowed
+from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks, run_while_allowed
 from app.main import create_app
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import settings_in
 
 NEVER_S = 1e6
@@ -32,7 +33,7 @@ class Socket:
     async def send(self, message: MutableMapping[str, Any]) -> None:
         self.sent.append(message)
 
-    async def work(self) -> None:
+    async def work(self, _send: Send) -> None:
         try:
             await asyncio.Event().wait()
         finally:
@@ -74,7 +75,7 @@ async def ended(task: asyncio.Future[None]) -> None:
 
 async def test_it_ends_with_its_right() -> None:
     socket, right = Socket(), Right()
-    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    task = asyncio.ensure_future(run_while_allowed(socket.work, right.withdrawn, socket.send, is_socket=True))
     await settled()
     right.withdraw()
     await ended(task)
@@ -91,19 +92,19 @@ async def test_what_ends_without_a_change_is_noticed_in_time() -> None:
 async def test_a_socket_that_ended_is_not_closed_again() -> None:
     socket = Socket()
 
-    async def short() -> None:
+    async def short(_: Send) -> None:
         return None
 
-    await while_allowed(short(), Right().withdrawn, socket.send)
+    await run_while_allowed(short, Right().withdrawn, socket.send, is_socket=True)
     assert socket.sent == []
 
 
 async def test_a_failure_comes_through() -> None:
-    async def fail() -> None:
+    async def fail(_: Send) -> None:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        await while_allowed(fail(), Right().withdrawn, Socket().send)
+        await run_while_allowed(fail, Right().withdrawn, Socket().send, is_socket=True)
 
 
 async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> None:
@@ -113,7 +114,7 @@ async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> No
         raise ZeroDivisionError
 
     right.on_look = fail
-    task = asyncio.ensure_future(while_allowed(socket.work(), right.withdrawn, socket.send))
+    task = asyncio.ensure_future(run_while_allowed(socket.work, right.withdrawn, socket.send, is_socket=True))
     await settled()
     right.rechecks.now()
     with pytest.raises(ZeroDivisionError):
@@ -123,7 +124,9 @@ async def test_a_right_that_cannot_be_looked_up_ends_it_with_the_failure() -> No
 
 async def test_a_server_that_ends_takes_it_along() -> None:
     socket = Socket()
-    task = asyncio.ensure_future(while_allowed(socket.work(), Right().withdrawn, socket.send))
+    task = asyncio.ensure_future(
+        run_while_allowed(socket.work, Right().withdrawn, socket.send, is_socket=True)
+    )
     await asyncio.sleep(0)
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -189,7 +192,7 @@ async def test_a_response_in_pieces_ends_with_its_right(waits_in: str) -> None:
             waiting.set()
             await asyncio.Event().wait()
 
-    task = asyncio.ensure_future(respond_while_allowed(respond, right.withdrawn, slow))
+    task = asyncio.ensure_future(run_while_allowed(respond, right.withdrawn, slow))
     await waiting.wait()
     right.rechecks.now("ann")
     await settled()
@@ -204,7 +207,7 @@ async def test_a_response_that_a_server_cuts_off_is_canceled() -> None:
         await send(PIECE)
         await asyncio.Event().wait()
 
-    task = asyncio.ensure_future(respond_while_allowed(respond, Right().withdrawn, Socket().send))
+    task = asyncio.ensure_future(run_while_allowed(respond, Right().withdrawn, Socket().send))
     await settled()
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
@@ -219,7 +222,7 @@ async def test_a_response_at_once_is_not_followed() -> None:
         await send({"type": "http.response.body", "body": b"x"})
         await settled()
 
-    await respond_while_allowed(respond, right.withdrawn, Socket().send)
+    await run_while_allowed(respond, right.withdrawn, Socket().send)
     assert right.looks == 0
 
 
@@ -232,13 +235,12 @@ def test_a_revoked_token_loses_its_open_page(tmp_path: Path) -> None:
     """It was looked at every 20 s."""
     app = create_app(settings_in(tmp_path))
     accounts = app.state.services[Accounts]
-    by = {"by": "t", "origin": "t"}
     with TestClient(app) as client:
         call = client.portal.call  # type: ignore[union-attr]
-        token = call(lambda: accounts.create_token("t", Role.VIEWER, **by))
+        token = call(lambda: accounts.create_token("t", Role.VIEWER, **BY))
         with client.websocket_connect("/live", headers={"authorization": f"Bearer {token}"}) as socket:
             socket.receive_text()
-            call(lambda: accounts.revoke_token("t", **by))
+            call(lambda: accounts.revoke_token("t", **BY))
             with pytest.raises(WebSocketDisconnect) as ended:
                 read_to_the_end(socket)
     assert ended.value.code == NO_LONGER_SIGNED_IN

@@ -10,6 +10,7 @@ import pytest
 
 from app.auth.accounts import Accounts
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 
 BUS = "/api/v1/buses/dry-end"
@@ -57,7 +58,7 @@ async def test_control_of_one_is_not_that_of_the_other(
 async def test_what_the_one_holds_stays_when_the_other_goes(house: House, user: httpx.AsyncClient) -> None:
     await house.token(Role.OPERATOR)
     await user.post(f"{BUS}/control")
-    await house.services[Accounts].revoke_token(NAME, by="test", origin="test")
+    await house.services[Accounts].revoke_token(NAME, **BY)
     assert (await user.get(f"{BUS}/control")).json()["holder"] == NAME
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from app.auth.identity import Identity
 from app.errors import Problem, StoreError
 from app.server.security_headers import HEADERS
 from app.web.access import Role
+from app.web.problems import problem_json
 from bus.messages import Message
 from tests.app.complete_app import House, complete_app
 
@@ -82,7 +84,23 @@ async def test_faults_are_in_the_text_and_each_as_data_once(engineer: httpx.Asyn
     response = await engineer.post(SPEED, json={"raw": "x", "surplus": 2})
     problem = response.json()
     assert problem["detail"].startswith("raw: it must be an integer; surplus: there is no such field;")
-    assert (problem["params"], [error["where"] for error in problem["errors"]]) == ({}, ["raw", "surplus"])
+    assert problem["params"] == {}
+    assert problem["errors"] == [
+        {"where": "raw", "code": "fault_not_an_integer", "params": {}, "detail": "it must be an integer"},
+        {"where": "surplus", "code": "fault_no_such_field", "params": {}, "detail": "there is no such field"},
+    ]
+
+
+def test_a_reason_within_remarks_is_named_with_its_values_and_has_one_text() -> None:
+    late = Message.of("came_too_late", age="3.0", allowed="2")
+    because = Message.of("outcome_because", outcome=Message("outcome_not_sent"), reason=late)
+    body = json.loads(
+        problem_json(Problem(409, "controlled", Message.of("nothing_sent", reason=because))).body
+    )
+    assert (body["code"], body["reason"]) == ("controlled", "came_too_late")
+    assert body["params"] == {"age": "3.0", "allowed": "2"}
+    assert body["detail"].endswith("; nothing was sent")
+    assert [name for name, value in body.items() if body["detail"] in str(value)] == ["detail"]
 
 
 async def test_an_address_longer_than_any_is_refused(engineer: httpx.AsyncClient) -> None:

@@ -6,11 +6,9 @@ import logging
 from collections.abc import Iterator
 
 import pytest
-from starlette.types import Message, Receive, Scope, Send
-from starlette.websockets import WebSocketDisconnect
 from structlog.testing import capture_logs
 
-from app.server.refusal_log import ErrorLines, NoteRefused, RefusalLog
+from app.server.refusal_log import ErrorLines, RefusalLog
 from app.server.repeats import WINDOW_S
 from bus.instants import Monotonic
 
@@ -53,51 +51,6 @@ def test_refused_requests_are_one_line_and_a_number() -> None:
     assert (first["event"], first["address"], first["reason"]) == ("request refused", "10.0.0.7", "malformed")
     assert len(first["request"]) == 100
     assert number["event"] == "refused 4,211 requests from 10.0.0.7 in the last minute"
-
-
-@pytest.mark.parametrize(
-    ("status", "headers", "lines"),
-    [
-        (200, [], 0),
-        (404, [], 0),
-        (401, [], 0),
-        (401, [(b"authorization", b"Bearer guess")], 1),
-        (403, [], 1),
-        (413, [], 1),
-    ],
-)
-async def test_responses_that_refuse_are_noted(
-    status: int, headers: list[tuple[bytes, bytes]], lines: int
-) -> None:
-    async def app(_scope: Scope, _receive: Receive, send: Send) -> None:
-        await send({"type": "http.response.start", "status": status, "headers": []})
-        await send({"type": "http.response.body", "body": b""})
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(_: Message) -> None: ...
-
-    scope: Scope = {"type": "http", "path": "/feed", "headers": headers, "client": ("192.0.2.7", 1)}
-    with capture_logs() as logs:
-        await NoteRefused(app, RefusalLog())(scope, receive, send)
-    shown = [(entry["address"], entry["reason"], entry["request"]) for entry in logs]
-    assert shown == [("192.0.2.7", str(status), "/feed")] * lines
-
-
-async def test_a_client_that_leaves_its_handshake_is_a_refused_request() -> None:
-    async def app(_scope: Scope, _receive: Receive, _send: Send) -> None:
-        raise WebSocketDisconnect(1006)
-
-    async def receive() -> Message:
-        return {"type": "websocket.disconnect"}
-
-    async def send(_: Message) -> None: ...
-
-    scope: Scope = {"type": "websocket", "path": "/feed", "headers": [], "client": ("192.0.2.7", 1)}
-    with capture_logs() as logs:
-        await NoteRefused(app, RefusalLog())(scope, receive, send)
-    assert [(entry["address"], entry["reason"]) for entry in logs] == [("192.0.2.7", "incomplete")]
 
 
 def test_an_error_is_logged_with_its_traceback_once(errors: tuple[ErrorLines, Watch]) -> None:

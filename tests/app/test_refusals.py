@@ -6,11 +6,17 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from starlette.types import Message, Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect
+from structlog.testing import capture_logs
 
 from app.audit.log import EventLog
+from app.auth.access import RecordRefusals
 from app.auth.accounts import Accounts
 from app.database import Database
+from app.server.refusal_log import RefusalLog
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import House, complete_app
 
 SPEED = "/api/v1/buses/dry-end/units/1/speed"
@@ -52,7 +58,7 @@ async def test_tokens_that_are_not_good_are_one_event_a_minute(house: House) -> 
 
 async def test_a_token_that_has_expired_is_named(house: House) -> None:
     accounts = house.services[Accounts]
-    token = await accounts.create_token("report", Role.VIEWER, expires_days=1, by="ann", origin="test")
+    token = await accounts.create_token("report", Role.VIEWER, expires_days=1, **BY)
     await house.services[Database].write(lambda c: c.execute("UPDATE tokens SET expires_at = 1.0"))
     response = await house.client(Authorization=f"Bearer {token}").get("/api/v1/line")
     assert (response.status_code, "expired on 1970-01-01" in response.json()["detail"]) == (401, True)
@@ -84,3 +90,48 @@ async def test_a_request_without_sign_in_is_not_recorded(house: House) -> None:
     assert (await house.client().get("/api/v1/line")).status_code == 401
     assert (await house.client(cookie="lineside_session=old").get("/api/v1/line")).status_code == 401
     assert await recorded(house) == []
+
+
+@pytest.mark.parametrize(
+    ("status", "headers", "lines"),
+    [
+        (200, [], 0),
+        (404, [], 0),
+        (401, [], 0),
+        (401, [(b"authorization", b"Bearer guess")], 1),
+        (403, [], 1),
+        (413, [], 1),
+    ],
+)
+async def test_responses_that_refuse_are_noted(
+    house: House, status: int, headers: list[tuple[bytes, bytes]], lines: int
+) -> None:
+    async def app(_scope: Scope, _receive: Receive, send: Send) -> None:
+        await send({"type": "http.response.start", "status": status, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    async def receive() -> Message:
+        return {"type": "http.disconnect"}
+
+    async def send(_: Message) -> None: ...
+
+    scope: Scope = {"type": "http", "path": "/feed", "headers": headers, "client": ("192.0.2.7", 1)}
+    with capture_logs() as logs:
+        await RecordRefusals(app, house.services[EventLog], RefusalLog())(scope, receive, send)
+    shown = [(entry["address"], entry["reason"], entry["request"]) for entry in logs]
+    assert shown == [("192.0.2.7", str(status), "/feed")] * lines
+
+
+async def test_a_client_that_leaves_its_handshake_is_a_refused_request(house: House) -> None:
+    async def app(_scope: Scope, _receive: Receive, _send: Send) -> None:
+        raise WebSocketDisconnect(1006)
+
+    async def receive() -> Message:
+        return {"type": "websocket.disconnect"}
+
+    async def send(_: Message) -> None: ...
+
+    scope: Scope = {"type": "websocket", "path": "/feed", "headers": [], "client": ("192.0.2.7", 1)}
+    with capture_logs() as logs:
+        await RecordRefusals(app, house.services[EventLog], RefusalLog())(scope, receive, send)
+    assert [(entry["address"], entry["reason"]) for entry in logs] == [("192.0.2.7", "incomplete")]

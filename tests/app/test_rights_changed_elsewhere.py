@@ -13,9 +13,9 @@ from app.auth.accounts import Accounts
 from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.database import Database
-from app.web.access import Role
+from app.web.access import Person, Role
+from tests.administrator import BY
 
-BY = {"by": "root", "origin": "test"}
 PASSWORD = "correct horse"
 
 
@@ -105,7 +105,8 @@ async def test_a_change_that_ends_no_rights_is_not_reported(house: House) -> Non
 async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
     """A password that its owner changes keeps the session, and with it control of a line."""
     keep = rules.secret_hash("session")
-    await house.here.set_password("ann", "another good one", keep=keep, **BY)
+    ann = Person("ann", Role.ENGINEER, "session")
+    await house.here.change_own_password("another good one", keep=keep, by=ann, origin="t")
     await house.rights.refresh()
     await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()

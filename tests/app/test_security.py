@@ -13,6 +13,7 @@ from app.main import create_app
 from app.web.access import Role
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.security import same_origin
+from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app, settings_in
 
 
@@ -84,7 +85,7 @@ def test_a_websocket_of_a_foreign_page_is_refused_even_with_a_good_token(tmp_pat
     with TestClient(app) as client:
         make = app.state.services[Accounts].create_token
         role, bus = (Role.WORKER, "dry-end") if path == "/feed" else (Role.ENGINEER, "")
-        token = client.portal.call(lambda: make("t", role, bus=bus, by="t", origin="t"))  # type: ignore[union-attr]
+        token = client.portal.call(lambda: make("t", role, bus=bus, **BY))  # type: ignore[union-attr]
         headers = {"authorization": f"Bearer {token}", "origin": "http://evil.example"}
         with (
             pytest.raises(WebSocketDenialResponse) as refused,

@@ -21,8 +21,9 @@ from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
 from app.database import Database
 from app.errors import Problem
-from app.web.access import Role
+from app.web.access import Person, Role
 from bus.errors import CallerError
+from tests.administrator import BY
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -52,7 +53,7 @@ class House:
         self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
 
     async def add(self, name: str = "ann", role: Role = Role.OPERATOR) -> None:
-        await self.accounts.add_user(name, role, PASSWORD, by="t", origin="t")
+        await self.accounts.add_user(name, role, PASSWORD, **BY)
 
     async def begin(self, name: str = "ann", address: str = "a", device: str = "") -> SignedIn:
         return await self.sign_in.sign_in(name, PASSWORD, address, device=device)
@@ -94,7 +95,7 @@ async def test_the_right_password_opens_a_session(house: House) -> None:
 async def test_neither_password_nor_cookie_nor_token_is_stored(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    token = await house.accounts.create_token("t", Role.VIEWER, by="t", origin="t")
+    token = await house.accounts.create_token("t", Role.VIEWER, **BY)
     house.database.close()
     stored = b"".join(path.read_bytes() for path in house.database.path.parent.iterdir() if path.is_file())
     for secret in (PASSWORD, cookie, token):
@@ -191,7 +192,7 @@ async def test_a_secret_that_todays_rules_refuse_works_and_is_noted(house: House
     await house.database.write(lambda c: c.execute("UPDATE users SET secret_hash = ?", (hashed,)))
     await house.enter(password="short")
     assert (await house.accounts.users())[0].weak_secret
-    await house.accounts.set_password("ann", PASSWORD, by="t", origin="t")
+    await house.accounts.set_password("ann", PASSWORD, **BY)
     assert not (await house.accounts.users())[0].weak_secret
     await house.enter()
     assert not (await house.accounts.users())[0].weak_secret
@@ -248,7 +249,7 @@ async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
     await house.enter()
     await rights.check(person)
     assert await house.identity.by_cookie(cookie) == person
-    await house.accounts.set_password("ann", "another good one", by="t", origin="t")
+    await house.accounts.set_password("ann", "another good one", **BY)
     with pytest.raises(Problem, match="the password was changed"):
         await Rights(house.database, house.accounts).check(person)
 
@@ -256,7 +257,7 @@ async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
 async def test_a_password_that_was_changed_meanwhile_is_not_put_back(house: House) -> None:
     await house.add()
     before = await hashed_by_an_earlier_version(house)
-    await house.accounts.set_password("ann", "another good one", by="t", origin="t")
+    await house.accounts.set_password("ann", "another good one", **BY)
     changed = await stored_hash(house)
     await house.database.write(lambda c: store.replace_hash(c, "ann", before, "late"))
     assert await stored_hash(house) == changed
@@ -299,11 +300,11 @@ async def test_changes_that_end_every_session_of_a_user(house: House, ending: st
     cookie = await house.enter()
     match ending:
         case "password":
-            await house.accounts.set_password("ann", "another good one", by="t", origin="t")
+            await house.accounts.set_password("ann", "another good one", **BY)
         case "disable":
-            await house.accounts.set_disabled("ann", True, by="t", origin="t")
+            await house.accounts.set_disabled("ann", True, **BY)
         case "remove":
-            await house.accounts.remove_user("ann", by="t", origin="t")
+            await house.accounts.remove_user("ann", **BY)
     assert await house.identity.by_cookie(cookie) is None
     assert await house.refused(password=PASSWORD) == 401
 
@@ -311,14 +312,14 @@ async def test_changes_that_end_every_session_of_a_user(house: House, ending: st
 async def test_a_new_role_counts_at_once(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    await house.accounts.set_role("ann", Role.VIEWER, by="t", origin="t")
+    await house.accounts.set_role("ann", Role.VIEWER, **BY)
     person = await house.identity.by_cookie(cookie)
     assert person is not None
     assert person.role is Role.VIEWER
 
 
 async def test_a_panel_signs_in_by_its_pin_and_there_only(house: House) -> None:
-    await house.accounts.add_panel("p1", Role.VIEWER, PIN, "/units/a/1", by="t", origin="t")
+    await house.accounts.add_panel("p1", Role.VIEWER, PIN, "/units/a/1", **BY)
     await house.add()
     cookie = (await house.sign_in.sign_in("p1", PIN, "a", panel=True)).session
     person = await house.identity.by_cookie(cookie)
@@ -332,7 +333,7 @@ async def test_a_panel_signs_in_by_its_pin_and_there_only(house: House) -> None:
 
 
 async def test_a_panel_from_before_that_may_too_much_is_refused(house: House) -> None:
-    await house.accounts.add_panel("p1", Role.OPERATOR, PIN, "/", by="t", origin="t")
+    await house.accounts.add_panel("p1", Role.OPERATOR, PIN, "/", **BY)
     cookie = (await house.sign_in.sign_in("p1", PIN, "a", panel=True)).session
     await house.database.write(lambda c: c.execute("UPDATE users SET role = 'admin' WHERE name = 'p1'"))
     assert await house.identity.by_cookie(cookie) is None
@@ -342,11 +343,20 @@ async def test_a_panel_from_before_that_may_too_much_is_refused(house: House) ->
     assert "a panel is an operator at most" in caught.value.detail
 
 
+async def test_a_worker_has_no_session_to_end(house: House) -> None:
+    await house.add()
+    cookie = await house.enter()
+    with pytest.raises(Problem, match="role viewer"):
+        await house.sign_in.sign_out(cookie, Person("ann", Role.WORKER, "token"), "a")
+    assert await house.identity.by_cookie(cookie)
+
+
 async def test_a_changed_password_ends_the_other_sessions_only(house: House) -> None:
     await house.add()
     this, other = await house.enter(), await house.enter()
     keep = rules.secret_hash(this)
-    await house.accounts.set_password("ann", "another good one", by="ann", origin="t", keep=keep)
+    ann = Person("ann", Role.OPERATOR, "session")
+    await house.accounts.change_own_password("another good one", keep=keep, by=ann, origin="t")
     assert await house.identity.by_cookie(this)
     assert await house.identity.by_cookie(other) is None
 
@@ -362,12 +372,12 @@ async def test_shorter_lifetimes_hold_for_sessions_that_are_open(house: House) -
 
 
 async def test_tokens(house: House) -> None:
-    token = await house.accounts.create_token("plc", Role.ENGINEER, by="ann", origin="t")
+    token = await house.accounts.create_token("plc", Role.ENGINEER, **BY)
     person = await house.identity.by_token(token)
     assert person is not None
     assert (person.name, person.role, person.via) == ("plc", Role.ENGINEER, "token")
     assert (await house.accounts.tokens())[0].used_at == house.now
-    await house.accounts.revoke_token("plc", by="ann", origin="t")
+    await house.accounts.revoke_token("plc", **BY)
     assert await house.identity.by_token(token) is None
 
 
@@ -384,14 +394,14 @@ async def test_each_of_the_servers_own_workers_has_a_token_for_its_bus(house: Ho
 
 
 async def test_a_workers_token_names_its_bus(house: House) -> None:
-    token = await house.accounts.create_token("w", Role.WORKER, bus="dry-end", by="ann", origin="t")
+    token = await house.accounts.create_token("w", Role.WORKER, bus="dry-end", **BY)
     person = await house.identity.by_token(token)
     assert person is not None
     assert (person.role, person.via, person.bus) == (Role.WORKER, "token", "dry-end")
 
 
 async def test_a_token_expires_and_its_holder_gets_the_reason(house: House) -> None:
-    token = await house.accounts.create_token("plc", Role.VIEWER, expires_days=30, by="ann", origin="t")
+    token = await house.accounts.create_token("plc", Role.VIEWER, expires_days=30, **BY)
     house.now += 30 * rules.DAY - 1
     assert await house.identity.by_token(token)
     house.now += 1

@@ -15,11 +15,11 @@ from starlette.types import Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.server import stamping
+from app.server.admission import ARRIVED_AT, LoopTurns
 from app.server.connections import Connections
 from app.server.loop_watch import LoopWatch
 from app.server.refusal_log import RefusalLog
-from app.server.stamping import ARRIVED_AT, StampingProtocol
-from app.server.starting import Starts
+from app.server.stamping import StampingProtocol
 from app.server.tcp_wait import TcpWait, tcp_wait
 from tests.app.stage import until
 
@@ -105,7 +105,7 @@ async def served(stamps: list[float], watch: LoopWatch) -> AsyncIterator[socket.
             {},
             watch=watch,
             open_connections=Connections(),
-            turns=Starts(),
+            turns=LoopTurns(),
             refusals=RefusalLog(),
         ),
         "127.0.0.1",

@@ -17,6 +17,7 @@ from app.live.admission import Admission
 from app.live.api.line_stream import MAX_OF_ACCOUNT, MAX_OF_ADDRESS, LineStream
 from app.live.state.bus_live import LiveState
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import HOST, House, complete_app
 from tests.app.stage import snapshot
 from tests.app.test_recent_events import read
@@ -106,7 +107,7 @@ async def test_it_ends_with_the_rights_of_its_reader(house: House) -> None:
     token = await house.token(Role.VIEWER)
     async with streaming(house, token) as response:
         await response.until("snapshot")
-        await house.services[Accounts].revoke_token("key-viewer", by="t", origin="t")
+        await house.services[Accounts].revoke_token("key-viewer", **BY)
         seen = response.body
         house.services[LineStream].tick(with_heartbeat=True)
         assert response.task is not None

@@ -268,19 +268,41 @@ async def pages_that_turn(target: Target) -> None:
     await many(target, 50, lambda _: live(target, turning, 0.25, reads=True))
 
 
+async def open_and_close(target: Target) -> None:
+    """A page that leaves once its WebSocket is open."""
+    begun = target.head("GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE)
+    reader, writer = await target.open(begun + b"\r\n")
+    try:
+        await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
+    finally:
+        writer.transport.abort()
+
+
 @attack
 async def pages_that_open_and_close(target: Target) -> None:
-    async def open_and_close(_: int) -> None:
-        begun = target.head(
-            "GET /live", "viewer", f"Origin: http://{target.host}:{target.port}\r\n" + HANDSHAKE
-        )
-        reader, writer = await target.open(begun + b"\r\n")
-        try:
-            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10)
-        finally:
-            writer.transport.abort()
+    await many(target, 12, lambda _: open_and_close(target))
 
-    await many(target, 12, open_and_close)
+
+@attack
+async def pages_by_the_hundred_that_open_and_close(target: Target) -> None:
+    await many(target, 200, lambda _: open_and_close(target))
+
+
+@attack
+async def forms_in_two_parts(target: Target) -> None:
+    more = "Content-Type: application/x-www-form-urlencoded\r\nContent-Length: 6\r\nConnection: close\r\n"
+    head = target.head("POST /login", more=f"{more}Accept: text/html\r\n") + b"\r\n"
+
+    async def one(_: int) -> None:
+        reader, writer = await target.open(head)
+        try:
+            await asyncio.sleep(0.05)
+            writer.write(b"name=a")
+            await asyncio.wait_for(reader.read(), 30)
+        finally:
+            writer.close()
+
+    await many(target, 300, one)
 
 
 @attack

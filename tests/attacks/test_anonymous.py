@@ -11,7 +11,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from app.auth.passwords import Passwords
 from app.web.access import Person, Role
-from app.web.anonymous import AT_ONCE_OF_ADDRESS, MAX_AT_ONCE, MAX_WAITING_OF_ADDRESS, AnonymousInTurn
+from app.web.anonymous import AT_ONCE_OF_ADDRESS, MAX_AT_ONCE, MAX_WAITING_OF_ADDRESS, AnonymousLimiter
 from app.web.bounds import MAX_PLAIN_BODY_BYTES
 from tests.app.complete_app import House, complete_app
 
@@ -55,7 +55,7 @@ class Client:
         if message["type"] == "http.response.start":
             self.status = message["status"]
 
-    def request(self, app: AnonymousInTurn) -> asyncio.Task[None]:
+    def request(self, app: AnonymousLimiter) -> asyncio.Task[None]:
         return asyncio.create_task(app(self.scope, self.messages.get, self.send))
 
 
@@ -66,7 +66,7 @@ async def settled() -> None:
 
 async def test_nothing_starts_before_the_body_is_complete() -> None:
     slow, client = Slow(), Client()
-    task = client.request(AnonymousInTurn(slow))
+    task = client.request(AnonymousLimiter(slow))
     client.part(b"name=a", more=True)
     await settled()
     assert slow.bodies == []
@@ -80,7 +80,7 @@ async def test_nothing_starts_before_the_body_is_complete() -> None:
 
 async def test_a_client_that_leaves_amid_its_body_takes_no_turn() -> None:
     slow, client = Slow(), Client()
-    task = client.request(AnonymousInTurn(slow))
+    task = client.request(AnonymousLimiter(slow))
     client.part(b"x", more=True)
     client.messages.put_nowait({"type": "http.disconnect"})
     await task
@@ -89,7 +89,7 @@ async def test_a_client_that_leaves_amid_its_body_takes_no_turn() -> None:
 
 async def test_an_address_has_few_at_a_time_and_another_has_its_own() -> None:
     slow = Slow()
-    app = AnonymousInTurn(slow)
+    app = AnonymousLimiter(slow)
     clients = [Client() for _ in range(5)] + [Client("192.0.2.2")]
     tasks = [client.request(app) for client in clients]
     for number, client in enumerate(clients):
@@ -104,7 +104,7 @@ async def test_an_address_has_few_at_a_time_and_another_has_its_own() -> None:
 
 async def test_health_and_people_do_not_wait() -> None:
     slow = Slow()
-    app = AnonymousInTurn(slow)
+    app = AnonymousLimiter(slow)
     clients = [
         Client(),
         Client(),
@@ -122,7 +122,7 @@ async def test_health_and_people_do_not_wait() -> None:
 
 async def test_beyond_those_that_wait_an_address_is_refused() -> None:
     slow = Slow()
-    app = AnonymousInTurn(slow)
+    app = AnonymousLimiter(slow)
     clients = [Client() for _ in range(AT_ONCE_OF_ADDRESS + MAX_WAITING_OF_ADDRESS + 1)]
     tasks = [client.request(app) for client in clients]
     for client in clients:
@@ -135,7 +135,7 @@ async def test_beyond_those_that_wait_an_address_is_refused() -> None:
 
 async def test_a_body_beyond_any_form_is_refused_while_it_arrives() -> None:
     slow, client = Slow(), Client()
-    task = client.request(AnonymousInTurn(slow))
+    task = client.request(AnonymousLimiter(slow))
     for _ in range(MAX_PLAIN_BODY_BYTES // 16384 + 1):
         client.part(b"x" * 16384, more=True)
     await task

@@ -16,6 +16,7 @@ from app.auth.accounts import Accounts
 from app.cli.server import Server
 from app.server.addresses import Network
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, settings_in
 
 MADE_UP = {
@@ -47,7 +48,7 @@ async def test_only_a_proxy_that_is_named_is_believed(
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))
         await asyncio.wait_for(serving.wait(), 30)
-        await services[Accounts].add_user("ann", Role.OPERATOR, PASSWORD, by="test", origin="test")
+        await services[Accounts].add_user("ann", Role.OPERATOR, PASSWORD, **BY)
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
         async with httpx.AsyncClient(base_url=url, headers=MADE_UP, trust_env=False) as client:
             response = await client.post("/login", data={"name": "ann", "password": PASSWORD})

@@ -11,6 +11,7 @@ import pytest
 
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
+from app.server import admission
 from app.web import arrival
 from app.web.access import Role
 from app.web.arrival import SAFE_METHODS
@@ -181,7 +182,8 @@ async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest
     """A file of parameter sets on a slow network: what counts is when it began to come."""
     browser = await house.signed_in(Role.ENGINEER)
     now = 5000.0
-    monkeypatch.setattr(arrival, "monotonic_now", lambda: now)
+    for module in (admission, arrival):
+        monkeypatch.setattr(module, "monotonic_now", lambda: now)
 
     async def slowly() -> AsyncIterator[bytes]:
         nonlocal now

@@ -20,6 +20,7 @@ from app.live.browsers.hub import MAX_WATCH_BURST, Hub
 from app.live.browsers.readers import Readers
 from app.main import create_app
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import settings_in
 from tests.app.screens import line, screen
 
@@ -31,7 +32,7 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
     app = create_app(settings_in(tmp_path))
     with TestClient(app) as client:
         make = app.state.services[Accounts].create_token
-        token = client.portal.call(lambda: make("t", Role.VIEWER, by="t", origin="t"))  # type: ignore[union-attr]
+        token = client.portal.call(lambda: make("t", Role.VIEWER, **BY))  # type: ignore[union-attr]
         client.headers["authorization"] = f"Bearer {token}"
         yield client
 

@@ -21,12 +21,12 @@ from app.auth.identity import Identity
 from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.live.state.bus_live import LiveState
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import HOST, PASSWORD, House, complete_app
 from tests.app.stage import snapshot, until
 from tests.attacks.withdrawals import in_another_process
 
 NEVER_S = 1e6
-BY = {"by": "boss", "origin": "test"}
 PATHS = ["/live", "/api/v1/stream", "/api/v1/stream?bus=dry-end"]
 
 

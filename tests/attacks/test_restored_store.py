@@ -23,6 +23,7 @@ from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, Lim
 from app.database import Database
 from app.settings import load
 from app.web.access import Role
+from tests.administrator import BY
 
 PASSWORD, OTHER_PASSWORD = "correct horse battery", "wrong horse battery"
 
@@ -66,11 +67,11 @@ class Plant:
 
 async def people(accounts: Accounts, database: Database) -> None:
     """An admin, three engineers who may sign in, and two programs; one of the engineers has."""
-    await accounts.add_user("boss", Role.ADMIN, PASSWORD, by="t", origin="t")
+    await accounts.add_user("boss", Role.ADMIN, PASSWORD, **BY)
     for name in ("ann", "ben", "cid"):
-        await accounts.add_user(name, Role.ENGINEER, PASSWORD, by="t", origin="t")
+        await accounts.add_user(name, Role.ENGINEER, PASSWORD, **BY)
     for name in ("kept", "stolen"):
-        await accounts.create_token(name, Role.ENGINEER, by="t", origin="t")
+        await accounts.create_token(name, Role.ENGINEER, **BY)
     await database.write(
         lambda connection: store.begin_session(connection, b"s", "ann", 1.0, 9e9, weak_secret=False)
     )
@@ -78,11 +79,11 @@ async def people(accounts: Accounts, database: Database) -> None:
 
 async def withdrawals(accounts: Accounts, database: Database) -> None:
     """What happens between the backup and its use."""
-    await accounts.revoke_token("stolen", by="t", origin="t")
-    await accounts.remove_user("ann", by="t", origin="t")
-    await accounts.set_role("ben", Role.VIEWER, by="t", origin="t")
-    await accounts.set_disabled("cid", True, by="t", origin="t")
-    await accounts.set_password("boss", OTHER_PASSWORD, by="t", origin="t")
+    await accounts.revoke_token("stolen", **BY)
+    await accounts.remove_user("ann", **BY)
+    await accounts.set_role("ben", Role.VIEWER, **BY)
+    await accounts.set_disabled("cid", True, **BY)
+    await accounts.set_password("boss", OTHER_PASSWORD, **BY)
     assert database.path.exists()
 
 
@@ -151,9 +152,9 @@ def test_with_unknown_revocations_every_token_is_revoked(plant: Plant, present: 
 
 def test_a_stranger_in_the_present_store_does_not_survive(plant: Plant) -> None:
     async def intrude(accounts: Accounts, _: Database) -> None:
-        await accounts.add_user("intruder", Role.ADMIN, PASSWORD, by="t", origin="t")
-        await accounts.create_token("intruder", Role.ADMIN, by="t", origin="t")
-        await accounts.set_role("ann", Role.ADMIN, by="t", origin="t")
+        await accounts.add_user("intruder", Role.ADMIN, PASSWORD, **BY)
+        await accounts.create_token("intruder", Role.ADMIN, **BY)
+        await accounts.set_role("ann", Role.ADMIN, **BY)
 
     plant.change(intrude)
     plant.restore()
@@ -163,8 +164,8 @@ def test_a_stranger_in_the_present_store_does_not_survive(plant: Plant) -> None:
 
 def test_a_panel_made_in_the_place_of_a_person_gives_the_person_no_pin(plant: Plant) -> None:
     async def replace(accounts: Accounts, _: Database) -> None:
-        await accounts.remove_user("ann", by="t", origin="t")
-        await accounts.add_panel("ann", Role.VIEWER, "471193", "/", by="t", origin="t")
+        await accounts.remove_user("ann", **BY)
+        await accounts.add_panel("ann", Role.VIEWER, "471193", "/", **BY)
 
     plant.change(replace)
     plant.restore()
@@ -173,8 +174,8 @@ def test_a_panel_made_in_the_place_of_a_person_gives_the_person_no_pin(plant: Pl
 
 def test_without_an_admin_it_prints_how_to_make_one(plant: Plant) -> None:
     async def leave(accounts: Accounts, _: Database) -> None:
-        await accounts.add_user("new", Role.ADMIN, PASSWORD, by="t", origin="t")
-        await accounts.remove_user("boss", by="t", origin="t")
+        await accounts.add_user("new", Role.ADMIN, PASSWORD, **BY)
+        await accounts.remove_user("boss", **BY)
 
     plant.change(leave)
     assert "no admin can sign in; add one with 'lineside user add'" in plant.restore()

@@ -14,6 +14,7 @@ from app.sets.store import SetStore
 from app.swap.service import SwapService
 from app.web.access import Role
 from bus.catalogue.parameters import PARAMETERS
+from tests.administrator import BY
 from tests.app.complete_app import House
 from tests.app.played_line import BUS, PlayedLine
 from tests.app.stage import until
@@ -105,9 +106,9 @@ async def test_a_restore_under_a_token_ends_with_the_token(
         if writes != 0:
             return
         if how in ("revoked", "created again"):
-            await accounts.revoke_token("key-engineer", by="boss", origin="test")
+            await accounts.revoke_token("key-engineer", **BY)
         if how == "created again":
-            await accounts.create_token("key-engineer", Role.ENGINEER, by="boss", origin="test")
+            await accounts.create_token("key-engineer", Role.ENGINEER, **BY)
         if how == "revoked by another process":
             in_another_process(tmp_path, "DELETE FROM tokens WHERE name = 'key-engineer'")
             await noticed(house)
@@ -128,9 +129,9 @@ async def test_users_who_keep_their_rights_are_not_affected(house: House, line: 
 
     async def before(writes: int) -> None:
         if writes == 1:
-            await house.services[Accounts].set_role(ENGINEER, Role.ADMIN, by="boss", origin="test")
+            await house.services[Accounts].set_role(ENGINEER, Role.ADMIN, **BY)
             await house.add("somebody-else", Role.ENGINEER)
-            await house.services[Accounts].remove_user("somebody-else", by="boss", origin="test")
+            await house.services[Accounts].remove_user("somebody-else", **BY)
 
     line.before_write = before
     await client.post(f"/api/v1/restores/{plan['id']}/start")

@@ -20,7 +20,7 @@ from app.web.turns import (
     MAX_AT_ONCE,
     MAX_READS,
     MAX_WAITING,
-    ReadInTurn,
+    ReadLimiter,
     Turns,
 )
 from tests.app.complete_app import House, complete_app
@@ -165,7 +165,7 @@ async def test_a_response_that_is_being_sent_has_no_turn_any_more() -> None:
         return {"type": "http.disconnect"}
 
     scope = {"type": "http", "person": Person("ann", Role.VIEWER, "session")}
-    app = ReadInTurn(stream, turns)
+    app = ReadLimiter(stream, turns)
     sent = [asyncio.create_task(app({**scope}, receive, ignore)) for _ in range(1)]
     await until(lambda: begun == 1)
     sent.append(asyncio.create_task(app({**scope}, receive, ignore)))

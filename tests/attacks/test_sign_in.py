@@ -28,9 +28,8 @@ from app.database import Database
 from app.main import create_app
 from app.web.access import Role
 from bus.contract import CONTRACT_VERSION, Hello, encode
+from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House, complete_app, settings_in
-
-BY = {"by": "attacker", "origin": "test"}
 
 
 @pytest.fixture

@@ -15,14 +15,13 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.server import ServerState
 
-from app.server.connections import EXTENSION, Connections
-from app.server.counted_protocol import CLOSING_S
+from app.server.admission import LoopTurns
+from app.server.client_connection import client_connection
+from app.server.connection_protocol import CLOSING_S, SLICE_BYTES
+from app.server.connections import Connections
 from app.server.http import HttpProtocol
-from app.server.intake import SLICE_BYTES
 from app.server.pace import STALL_S
 from app.server.refusal_log import RefusalLog
-from app.server.starting import Starts
-from app.server.trust import trust_sender
 from app.server.websocket import (
     MAX_FRAMES_AT_ONCE,
     MAX_MESSAGE_BYTES,
@@ -69,8 +68,8 @@ class Site:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["path"] == FEED_PATH:
-            scope["extensions"][EXTENSION]("worker")
-            self.trust = lambda: trust_sender(scope)
+            client_connection(scope).identify("worker")
+            self.trust = client_connection(scope).trust
         socket = WebSocket(scope, receive, send)
         self.connected.set()
         await self.accepts.wait()
@@ -115,7 +114,7 @@ async def site() -> AsyncIterator[Site]:
         site, lifespan="off", log_level="critical", ws_per_message_deflate=False, ws=Known
     )
     loop = asyncio.get_running_loop()
-    shared = {"open_connections": site.connections, "turns": Starts(), "refusals": RefusalLog()}
+    shared = {"open_connections": site.connections, "turns": LoopTurns(), "refusals": RefusalLog()}
     server = await loop.create_server(
         lambda: HttpProtocol(config, site.state, {}, **shared),
         "127.0.0.1",

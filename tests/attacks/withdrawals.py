@@ -11,6 +11,7 @@ from pathlib import Path
 from app.auth.accounts import Accounts
 from app.auth.rights import Rights
 from app.web.access import Role
+from tests.administrator import BY
 from tests.app.complete_app import PASSWORD, House
 
 ENGINEER = "the-engineer"
@@ -18,19 +19,19 @@ Withdraw = Callable[[House, Path], Awaitable[None]]
 
 
 async def disabled(house: House, _: Path) -> None:
-    await house.services[Accounts].set_disabled(ENGINEER, True, by="boss", origin="test")
+    await house.services[Accounts].set_disabled(ENGINEER, True, **BY)
 
 
 async def removed(house: House, _: Path) -> None:
-    await house.services[Accounts].remove_user(ENGINEER, by="boss", origin="test")
+    await house.services[Accounts].remove_user(ENGINEER, **BY)
 
 
 async def demoted(house: House, _: Path) -> None:
-    await house.services[Accounts].set_role(ENGINEER, Role.OPERATOR, by="boss", origin="test")
+    await house.services[Accounts].set_role(ENGINEER, Role.OPERATOR, **BY)
 
 
 async def given_another_password(house: House, _: Path) -> None:
-    await house.services[Accounts].set_password(ENGINEER, "x" + PASSWORD, by="boss", origin="test")
+    await house.services[Accounts].set_password(ENGINEER, "x" + PASSWORD, **BY)
 
 
 async def replaced_by_a_namesake(house: House, _: Path) -> None:

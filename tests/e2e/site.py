@@ -34,6 +34,7 @@ from app.web.assets import Assets, static_dir, templates_dir
 from app.web.templating import Templates
 from bus.simulator.demo import demo_line
 from tests import fork_server
+from tests.administrator import BY
 from tests.e2e.limits import CALL_S, COMMAND_S, START_S, UNIT_S
 from tests.fork_server import ForkedProcess
 from tests.free_port import free_port
@@ -137,11 +138,8 @@ def people() -> tuple[Path, dict[str, str]]:
 
 async def _add_all_roles(accounts: Accounts) -> dict[str, str]:
     for role in ROLES:
-        await accounts.add_user(role, Role(role), PASSWORD, by="test", origin="test")
-    return {
-        role: await accounts.create_token(f"{role}-program", Role(role), by="test", origin="test")
-        for role in ROLES
-    }
+        await accounts.add_user(role, Role(role), PASSWORD, **BY)
+    return {role: await accounts.create_token(f"{role}-program", Role(role), **BY) for role in ROLES}
 
 
 @dataclass

@@ -16,7 +16,8 @@ from typing import Any
 import msgspec
 
 from app.live.screen.diff import Groups, merge_groups
-from app.server.frames import NoOutlet, Outlet, text_frame
+from app.server.client_connection import ClientConnection, NoClientConnection
+from app.server.frames import text_frame
 from bus.instants import UnixTime
 
 MAX_FRAMES = 300
@@ -87,7 +88,7 @@ class Browser:
     name: str
     role: str
     language: str
-    outlet: Outlet = field(default_factory=NoOutlet)
+    outlet: ClientConnection = field(default_factory=NoClientConnection)
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
     _idle: bool = False

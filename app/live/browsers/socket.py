@@ -19,7 +19,7 @@ from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.browsers.watched import MAX_VIEWS
 from app.server.addresses import source_of
-from app.server.frames import outlet_of
+from app.server.client_connection import client_connection
 from app.web.access import Person, Role, Viewer
 from app.web.problems import refuse_socket
 from app.web.services import service_of
@@ -70,7 +70,7 @@ async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) 
     templates = templates_of(websocket)
     if language not in templates.languages:
         language = templates.language_of(websocket).tag
-    browser = Browser(person.account, person.role.value, language, outlet_of(websocket.scope))
+    browser = Browser(person.account, person.role.value, language, client_connection(websocket.scope))
     hub.join(browser)
     writing = asyncio.create_task(_write(websocket, browser))
     try:

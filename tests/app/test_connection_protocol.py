@@ -6,8 +6,15 @@ import asyncio
 
 import pytest
 
-from app.server.intake import MAX_BYTES_A_TURN, MAX_PIECES_A_TURN, SLICE_BYTES, InputInTurn
-from app.server.starting import Starts
+from app.server.admission import LoopTurns
+from app.server.connection_protocol import (
+    MAX_BYTES_A_TURN,
+    MAX_PIECES_A_TURN,
+    SLICE_BYTES,
+    ConnectionProtocol,
+)
+from app.server.connections import Connection, Connections
+from app.server.refusal_log import RefusalLog
 
 
 class Transport(asyncio.Transport):
@@ -24,13 +31,13 @@ class Transport(asyncio.Transport):
         self.is_read = True
 
 
-class Parser(InputInTurn):
+class Parser(ConnectionProtocol):
     """Finds ``pieces`` in each slice; ``turns_taken`` has the bytes that were parsed in each turn."""
 
-    def __init__(self, turns: Starts, key: str, pieces: int = 0) -> None:
-        super().__init__(turns=turns)
+    def __init__(self, turns: LoopTurns, key: str, pieces: int = 0) -> None:
+        super().__init__(open_connections=Connections(), turns=turns, refusals=RefusalLog())
+        self.connection = Connection("192.0.2.1", None, account=key)
         self.transport = self.fake = Transport()
-        self._key = key
         self._pieces_a_slice = pieces
         self.parsed: list[bytes] = []
         self.turns_taken: list[int] = []
@@ -45,9 +52,6 @@ class Parser(InputInTurn):
 
     def _is_ready(self) -> bool:
         return self.is_ready
-
-    def _turn_key(self) -> str:
-        return self._key
 
     def _take_turn(self) -> None:
         before = len(self._unparsed)
@@ -70,14 +74,14 @@ async def parsed(*parsers: Parser) -> None:
 
 
 async def test_a_short_request_is_parsed_at_once() -> None:
-    parser = Parser(Starts(), "a")
+    parser = Parser(LoopTurns(), "a")
     parser.data_received(b"GET")
     assert (parser.parsed, parser.fake.is_read) == ([b"GET"], True)
 
 
 @pytest.mark.parametrize(("pieces", "most"), [(0, MAX_BYTES_A_TURN), (50, 2 * SLICE_BYTES)])
 async def test_a_turn_has_few_bytes_and_few_pieces(pieces: int, most: int) -> None:
-    parser = Parser(Starts(), "a", pieces)
+    parser = Parser(LoopTurns(), "a", pieces)
     sent = bytes(range(256)) * 800
     parser.data_received(sent)
     assert not parser.fake.is_read
@@ -90,7 +94,7 @@ async def test_a_turn_has_few_bytes_and_few_pieces(pieces: int, most: int) -> No
 
 
 async def test_one_connection_has_a_turn_in_each_iteration_and_senders_alternate() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     flood = [Parser(turns, "a", MAX_PIECES_A_TURN) for _ in range(40)]
     other = Parser(turns, "b")
     for parser in flood:
@@ -104,7 +108,7 @@ async def test_one_connection_has_a_turn_in_each_iteration_and_senders_alternate
 
 
 async def test_a_short_request_does_not_wait_for_floods_of_the_same_sender() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     flood = [Parser(turns, "a", MAX_PIECES_A_TURN) for _ in range(40)]
     for parser in flood:
         parser.data_received(b"x" * 20 * SLICE_BYTES)
@@ -122,7 +126,7 @@ async def test_a_short_request_does_not_wait_for_floods_of_the_same_sender() -> 
 
 
 async def test_what_the_parser_is_not_ready_for_waits_unread() -> None:
-    parser = Parser(Starts(), "a")
+    parser = Parser(LoopTurns(), "a")
     parser.is_ready = False
     parser.data_received(b"GET")
     await asyncio.sleep(0)
@@ -133,7 +137,7 @@ async def test_what_the_parser_is_not_ready_for_waits_unread() -> None:
 
 
 async def test_a_connection_that_is_read_before_its_turn_is_held_back_again() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     Parser(turns, "a").data_received(b"GET")
     parser = Parser(turns, "a")
     parser.data_received(b"G")
@@ -145,7 +149,7 @@ async def test_a_connection_that_is_read_before_its_turn_is_held_back_again() ->
 
 
 async def test_input_that_is_dropped_is_not_parsed() -> None:
-    turns = Starts()
+    turns = LoopTurns()
     Parser(turns, "a").data_received(b"GET")
     parser = Parser(turns, "a")
     parser.data_received(b"GET")

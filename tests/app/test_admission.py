@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from app.server.starting import HEALTH, StartInTurn, Starts, sender_of
+from app.server.admission import HEALTH, LoopTurns, RequestAdmission, sender_of
 
 
 async def iterations(count: int) -> None:
@@ -18,7 +18,7 @@ async def iterations(count: int) -> None:
 
 
 async def test_the_first_begins_at_once_and_the_next_in_the_next_iteration() -> None:
-    starts, begun = Starts(), list[str]()
+    starts, begun = LoopTurns(), list[str]()
 
     async def begin(name: str, key: str) -> None:
         await starts.turn(key)
@@ -37,7 +37,7 @@ async def test_after_a_turn_of_a_sender_with_more_the_loop_is_free_as_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     loop, now, later = asyncio.get_running_loop(), 0.0, list[tuple[float, Callable[[], None]]]()
-    starts, begun = Starts(), list[str]()
+    starts, begun = LoopTurns(), list[str]()
 
     async def begin(key: str) -> None:
         nonlocal now
@@ -59,7 +59,7 @@ async def test_after_a_turn_of_a_sender_with_more_the_loop_is_free_as_long(
 
 
 async def test_a_function_runs_in_its_turn_unless_it_is_cancelled() -> None:
-    starts, begun = Starts(), list[int]()
+    starts, begun = LoopTurns(), list[int]()
     cancels = [starts.run("a", lambda n=n: begun.append(n)) for n in range(5)]  # type: ignore[misc]
     assert begun == [0]
     for cancel in (cancels[0], cancels[2]):
@@ -70,7 +70,7 @@ async def test_a_function_runs_in_its_turn_unless_it_is_cancelled() -> None:
 
 
 async def test_a_function_that_fails_does_not_keep_the_others() -> None:
-    starts, begun, faults = Starts(), list[str](), list[str]()
+    starts, begun, faults = LoopTurns(), list[str](), list[str]()
     asyncio.get_running_loop().set_exception_handler(lambda _, context: faults.append(context["message"]))
 
     def fail() -> None:
@@ -96,7 +96,7 @@ async def test_polls_of_health_take_turns_among_themselves() -> None:
     async def send(_: Message) -> None: ...
 
     scope: Scope = {"type": "http", "path": HEALTH, "headers": [], "client": ("192.0.2.1", 1)}
-    in_turn = StartInTurn(app)
+    in_turn = RequestAdmission(app)
     tasks = [asyncio.create_task(in_turn(scope, receive, send)) for _ in range(100)]
     await asyncio.sleep(0)
     assert len(ended) == 1
@@ -107,7 +107,7 @@ async def test_polls_of_health_take_turns_among_themselves() -> None:
 
 
 async def test_who_gave_up_waiting_costs_the_others_nothing() -> None:
-    starts = Starts()
+    starts = LoopTurns()
     tasks = [asyncio.create_task(starts.turn("a")) for _ in range(5)]
     await asyncio.sleep(0)
     for task in tasks[1:4]:
@@ -134,7 +134,7 @@ async def test_health_responds_before_a_thousand_requests() -> None:
     def request(path: str) -> Scope:
         return {"type": "http", "path": path, "headers": [], "client": ("192.0.2.1", 1)}
 
-    in_turn = StartInTurn(app)
+    in_turn = RequestAdmission(app)
     tasks = [asyncio.create_task(in_turn(request("/login"), receive, send)) for _ in range(1000)]
     tasks.append(asyncio.create_task(in_turn(request(HEALTH), receive, send)))
     while HEALTH not in ended:  # noqa: ASYNC110

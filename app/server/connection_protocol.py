@@ -1,4 +1,5 @@
-"""Connections take turns at having their input parsed, one in each iteration of the event loop.
+"""What connections of HTTP and of WebSockets have in common: they are counted, watched to their end, and take
+turns at having their input parsed, one in each iteration of the event loop.
 
 The kernel gives in one call what was sent in seconds, and a parser calls back for each piece of it: a chunk
 of a body, a header, a frame, each of which may have a single byte. A turn therefore ends after so many bytes
@@ -8,25 +9,45 @@ or pieces. A connection whose input waits for its turn is not read.
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
-from app.server.starting import Starts
+from app.server.addresses import source_of
+from app.server.admission import LoopTurns
+from app.server.connections import Connection, Connections
+from app.server.pace import Backlog
+from app.server.refusal_log import RefusalLog
 
+CLOSING_S = 5.0
+"""What a client gets to read the end of a connection."""
 SLICE_BYTES = 512
 """Given to the parser at once: 85 empty frames or chunks of a byte."""
 MAX_BYTES_A_TURN = 64 * 1024
-"""Of a body or a large message, which is few pieces."""
+"""Bytes of a body or a large message, which is few pieces, that one turn parses."""
 MAX_PIECES_A_TURN = 64
-"""After which no further slice is parsed in this turn."""
+"""Pieces after which a turn parses no further slice."""
 
 
-class InputInTurn(asyncio.Protocol):
-    """To be inherited before the protocol that parses; ``turns`` are those of all connections."""
+class ConnectionProtocol(asyncio.Protocol):
+    """To be inherited before a protocol of uvicorn, which parses; ``turns`` are those of all connections.
+    ``connection`` is set before anything is received."""
 
     transport: asyncio.Transport
+    connection: Connection
 
-    def __init__(self, *args: object, turns: Starts, **options: object) -> None:
+    def __init__(
+        self,
+        *args: object,
+        open_connections: Connections,
+        turns: LoopTurns,
+        refusals: RefusalLog,
+        **options: Any,
+    ) -> None:
         super().__init__(*args, **options)
+        self._open_connections = open_connections
         self._turns = turns
+        self._refusals = refusals
+        self._backlog = Backlog()
+        self._closing_since: float | None = None
         self._unparsed = bytearray()
         self._pieces = 0
         self._awaits_turn = False
@@ -38,6 +59,27 @@ class InputInTurn(asyncio.Protocol):
         if self._takes_input(len(data)):
             self._unparsed += data
             self._go_on()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._open_connections.close(self.connection)
+        self.connection.holder = None
+        super().connection_lost(exc)
+
+    def resume_writing(self) -> None:
+        self._backlog = Backlog()
+        super().resume_writing()
+
+    # --- as :class:`app.server.client_connection.ClientConnection` -------------------------------------
+
+    def identify(self, account: str) -> None:
+        self._open_connections.identify(self.connection, account)
+
+    def trust(self) -> None:
+        """Only a WebSocket has messages."""
+
+    def write(self, _frame: bytes, /) -> bool:
+        """Only a WebSocket has frames."""
+        return False
 
     # --- of the protocol that parses -----------------------------------------------------------------
 
@@ -53,17 +95,26 @@ class InputInTurn(asyncio.Protocol):
         """Whether the parser may have more now; where not, :meth:`_go_on` is called once it may."""
         raise NotImplementedError
 
-    def _turn_key(self) -> object:
-        """Whose turn it takes."""
-        raise NotImplementedError
+    # --- of this one ----------------------------------------------------------------------------------
 
-    # -------------------------------------------------------------------------------------------------
+    def _is_at_its_end(self, now: float) -> bool:
+        """Whether the connection is being closed, which is cut short where it takes too long."""
+        if not self.transport.is_closing() and self._closing_since is None:
+            return False
+        self._closing_since = self._closing_since or now
+        if now - self._closing_since > CLOSING_S:
+            self.transport.abort()
+        return True
+
+    def _sender(self) -> str:
+        """The account, or the address of a stranger: one with many connections has no more turns."""
+        return self.connection.account or source_of(self.connection.address)
 
     def _go_on(self) -> None:
         """Parse what waits, in turn."""
         if self._unparsed and not self._awaits_turn and self._is_ready():
             self._awaits_turn = True
-            self._turns.run((self._turn_key(), self._is_heavy), self._take_turn)
+            self._turns.run((self._sender(), self._is_heavy), self._take_turn)
         if self._unparsed:
             self._hold_back()
         elif self._holds_back:

@@ -1,0 +1,10 @@
+"""The author of what a test changes of accounts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from app.web.access import Person, Role
+
+BY: dict[str, Any] = {"by": Person("test", Role.ADMIN, "console"), "origin": "test"}
+"""For every change of :class:`app.auth.accounts.Accounts`."""
