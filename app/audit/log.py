@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
-from app.audit import search, store
+from app.audit import store
 from app.audit.anchor import read_key_anchor
 from app.audit.chain import Head
 from app.audit.entry import Event as Event
@@ -20,7 +21,6 @@ from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import Verdict, Walk
 from app.database import Database
-from app.errors import StoreError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -32,8 +32,6 @@ Also = Callable[[sqlite3.Connection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
-INDEX_PAUSE_S = 0.05
-"""Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = Message("server_stopped")
 
 
@@ -136,22 +134,11 @@ class EventLog:
             yield chunk
             if after is None:
                 return
-            wanted = Filter(**{**vars(wanted), "before": after})
+            wanted = replace(wanted, before=after)
 
     async def kinds(self) -> list[str]:
         """Every kind there is an event of."""
         return await self._database.read_costly(store.kinds)
-
-    async def index(self) -> None:
-        """Make every event searchable by the index: those to come, then those that there are."""
-        try:
-            await self._database.write(search.prepare)
-            is_more = True
-            while is_more:
-                is_more = await self._database.write(search.index_more)
-                await asyncio.sleep(INDEX_PAUSE_S)
-        except StoreError as error:
-            log.warning("events are searched without an index", why=str(error))
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)

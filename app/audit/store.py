@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.audit import search
 from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
 from app.audit.entry import new_entry, readable
 from app.audit.keyring import KeyRing
@@ -35,8 +34,6 @@ SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.ne
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
-SCANNED_ROWS = 20_000
-"""Events that a search reads without the index: some 20 ms."""
 _SEARCHED = ("what", "who", "old", "new", "message")
 _IN_GROUP = """
 SELECT 1 FROM event_parts JOIN events change ON change.id = event_parts.change
@@ -149,36 +146,10 @@ def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any]
 
 
 def select(connection: sqlite3.Connection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
-    """Events newest first, each command with its outcome.
-
-    A search scans the newest `SCANNED_ROWS` row by row, which suffices for a frequent word, and
-    finds the others by the index: a rare word has few rows there.
-    """
-    phrase, lowest = search.phrase(wanted.search), search.lowest_indexed(connection)
-    if not phrase or lowest is None:
-        return _select(connection, wanted, limit)
-    scanned_from = max(_first_after(connection, wanted) - SCANNED_ROWS, lowest)
-    found = _select(connection, wanted, limit, "AND e.id >= ?", scanned_from)
-    if len(found) < limit:
-        indexed = f"AND e.id < ? AND e.id >= ? AND e.id IN ({search.MATCHING})"
-        found += _select(connection, wanted, limit - len(found), indexed, scanned_from, lowest, phrase)
-    if len(found) < limit and lowest > 1:
-        found += _select(connection, wanted, limit - len(found), "AND e.id < ?", lowest)
-    return found
-
-
-def _select(
-    connection: sqlite3.Connection, wanted: Filter, limit: int, more: str = "", *values: object
-) -> list[dict[str, Any]]:
-    conditions, wanted_values = wanted.conditions()
-    query = f"{_FOLDED} {conditions} {more} ORDER BY e.id DESC LIMIT ?"
-    return [readable(dict(row)) for row in connection.execute(query, [*wanted_values, *values, limit])]
-
-
-def _first_after(connection: sqlite3.Connection, wanted: Filter) -> int:
-    """The first number of the requested period."""
-    newest: int = connection.execute("SELECT COALESCE(max(id), 0) + 1 FROM events").fetchone()[0]
-    return min(newest, wanted.before or newest)
+    """Events newest first, each command with its outcome."""
+    conditions, values = wanted.conditions()
+    query = f"{_FOLDED} {conditions} ORDER BY e.id DESC LIMIT ?"
+    return [readable(dict(row)) for row in connection.execute(query, [*values, limit])]
 
 
 def one(connection: sqlite3.Connection, number: int) -> dict[str, Any] | None:
