@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import structlog
@@ -19,7 +20,7 @@ from app.history.series.runs import SECOND, micros
 from app.history.status import Status
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.repair import damaged_blocks, pages_are_intact
+from app.history.store.inspection import TABLES, damaged_blocks, is_intact
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now
@@ -113,8 +114,10 @@ class History:
         """Check everything that is kept; damage is reported."""
         try:
             database = self._writer.database
-            if not await pages_are_intact(database):
-                self._writer.report_torn()
+            for table in TABLES:
+                if not await database.read(partial(is_intact, table=table)):
+                    self._writer.report_torn()
+                    return
             async for block in damaged_blocks(database):
                 self.report([block])
         except DamagedStoreError:

@@ -160,9 +160,9 @@ async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
         "cause": in_english(status.cause),
         "cause_message": maybe_shown(status.cause),
     }
-    oldest = None if status.oldest_reading is None else iso(status.oldest_reading)
-    times = {"since": iso(status.since), "oldest_reading": oldest}
-    return cast(HistoryStatus, asdict(status) | texts | times)
+    times = {"since": status.since, "oldest_reading": status.oldest_reading, "begun": status.begun}
+    shown_times = {name: None if at is None else iso(at) for name, at in times.items()}
+    return cast(HistoryStatus, asdict(status) | texts | shown_times)
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])

@@ -98,6 +98,8 @@ class HistoryStatus(TypedDict):
     waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
     lost: Annotated[int, Field(description="Updates that could not be stored.")]
     damaged: Annotated[int, Field(description="Damages found in the last seven days.")]
+    put_aside: Annotated[str, Field(description="File of the damaged history; empty: there is none.")]
+    begun: Annotated[MaybeInstant, Field(description="When history began again; null: none was damaged.")]
 
 
 def json_of(model: Any) -> dict[int | str, dict[str, Any]]:

@@ -19,7 +19,7 @@ from app.history.series.rollup import combine, replace_row, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, merge
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
-from app.history.store.repair import FoundDamage, Repair
+from app.history.store.inspection import FoundDamage, set_aside
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
 
@@ -40,7 +40,6 @@ class Recorder:
     def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage) -> None:
         self._database = database
         self._on_damage = on_damage
-        self._repair = Repair(database, on_damage)
         self._tail = tail
         self._intake = Intake(tail)
         self._folding: deque[tuple[int, int]] = deque()
@@ -128,7 +127,7 @@ class Recorder:
             self._database.write_now(write)
         except DamagedBlock as found:
             # It costs itself: these minutes are folded in the next turn, without it.
-            self._repair.set_aside(found.block)
+            set_aside(self._database, found.block, self._on_damage)
             return
         for key in keys:
             self._tail.drop(*key)

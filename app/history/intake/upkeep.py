@@ -15,7 +15,7 @@ from app.history.settings import HistorySettings
 from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
-from app.history.store.repair import Repair
+from app.history.store.inspection import FoundDamage, set_aside
 from bus.instants import Monotonic, monotonic_now
 
 _MB = 1_000_000
@@ -63,9 +63,9 @@ class Retention:
 class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
-    def __init__(self, database: Database, retention: Retention, repair: Repair) -> None:
+    def __init__(self, database: Database, retention: Retention, on_damage: FoundDamage) -> None:
         self._database = database
-        self._repair = repair
+        self._on_damage = on_damage
         self._retention = retention
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
@@ -91,7 +91,7 @@ class Upkeep:
             try:
                 self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
             except DamagedBlock as damaged:
-                self._repair.set_aside(damaged.block)
+                set_aside(self._database, damaged.block, self._on_damage)
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""

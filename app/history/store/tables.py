@@ -54,10 +54,6 @@ def units_of(connection: StoreConnection, bus: str) -> list[int]:
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
 
 
-def every_unit(connection: StoreConnection) -> list[int]:
-    return [row[0] for row in connection.execute("SELECT id FROM unit")]
-
-
 def name_of(connection: StoreConnection, unit: int) -> str:
     """A unit's key in words: ``bus/number``."""
     row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
@@ -203,6 +199,18 @@ def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None
         f"INSERT OR IGNORE INTO damaged SELECT ?, unit, start, ?, data {where}", (block.tier, now, *key)
     )
     connection.execute(f"DELETE {where}", key)
+
+
+def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
+    """The store is new, and the damaged one before it is kept as ``file``; ``now`` in µs."""
+    connection.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, ?)", (now, file.encode()))
+
+
+def replaced_since(connection: StoreConnection, since: int) -> tuple[int, str] | None:
+    """When this store was begun in place of a damaged one, and the name of that file; times in µs."""
+    query = "SELECT found, data FROM damaged WHERE tier = 'store' AND found >= ? AND data NOTNULL"
+    row = connection.execute(query, (since,)).fetchone()
+    return None if row is None else (row[0], row[1].decode())
 
 
 def damaged_since(connection: StoreConnection, since: int) -> int:
