@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Required, TypedDict, Unpack
@@ -20,7 +19,7 @@ from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import Verdict, Walk
-from app.database import Database
+from app.database import Database, StoreConnection
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -28,7 +27,7 @@ from bus.messages import Message
 log = structlog.get_logger()
 
 EventSubscriber = Callable[[Event], None]
-Also = Callable[[sqlite3.Connection], None]
+Also = Callable[[StoreConnection], None]
 """What else is written in the transaction of an event."""
 
 CHUNK = 1000
@@ -150,7 +149,7 @@ class EventLog:
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
-        def append(connection: sqlite3.Connection) -> list[int]:
+        def append(connection: StoreConnection) -> list[int]:
             numbers = [store.append(connection, entry, self.keys) for entry in entries]
             if also is not None:
                 also(connection)
@@ -214,7 +213,7 @@ class LogProof:
         return await self._database.read(lambda connection: store.link_of(connection, number))
 
     async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow_chunk(connection: sqlite3.Connection) -> int | None:
+        def follow_chunk(connection: StoreConnection) -> int | None:
             chunk = store.entries_from(connection, number, until)
             walk.follow(chunk)
             return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from app.database.connection import Database
-from app.database.private import make_file, make_folder
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
@@ -48,7 +45,8 @@ LATE = 10 * MINUTE
 """What workers keep while the app is away: an hour that ended longer ago is complete."""
 MAX_DROPPED = 50
 """Blocks given up in one transaction."""
-_VACUUM = "PRAGMA incremental_vacuum(2000)"
+MAX_PAGES = 2000
+"""Given back to the disk at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +111,7 @@ class Upkeep:
         while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
             self._to_sweep = dropped == MAX_DROPPED
-            self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())
+            self._database.give_back(MAX_PAGES)
 
     def _give_up_before(self, horizon: int) -> None:
         def move(connection: tables.StoreConnection) -> bool:
@@ -123,16 +121,3 @@ class Upkeep:
             return further
 
         self._to_sweep = self._database.write_now(move) or self._to_sweep
-
-
-def prepare(path: Path) -> None:
-    """A new store returns space to the disk when readings are deleted; it must be set first. An empty file is
-    a new one, too."""
-    if path.exists() and path.stat().st_size:
-        return
-    make_folder(path.parent)
-    make_file(path)
-    connection = sqlite3.connect(path)
-    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
-    connection.execute("VACUUM")
-    connection.close()

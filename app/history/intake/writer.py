@@ -23,7 +23,7 @@ from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Upkeep, prepare, space
+from app.history.intake.upkeep import Retention, Upkeep, space
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.status import NOTICES, Status, StoreState, damage_message, store_message
 from app.history.store import tables
@@ -214,7 +214,6 @@ class Writer:
             self._open.database.close()
 
     def _open_store(self) -> None:
-        prepare(self._path)
         database = Database(self._path, MIGRATIONS, synchronous="FULL")
         try:
             opened = self._begin(database)

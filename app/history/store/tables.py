@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal
 
+from app.database import StoreConnection as StoreConnection
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
@@ -21,8 +21,6 @@ ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
-
-StoreConnection = sqlite3.Connection
 
 
 @contextmanager
