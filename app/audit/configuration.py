@@ -47,7 +47,7 @@ def change_since_last(folder: Path, now: dict[str, Any]) -> str:
         before = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         before = None
-    write_file(file, json.dumps(now, ensure_ascii=False, indent=1))
+    write_file(file, json.dumps(now, ensure_ascii=False, indent=1).encode())
     if before is None:
         return ""
     return "; ".join(differences(before, now))
