@@ -12,7 +12,6 @@ import structlog
 from app.audit.kinds import EventKind
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
-from app.history.intake.upkeep import Retention
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.intervals import Interval
@@ -45,9 +44,8 @@ class History:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
-        retention = Retention(settings.history.raw_days, settings.history.years)
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._writer = Writer(self.path, retention, self._publish_fault)
+        self._writer = Writer(self.path, settings.history, self._publish_fault)
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""

@@ -14,12 +14,13 @@ import pytest
 
 from app.history.intake import writer as writing
 from app.history.intake.recorder import compact
-from app.history.intake.upkeep import Retention, Upkeep
+from app.history.intake.upkeep import DiskReserve, Upkeep
 from app.history.intake.writer import Writer
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.series.values import VALUES
 from app.history.service import FILE, History
+from app.history.settings import HistorySettings
 from app.history.status import store_notice
 from app.history.store.damage import BlockKey, StoredTier
 from app.settings import ServerSettings, Settings
@@ -108,7 +109,7 @@ def test_an_hour_with_a_damaged_minute_is_packed_without_it(shelf: Shelf) -> Non
     spoil(shelf.database.path, "raw", START + MINUTE)
     with pytest.raises(ValueError, match="damaged"):
         shelf.database.write_now(lambda c: compact(c, key, START))
-    upkeep = Upkeep(shelf.database, Retention(), lambda _: None)
+    upkeep = Upkeep(shelf.database, HistorySettings(), DiskReserve(), lambda _: None)
     upkeep.compact(START + 2 * HOUR, float("inf"))
     found = shelf.query("actual", NOON, NOON + 180)
     assert (len(found.series.at), found.damaged) == (601, [])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from app.database.connection import Database
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
@@ -49,22 +49,16 @@ MAX_PAGES = 2000
 """Given back to the disk at a time."""
 
 
-@dataclass(frozen=True, slots=True)
-class Retention:
-    """How long readings and their rollups are stored, and how much of the disk stays free."""
-
-    raw_days: int = HistorySettings().raw_days
-    years: int = HistorySettings().years
-    reserve: DiskReserve = field(default_factory=DiskReserve)
-
-
 class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
-    def __init__(self, database: Database, retention: Retention, on_damage: FoundDamage) -> None:
+    def __init__(
+        self, database: Database, kept: HistorySettings, reserve: DiskReserve, on_damage: FoundDamage
+    ) -> None:
         self._database = database
+        self._kept = kept
+        self._reserve = reserve
         self._on_damage = on_damage
-        self._retention = retention
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
 
@@ -75,7 +69,7 @@ class Upkeep:
     def look(self) -> tuple[int, StoreState]:
         """Free bytes where the store is, and what they mean."""
         free = free_bytes(self._database.path.parent)
-        return free, space(free, self._retention.reserve)
+        return free, space(free, self._reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:
         """Pack hours that are over until ``deadline`` (monotonic seconds)."""
@@ -95,9 +89,9 @@ class Upkeep:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
         if monotonic_now() < self._settled_at:
             return
-        horizon = now - self._retention.raw_days * DAY
+        horizon = now - self._kept.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
-        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._retention.years * 365 * DAY))
+        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._kept.years * 365 * DAY))
 
     def trim(self, now: int) -> None:
         """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than

@@ -23,8 +23,9 @@ from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Upkeep, space
+from app.history.intake.upkeep import DiskReserve, Upkeep, space
 from app.history.series.runs import DAY, SECOND, micros
+from app.history.settings import HistorySettings
 from app.history.status import NOTICES, Status, StoreState, damage_message, store_message
 from app.history.store import tables
 from app.history.store.damage import BlockKey
@@ -67,9 +68,12 @@ class _Open:
 class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
-    def __init__(self, path: Path, retention: Retention, on_fault: OnFault) -> None:
+    def __init__(
+        self, path: Path, kept: HistorySettings, on_fault: OnFault, reserve: DiskReserve | None = None
+    ) -> None:
         self._path = path
-        self._retention = retention
+        self._kept = kept
+        self._reserve = reserve or DiskReserve()
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
@@ -230,7 +234,7 @@ class Writer:
         database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
         recorder = Recorder(database, self.tail, self._on_damage)
         recorder.replay()
-        return _Open(database, recorder, Upkeep(database, self._retention, self._on_damage))
+        return _Open(database, recorder, Upkeep(database, self._kept, self._reserve, self._on_damage))
 
     def _replace_store(self) -> None:
         """Put a store with damaged pages aside, and go on in a new one. A second look decides: the first may
@@ -264,7 +268,7 @@ class Writer:
         is_full = False
         with suppress(OSError):
             free = free_bytes(self._path.parent)
-            is_full = space(free, self._retention.reserve) == "paused"
+            is_full = space(free, self._reserve) == "paused"
             self._status = replace(self._status, free_bytes=free)
         self._set_state("paused" if is_full else "failed", None if is_full else cause)
 
