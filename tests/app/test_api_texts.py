@@ -29,7 +29,6 @@ AS_DATA = {
     "HistoryMark.new": "messages",
     "HistoryMark.old": "messages",
     "HistoryMark.what": "messages",
-    "HistoryStatus.message": "reason",
     "InvalidField.message": "code",
     "Message.detail": "code",
     "Problem.detail": "reason",

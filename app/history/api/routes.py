@@ -28,7 +28,7 @@ from app.web.shape import iso, json_response, maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -154,12 +154,7 @@ async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
     """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
     what to do. The rest of Lineside works in every state."""
     status = history.status
-    texts = {
-        "message": in_english(status.message),
-        "reason": maybe_shown(status.message),
-        "cause": in_english(status.cause),
-        "cause_message": maybe_shown(status.cause),
-    }
+    texts = {"message": maybe_shown(status.message), "cause": maybe_shown(status.cause)}
     times = {"since": status.since, "oldest_reading": status.oldest_reading, "begun": status.begun}
     shown_times = {name: None if at is None else iso(at) for name, at in times.items()}
     return cast(HistoryStatus, asdict(status) | texts | shown_times)
