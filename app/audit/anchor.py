@@ -101,7 +101,7 @@ def read_key_anchor(key_file: Path | None, ring: KeyRing) -> Anchors:
 
 
 def refuse_forged(path: Path, anchors: Anchors) -> Anchors:
-    """The same anchors. Raises StoreError for a line that was not written with the key."""
+    """Return ``anchors``. Raises StoreError for a line that was not written with the key."""
     if anchors.forged is not None:
         raise StoreError(Message.of("anchor_line_forged", line=anchors.forged, path=str(path)))
     return anchors
@@ -114,7 +114,7 @@ def joined_heads(first: Anchors, second: Anchors) -> dict[int, str]:
 
 
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
-    """The same of a file. Raises AnchorError."""
+    """Read the anchors of a file. Raises AnchorError."""
     try:
         with path.open("rb") as file:
             return read_anchors(file, ring)

@@ -24,7 +24,7 @@ from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
-MOST = 1000
+MAX_EVENTS = 1000
 """How many events one page may hold."""
 
 CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
@@ -123,7 +123,7 @@ def shown(event: Event) -> dict[str, Any]:
 
 @router.get("/events", response_model=EventPage, dependencies=[SEARCH])
 async def list_events(
-    _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MOST)] = 100
+    _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MAX_EVENTS)] = 100
 ) -> Response:
     """Events newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with zone."""
     found, after = await events.page(wanted, limit)
@@ -149,7 +149,7 @@ async def verify_audit_log(_: Admin, events: Events) -> AuditVerification:
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
 async def export_events(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
-    """The same filter, every event, as CSV with a line of headings."""
+    """Every event of the filter of GET /events, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
     return StreamingResponse(_csv(events, wanted), headers=headers, media_type="text/csv; charset=utf-8")
 

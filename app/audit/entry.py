@@ -20,7 +20,7 @@ from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
 Event = dict[str, Any]
 """One event with its result, as `app.audit.entry.readable` gives it."""
 
-LATEST = 253_370_764_800.0
+MAX_TIME = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
@@ -42,7 +42,7 @@ def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **give
 
 def is_moment(time: UnixTime) -> bool:
     """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
-    return math.isfinite(time) and 0 < float(time) < LATEST
+    return math.isfinite(time) and 0 < float(time) < MAX_TIME
 
 
 def _plain(message: Any) -> Any:

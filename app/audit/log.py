@@ -28,14 +28,14 @@ log = structlog.get_logger()
 
 EventSubscriber = Callable[[Event], None]
 Also = Callable[[StoreConnection], None]
-"""What else is written in the transaction of an event."""
+"""Writes something else in the transaction of an event."""
 
 CHUNK = 1000
 ENDED_BEFORE = Message("server_stopped")
 
 
 class EventFields(TypedDict, total=False):
-    """What an event may state."""
+    """The fields that an event may state."""
 
     what: Required[str | Message]
     who: str | Message
@@ -74,7 +74,7 @@ class EventLog:
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
     async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
-        """By event number the outcome and message of each, in one transaction."""
+        """Store the outcome and message of several commands, by event number, in one transaction."""
         entries = [
             self._entry("fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in outcomes.items()
@@ -127,7 +127,7 @@ class EventLog:
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
-        """All of them newest first, in pieces, however many they are."""
+        """All events that are wanted, newest first, in pieces."""
         while True:
             chunk, after = await self.page(wanted, CHUNK)
             yield chunk

@@ -85,7 +85,7 @@ def _address(path: str, query: dict[str, Any]) -> str:
 
 
 def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
-    """The same events by the API, which takes instants."""
+    """The query of the API for the same events: it takes instants."""
     names = ("kind", "bus", "unit", "who", "search")
     times = {"from": wanted.since, "to": wanted.until}
     instants = {name: None if at is None else formats.local(at).isoformat() for name, at in times.items()}

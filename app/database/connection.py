@@ -21,14 +21,14 @@ from bus.messages import Message
 
 T = TypeVar("T")
 StoreConnection = sqlite3.Connection
-"""What the queries of a feature get: they name no engine."""
+"""The type of a connection in the queries of features, which name no engine."""
 Synchronous = Literal["FULL", "NORMAL"]
 READERS = 4
 COSTLY_READERS = 2
 COSTLY_S = 3.0
-"""Of a thread, for which one costly read may compute: the load of the machine does not count."""
+"""CPU time of the thread that one costly read may take: the load of the machine does not count."""
 STEPS = 20_000
-"""Of SQLite between two checks of the clock: a few milliseconds."""
+"""Steps of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
 
 
@@ -119,14 +119,14 @@ class Database:
         return await self._run(self._costly, self._read_within, work)
 
     def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
-        """The same without a loop, for the command line and the writer's own thread."""
+        """Run ``work`` in one transaction on this thread: the command line's, or the writer's own."""
         if self._reserve is not None:
             self._reserve.keep()
         with in_words(self.path):
             return transact(self._connection, work)
 
     def read_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
-        """The same without a loop."""
+        """Run ``work`` on a read-only connection of this thread."""
         with in_words(self.path):
             return work(self._reader())
 

@@ -100,7 +100,7 @@ def make_private(folder: Path) -> None:
 
 
 def restrict(path: Path) -> int:
-    """The same of one file or folder; gives the mode that it had. Raises StoreError."""
+    """Take the rights of others from one file or folder; return the mode that it had. Raises StoreError."""
     found = path.lstat()
     if found.st_uid not in (os.geteuid(), 0):
         raise StoreError(Message.of("file_of_other_user", path=str(path), uid=found.st_uid))

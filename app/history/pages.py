@@ -92,7 +92,7 @@ def _units(history: History) -> list[str]:
 
 
 def usual_series(history: History) -> list[str]:
-    """What the page shows while its address names nothing."""
+    """The series that the page shows while its address names none."""
     return [f"{unit}/actual" for unit in _units(history)[:DEFAULT_VALUES]]
 
 

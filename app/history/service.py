@@ -62,7 +62,7 @@ class History:
         self._writer.start()
 
     def close(self) -> None:
-        """What was taken in is on disk when this returns."""
+        """Write what was taken in to the disk, then close the store."""
         self._writer.close()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
@@ -75,7 +75,7 @@ class History:
         return self._writer.status
 
     async def query(self, queries: Sequence[SeriesQuery]) -> list[QueryResult]:
-        """What each value was. Raises StoreError when the store cannot be read."""
+        """Read the series of each query. Raises StoreError when the store cannot be read."""
         found = await self.read(lambda c, tail: [run_query(c, tail, one) for one in queries])
         for each in found:
             self.report(each.damaged)
@@ -150,7 +150,7 @@ StatusSpan = tuple[UnixTime, UnixTime, int]
 async def status_words(
     history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
 ) -> list[StatusSpan]:
-    """From and until (Unix time, seconds) with bits, ST2 * 256 + ST1, in order. Raises StoreError."""
+    """Spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raises StoreError."""
     wanted = micros(start), micros(end)
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:

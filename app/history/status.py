@@ -48,7 +48,7 @@ DAMAGED = Message("history_damaged")
 
 
 def damage_message(status: Status, shown: Callable[[UnixTime], str]) -> Message | None:
-    """What of the history is not shown because it is damaged; ``shown``: a time as text."""
+    """Message about history that is not shown because it was damaged; ``shown`` writes a time as text."""
     if status.begun is not None:
         return Message.of("history_put_aside", time=shown(status.begun), file=status.put_aside)
     return DAMAGED if status.damaged else None

@@ -179,7 +179,7 @@ async def export_history(
 
 MAX_MARKS = 500
 MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
-"""What explains a curve. Who signed in does not."""
+"""Events that explain a curve; sign-ins do not."""
 _SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
 
 

@@ -1,4 +1,4 @@
-"""From updates to disk: commits about twice a second, and packs complete minutes and hours into blocks.
+"""Writes updates to the disk: commits about twice a second, and packs complete minutes and hours into blocks.
 
 Everything here runs on the one thread that writes (:mod:`app.history.intake.writer`). A minute that comes
 late takes the same way: its runs are merged with the stored ones, and the minute, its hour and its bits are
@@ -30,7 +30,7 @@ MAX_IN_TAIL = 400_000
 MAX_AT_ONCE = 4_000
 """Runs folded in one transaction: few enough that a slow machine still commits in time."""
 MAX_KEYS = 64
-"""And minutes of units: each is a block, its rollups and its bits."""
+"""Minutes of units folded in one transaction: each is a block, its rollups and its bits."""
 _LOOK_EVERY = 64
 
 
@@ -61,7 +61,7 @@ class Recorder:
         self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
-        """These are on disk when this returns. Raises StoreError; then nothing of them is."""
+        """Write deliveries to the disk. Raises StoreError; then nothing of them is stored."""
 
         def write(connection: tables.StoreConnection) -> Taken:
             return self._intake.write(connection, deliveries)

@@ -31,7 +31,7 @@ class DiskReserve:
 
 
 def space(free: int, reserve: DiskReserve) -> StoreState:
-    """What so many free bytes mean."""
+    """The state of a store on a disk with so many free bytes."""
     if free < reserve.pause:
         return "paused"
     if free < reserve.trim:
@@ -42,7 +42,7 @@ def space(free: int, reserve: DiskReserve) -> StoreState:
 SETTLED_S = 3600.0
 """After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
 LATE = 10 * MINUTE
-"""What workers keep while the app is away: an hour that ended longer ago is complete."""
+"""How long workers buffer while the app is away: an hour that ended longer ago is complete."""
 MAX_DROPPED = 50
 """Blocks given up in one transaction."""
 MAX_PAGES = 2000

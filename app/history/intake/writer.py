@@ -99,7 +99,7 @@ class Writer:
         self._thread.start()
 
     def close(self) -> None:
-        """What was taken in is on disk, then the store is closed."""
+        """Write what was taken in to the disk, then close the store."""
         self._ending.set()
         self._thread.join()
 

@@ -36,7 +36,7 @@ class StoredUnit:
     unit: int
     tail: Sequence[Run]
     damaged: list[BlockKey] = field(default_factory=list)
-    """What could not be read, and was left out."""
+    """Blocks that could not be read, and were left out."""
 
     def blocks(self, tier: StoredTier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
         """Start and content of each that may touch a span (µs), in order of time."""
@@ -48,7 +48,7 @@ class StoredUnit:
             yield row[0], row[1]
 
     def unpacked(self, tier: StoredTier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
-        """What a block holds; nothing where it is damaged, which is noted."""
+        """The content of a block; empty where it is damaged, which is noted."""
         try:
             return unpack()
         except ValueError:

@@ -24,8 +24,8 @@ _JOURNAL_LEVEL = 1
 
 
 @contextmanager
-def standing_still(connection: StoreConnection) -> Iterator[None]:
-    """One moment of the store for all that is read within."""
+def snapshot(connection: StoreConnection) -> Iterator[None]:
+    """Everything that is read within is of one instant of the store."""
     connection.execute("BEGIN")
     try:
         yield
@@ -69,7 +69,7 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) 
 
 
 def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] | None]:
-    """What every row holds, oldest first; None for a damaged one."""
+    """The readings of every row, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
             units, at, lengths, *rest = columns.unpack(data)
@@ -81,7 +81,7 @@ def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] 
 
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
-    """From when to when anything is kept, µs; None when nothing is."""
+    """The span of all that is kept, µs; None when nothing is."""
     row = connection.execute("SELECT min(start), max(start) FROM hours").fetchone()
     return None if row[0] is None else (row[0], row[1] + DAY)
 
@@ -190,7 +190,7 @@ def is_damaged(connection: StoreConnection, block: BlockKey) -> bool:
 
 
 def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None:
-    """Out of the way of the rest, as it is; ``now`` in µs."""
+    """Move a block to the damaged ones, as it is; ``now`` in µs."""
     where = f"FROM {block.tier} WHERE unit = ? AND start = ?"
     key = (block.unit, block.start)
     connection.execute(
@@ -236,7 +236,7 @@ def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> 
 def replace_bits(
     connection: StoreConnection, unit: int, old: Iterable[Interval], new: Iterable[Interval]
 ) -> None:
-    """Other intervals in place of these; what stays the same is not written."""
+    """Replace intervals; one that stays the same is not written."""
     before, after = set(old), set(new)
     connection.executemany(
         "DELETE FROM bits WHERE unit = ? AND at = ? AND word = ?",
