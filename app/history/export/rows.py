@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
-from app.history.query.query import SeriesQuery, marks_of, scale_of
+from app.history.query.query import Resolution, SeriesQuery, marks_of, scale_of
 from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, Run, micros
@@ -25,8 +25,7 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey
 from bus.instants import unix_now
 
-Fineness = Literal["readings", "minutes", "hours"]
-PIECE: dict[Fineness, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
+PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
 """How much is read at a time, µs."""
 
 
@@ -50,7 +49,7 @@ class Table:
     """The columns of an export, and how fine it is."""
 
     queries: Sequence[SeriesQuery]
-    fineness: Fineness
+    fineness: Resolution
     time_zone: str
 
     @property
