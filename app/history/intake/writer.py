@@ -14,7 +14,7 @@ from pathlib import Path
 import structlog
 
 from app.audit.kinds import EventKind
-from app.database.connection import Database
+from app.database.connection import STEPS, Database
 from app.database.copies import put_aside
 from app.database.presence import examining
 from app.database.reserve import free_bytes
@@ -257,6 +257,8 @@ class Writer:
     def _is_intact(self) -> bool:
         try:
             with examining(self._path) as connection:
+                # The end of the server does not wait for a look at all pages.
+                connection.set_progress_handler(self._ending.is_set, STEPS)
                 return is_intact(connection)
         except DamagedStoreError:
             return False
