@@ -8,7 +8,7 @@ import gc
 import os
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial, wraps
 from pathlib import Path
 from types import CodeType
@@ -23,9 +23,7 @@ from jinja2 import Environment
 import app.auth.passwords
 import app.database.connection
 import app.messages.languages
-from app.database import Database
 from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
-from app.database.private import make_file, make_folder
 from app.database.reserve import Reserve
 from app.web.assets import Assets
 
@@ -35,6 +33,7 @@ settings.register_profile("soak", deadline=None, max_examples=1000)
 settings.load_profile("lineside")
 
 COMPLETE_SITES = {"e2e", "path"}
+HISTORY_MIGRATIONS = MIGRATIONS.parents[1] / "history" / "migrations"
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -86,17 +85,17 @@ def catalogs_compiled_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def stores_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def stores_made_once() -> Iterator[None]:
     """A new store is a copy of one that has taken all its steps, and none waits for the disk: no test of this
     process ends its power supply. The processes that tests start and kill write as they do everywhere."""
-    model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-    taken = bring_up_to_date(model, Path("model"), MIGRATIONS)
+    models = {folder: model_of(folder) for folder in (MIGRATIONS, HISTORY_MIGRATIONS)}
     open_for_writing = app.database.connection.open_for_writing
 
     def copy_if_new(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
         is_new = connection.execute("SELECT 1 FROM sqlite_master").fetchone() is None
-        if not is_new or folder != MIGRATIONS:
+        if not is_new or folder not in models:
             return bring_up_to_date(connection, path, folder)
+        model, taken = models[folder]
         model.backup(connection)
         return taken
 
@@ -110,25 +109,16 @@ def stores_made_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         patch.setattr(app.database.connection, "bring_up_to_date", copy_if_new)
         patch.setattr(app.database.connection, "open_for_writing", open_without_waiting)
         patch.setattr(os, "fsync", lambda _: None)
-        if writer := sys.modules.get("app.history.intake.writer"):
-            patch.setattr(writer, "prepare", history_copied(writer, tmp_path_factory.mktemp("history")))
         yield
-    model.close()
+    for model, _ in models.values():
+        model.close()
 
 
-def history_copied(writer: Any, folder: Path) -> Callable[[Path], None]:
-    """Prepares a new store of the history as a copy of one."""
-    model = folder / "history.db"
-    writer.prepare(model)
-    Database(model, writer.MIGRATIONS).close()
-
-    def prepare(path: Path) -> None:
-        if not path.exists() or not path.stat().st_size:
-            make_folder(path.parent)
-            make_file(path)
-            path.write_bytes(model.read_bytes())
-
-    return prepare
+def model_of(folder: Path) -> tuple[sqlite3.Connection, list[Migration]]:
+    """A store in memory that has taken the steps of a folder, and these steps."""
+    model = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    model.execute("PRAGMA auto_vacuum = INCREMENTAL")
+    return model, bring_up_to_date(model, Path("model"), folder)
 
 
 @pytest.fixture(scope="session", autouse=True)

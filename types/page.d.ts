@@ -188,7 +188,6 @@ interface PartsById {
   "trend-events-list": HTMLElement;
   "trend-exact": HTMLFormElement & { readonly elements: { from: HTMLInputElement; to: HTMLInputElement } };
   "trend-fault": HTMLElement;
-  "trend-first": HTMLLinkElement | null;
   "trend-lanes": HTMLElement;
   "trend-marks": HTMLInputElement;
   "trend-picture": HTMLElement;

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 import stat
 import time
 from collections.abc import Iterable
@@ -23,7 +22,7 @@ import msgspec
 
 from app.audit.chain import Head
 from app.audit.keyring import KeyRing
-from app.database.private import restrict, sync_folder
+from app.database.private import restrict, write_file
 from app.errors import StoreError, system_error
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -102,7 +101,7 @@ def read_key_anchor(key_file: Path | None, ring: KeyRing) -> Anchors:
 
 
 def refuse_forged(path: Path, anchors: Anchors) -> Anchors:
-    """The same anchors. Raises StoreError for a line that was not written with the key."""
+    """Return ``anchors``. Raises StoreError for a line that was not written with the key."""
     if anchors.forged is not None:
         raise StoreError(Message.of("anchor_line_forged", line=anchors.forged, path=str(path)))
     return anchors
@@ -115,7 +114,7 @@ def joined_heads(first: Anchors, second: Anchors) -> dict[int, str]:
 
 
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
-    """The same of a file. Raises AnchorError."""
+    """Read the anchors of a file. Raises AnchorError."""
     try:
         with path.open("rb") as file:
             return read_anchors(file, ring)
@@ -168,14 +167,8 @@ def _newest_lines(path: Path) -> list[bytes]:
 def replace_line(path: Path, line: bytes) -> None:
     """Make ``line`` the only one of the file, all of it or nothing; on disk when this returns. Raises
     AnchorError."""
-    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        try:
-            append_line(fresh, line)
-            fresh.replace(path)
-        finally:
-            fresh.unlink(missing_ok=True)
-        sync_folder(path.parent)
+        write_file(path, line)
     except OSError as error:
         raise AnchorError(path, error) from error
 

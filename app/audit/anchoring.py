@@ -34,9 +34,9 @@ from bus.messages import Message, joined
 
 EVERY_S = 60.0
 WITHIN_S = 10.0
-"""What the medium is given for one line, which on a network may be long."""
+"""Time that the medium has for one line, which on a network may be long."""
 AT_END_S = 1.0
-"""The same while the server ends, which has five seconds in total."""
+"""Time that it has while the server ends, which takes five seconds in total."""
 T = TypeVar("T")
 log = structlog.get_logger()
 
@@ -218,7 +218,7 @@ class Detached:
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:
-    """None while the log is anchored and intact. ``now``: Unix time in seconds."""
+    """The notice about an anchor that is behind, or a log that was altered. ``now``: Unix time in seconds."""
     if status.altered is not None:
         return Message("audit_altered_after_anchor")
     if status.unwritten is not None:

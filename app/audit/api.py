@@ -19,13 +19,12 @@ from app.audit.store import Filter
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Instant, MaybeInstant, MaybeMessage, csv_text, iso, json_response, maybe_shown
+from app.web.shape import Instant, MaybeInstant, MessageShown, csv_text, iso, json_response, maybe_shown
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
-from bus.messages import in_english
 
 router = APIRouter(prefix="/api/v1", tags=["events"], route_class=ApiRoute)
-MOST = 1000
+MAX_EVENTS = 1000
 """How many events one page may hold."""
 
 CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
@@ -124,7 +123,7 @@ def shown(event: Event) -> dict[str, Any]:
 
 @router.get("/events", response_model=EventPage, dependencies=[SEARCH])
 async def list_events(
-    _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MOST)] = 100
+    _: Viewer, events: Events, wanted: Wanted, limit: Annotated[int, Query(ge=1, le=MAX_EVENTS)] = 100
 ) -> Response:
     """Events newest first: at most 1000 a page; ``next`` is ``before`` of the next page. Times with zone."""
     found, after = await events.page(wanted, limit)
@@ -136,8 +135,7 @@ class AuditVerification(BaseModel):
 
     entries: int
     broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")]
-    fault: Annotated[str, Field(description="Why it is not intact, English; empty: it is.")]
-    fault_message: MaybeMessage
+    fault: Annotated[MessageShown | None, Field(description="Why it is not intact; null: it is.")]
     unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")]
     anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")]
 
@@ -146,13 +144,12 @@ class AuditVerification(BaseModel):
 async def verify_audit_log(_: Admin, events: Events) -> AuditVerification:
     """Verify the complete log like ``lineside audit verify``, with the anchor beside the key alone."""
     verdict = await events.proof.verify()
-    fault = {"fault": in_english(verdict.fault), "fault_message": maybe_shown(verdict.fault)}
-    return AuditVerification.model_validate(vars(verdict) | fault)
+    return AuditVerification.model_validate(vars(verdict) | {"fault": maybe_shown(verdict.fault)})
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])
 async def export_events(_: Viewer, events: Events, wanted: Wanted) -> StreamingResponse:
-    """The same filter, every event, as CSV with a line of headings."""
+    """Every event of the filter of GET /events, as CSV with a line of headings."""
     headers = {"Content-Disposition": 'attachment; filename="events.csv"'}
     return StreamingResponse(_csv(events, wanted), headers=headers, media_type="text/csv; charset=utf-8")
 

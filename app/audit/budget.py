@@ -23,7 +23,7 @@ FORGIVEN_EVERY_S = 60.0
 QUIET_S = 60.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 60.0, 3600.0
 BURST_OF_ALL = 3_000
-"""Of all series of one bus: an emergency stop of 255 units, and their return, several times."""
+"""Events of all series of one bus: an emergency stop of 255 units, and their return, several times."""
 FORGIVEN_OF_ALL_EVERY_S = 1.0
 
 

@@ -17,13 +17,13 @@ FIELDS = (
     *("id", "time", "kind", "about", "who", "origin", "bus", "unit"),
     *("what", "old", "new", "old_raw", "new_raw", "outcome", "message", "frames"),
 )
-"""What the hash of an entry without a key covers, as versions before the key wrote it."""
+"""The fields that the hash of an entry without a key covers, as versions before the key wrote it."""
 SEALED_FROM_HERE = Message("event_audit_sealed")
 OTHER_KEY = Message("event_audit_other_key")
 END_ALTERED = Message("event_audit_end_altered")
 """No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
 _END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
-"""The same in an entry of a version that kept texts alone."""
+"""The text of that remark in an entry of a version that kept texts alone."""
 _DERIVED = frozenset({"hash", "seal"})
 
 

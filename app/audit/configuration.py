@@ -1,4 +1,4 @@
-"""What changed in the configuration since the server ran last, so that it can be an event."""
+"""Finds what changed in the configuration since the server ran last, so that it can be an event."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from app.database.private import write_file
 
 FILE = "configuration.json"
-"""What the server ran with last; beside the store."""
+"""The configuration that the server ran with last; beside the store."""
 
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
@@ -47,7 +47,7 @@ def change_since_last(folder: Path, now: dict[str, Any]) -> str:
         before = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         before = None
-    write_file(file, json.dumps(now, ensure_ascii=False, indent=1))
+    write_file(file, json.dumps(now, ensure_ascii=False, indent=1).encode())
     if before is None:
         return ""
     return "; ".join(differences(before, now))

@@ -15,12 +15,12 @@ import msgspec
 
 from bus.contract import Frame
 from bus.instants import UnixTime
-from bus.messages import Message
+from bus.messages import LIST, NUMBER, TERM, TEXTS, Message
 
 Event = dict[str, Any]
 """One event with its result, as `app.audit.entry.readable` gives it."""
 
-LATEST = 253_370_764_800.0
+MAX_TIME = 253_370_764_800.0
 """The year 9999: no date of the screen or of ISO 8601 goes further. Unix time in seconds."""
 _OPTIONAL = ("about", "bus", "unit", "old", "new", "old_raw", "new_raw", "outcome", "count")
 _TEXTS = ("who", "origin", "what", "message")
@@ -42,7 +42,7 @@ def new_entry(*, kind: str, time: UnixTime, frames: Iterable[Frame] = (), **give
 
 def is_moment(time: UnixTime) -> bool:
     """Whether a Unix time in seconds can be shown as a date; 0 means an unknown time."""
-    return math.isfinite(time) and 0 < float(time) < LATEST
+    return math.isfinite(time) and 0 < float(time) < MAX_TIME
 
 
 def _plain(message: Any) -> Any:
@@ -74,6 +74,7 @@ def _frame(frame: Frame) -> dict[str, Any]:
 
 
 _MESSAGES = msgspec.json.Decoder(dict[str, Message])
+_KNOWN = {*TEXTS, NUMBER, TERM, LIST}
 
 
 class FrameRecord(msgspec.Struct):
@@ -95,7 +96,9 @@ def readable(row: Mapping[str, Any]) -> Event:
     if concluded_at is not None and not is_moment(concluded_at):
         event |= {"concluded_at": None, "unreadable": True}
     parts = [messages_of(row["messages"]), messages_of(row["concluded_messages"])]
-    event["messages"] = {**(parts[0] or {}), **(parts[1] or {})}
+    messages = {**(parts[0] or {}), **(parts[1] or {})}
+    # Of a code that this version does not have, the stored text is shown.
+    event["messages"] = {name: message for name, message in messages.items() if message.code in _KNOWN}
     if None in parts:
         event["unreadable"] = True
     if not has_time:

@@ -27,7 +27,7 @@ def make(services: Services) -> None:
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
     begin = partial(_record_start, settings, database, events)
-    lifespan.add("event log", start=begin, once=events.index, end=partial(_record_end, events))
+    lifespan.add("event log", start=begin, end=partial(_record_end, events))
     record_all = partial(events.repeated.record_due, everything=True)
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
 

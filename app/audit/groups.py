@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Sequence
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
+from app.database import StoreConnection
 
 MAX_PARTS = 1000
 """Parts that one page holds; with more there are fewer rows on it. A change has at most 255."""
@@ -28,7 +28,7 @@ class EventRow:
         return Counter(part["outcome"] for part in self.parts).most_common()
 
 
-def link_parts(connection: sqlite3.Connection, count: int) -> None:
+def link_parts(connection: StoreConnection, count: int) -> None:
     """Note that the last ``count`` events are parts of the one before; in the transaction that wrote them."""
     [last] = connection.execute("SELECT max(id) FROM events").fetchone()
     rows = [(number, last - count) for number in range(last - count + 1, last + 1)]

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Literal
 
 KEY_BYTES = 32
-"""As long as the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
+"""Length of the hash: RFC 2104, 3 discourages shorter keys, and longer ones add nothing."""
 BEGINNING = "0" * 64
 """The hash before the first entry of a log."""
 
@@ -60,7 +60,7 @@ class KeyRing:
         return any(_equal(seal, _seal(key, purpose, parts)) for key in self.keys)
 
     def with_key(self, key: bytes) -> KeyRing:
-        """The same ring with a newer key."""
+        """A ring with a newer key beside these."""
         return KeyRing((*self.keys, key), self.origin)
 
 

@@ -18,7 +18,7 @@ import msgspec
 
 from app.audit.chain import Head
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
-from app.database.private import sync_folder
+from app.database.private import fresh_file, sync_folder
 from app.errors import StoreError, system_error
 from bus.messages import Message
 
@@ -124,14 +124,11 @@ def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
 def make_key_file(path: Path, origin: KeyOrigin) -> None:
     """Make the file with a first key, for a log that ends at ``origin``, unless another process was faster.
     Raises KeyFileError."""
-    ring = KeyRing((secrets.token_bytes(KEY_BYTES),), origin)
+    content = _content_of(KeyRing((secrets.token_bytes(KEY_BYTES),), origin))
     try:
-        fresh = _written(path, ring)
-        try:
+        with fresh_file(path, content) as fresh:
             # Unlike a rename this never takes the place of a key that another process has made and used.
             path.hardlink_to(fresh)
-        finally:
-            fresh.unlink()
         sync_folder(path.parent)
     except FileExistsError:
         return
@@ -144,31 +141,19 @@ def replace_key_file(path: Path, ring: KeyRing) -> None:
     """Put a ring with a newer key in the place of the file; its owner stays. Raises KeyFileError."""
     try:
         owner = path.stat()
-        fresh = _written(path, ring)
-        if (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
-            os.chown(fresh, owner.st_uid, owner.st_gid)
-        fresh.replace(path)
+        with fresh_file(path, _content_of(ring)) as fresh:
+            if (owner.st_uid, owner.st_gid) != (os.geteuid(), os.getegid()):
+                os.chown(fresh, owner.st_uid, owner.st_gid)
+            fresh.replace(path)
         sync_folder(path.parent)
     except OSError as error:
         failed = Message.of("audit_key_not_replaced", path=str(path), error=system_error(error))
         raise KeyFileError(failed) from error
 
 
-def _written(path: Path, ring: KeyRing) -> Path:
-    """A new file beside ``path``, on disk."""
-    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+def _content_of(ring: KeyRing) -> bytes:
     content = _Content(_Log(ring.origin.id, ring.origin.hash), [key.hex() for key in ring.keys])
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError:
-        with suppress(OSError):
-            fresh.unlink()
-        raise
-    return fresh
+    return msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
 
 
 def _check_access(path: Path, found: os.stat_result, owners: frozenset[int]) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
-from app.audit import search, store
+from app.audit import store
 from app.audit.anchor import read_key_anchor
 from app.audit.chain import Head
 from app.audit.entry import Event as Event
@@ -19,8 +19,7 @@ from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import Verdict, Walk
-from app.database import Database
-from app.errors import StoreError
+from app.database import Database, StoreConnection
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -28,17 +27,15 @@ from bus.messages import Message
 log = structlog.get_logger()
 
 EventSubscriber = Callable[[Event], None]
-Also = Callable[[sqlite3.Connection], None]
-"""What else is written in the transaction of an event."""
+Also = Callable[[StoreConnection], None]
+"""Writes something else in the transaction of an event."""
 
 CHUNK = 1000
-INDEX_PAUSE_S = 0.05
-"""Between two transactions of the index, in which commands are written down."""
 ENDED_BEFORE = Message("server_stopped")
 
 
 class EventFields(TypedDict, total=False):
-    """What an event may state."""
+    """The fields that an event may state."""
 
     what: Required[str | Message]
     who: str | Message
@@ -77,7 +74,7 @@ class EventLog:
         return await self._append_all([self._entry("command", **intent) for intent in intents], also)
 
     async def conclude_together(self, outcomes: Mapping[int, tuple[Outcome, str | Message]]) -> None:
-        """By event number the outcome and message of each, in one transaction."""
+        """Store the outcome and message of several commands, by event number, in one transaction."""
         entries = [
             self._entry("fate", about=event, outcome=outcome, message=message)
             for event, (outcome, message) in outcomes.items()
@@ -130,28 +127,17 @@ class EventLog:
         return found[:limit], found[limit - 1]["id"] if len(found) > limit else None
 
     async def every(self, wanted: Filter) -> AsyncIterator[list[Event]]:
-        """All of them newest first, in pieces, however many they are."""
+        """All events that are wanted, newest first, in pieces."""
         while True:
             chunk, after = await self.page(wanted, CHUNK)
             yield chunk
             if after is None:
                 return
-            wanted = Filter(**{**vars(wanted), "before": after})
+            wanted = replace(wanted, before=after)
 
     async def kinds(self) -> list[str]:
         """Every kind there is an event of."""
         return await self._database.read_costly(store.kinds)
-
-    async def index(self) -> None:
-        """Make every event searchable by the index: those to come, then those that there are."""
-        try:
-            await self._database.write(search.prepare)
-            is_more = True
-            while is_more:
-                is_more = await self._database.write(search.index_more)
-                await asyncio.sleep(INDEX_PAUSE_S)
-        except StoreError as error:
-            log.warning("events are searched without an index", why=str(error))
 
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)
@@ -163,7 +149,7 @@ class EventLog:
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
-        def append(connection: sqlite3.Connection) -> list[int]:
+        def append(connection: StoreConnection) -> list[int]:
             numbers = [store.append(connection, entry, self.keys) for entry in entries]
             if also is not None:
                 also(connection)
@@ -227,7 +213,7 @@ class LogProof:
         return await self._database.read(lambda connection: store.link_of(connection, number))
 
     async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow_chunk(connection: sqlite3.Connection) -> int | None:
+        def follow_chunk(connection: StoreConnection) -> int | None:
             chunk = store.entries_from(connection, number, until)
             walk.follow(chunk)
             return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None

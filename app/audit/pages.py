@@ -16,7 +16,9 @@ from app.audit.api import Events
 from app.audit.store import Filter
 from app.settings import Settings
 from app.web.access import Viewer
+from app.web.formats import Formats
 from app.web.services import service_of
+from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
@@ -45,10 +47,10 @@ async def events_page(
     templates = templates_of(request)
     site_zone, formats = templates.time_zone, templates.formats(templates.language_of(request).tag)
     wanted = Filter(
-        before=_number(before),
+        before=parse_integer(before),
         kind=kind or None,
         bus=bus or None,
-        unit=_number(unit),
+        unit=parse_integer(unit),
         who=who or None,
         since=_day(since, site_zone),
         until=_day(until, site_zone, timedelta(days=1)),
@@ -63,14 +65,10 @@ async def events_page(
         names={(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit},
         kinds=await events.kinds(),
         chosen=chosen,
-        older=_link(chosen, before=after) if after else "",
-        newest=_link(chosen) if before else "",
-        csv=_csv_link(wanted, site_zone),
+        older=_address("/events", chosen | {"before": after}) if after else "",
+        newest=_address("/events", chosen) if before else "",
+        csv=_address("/api/v1/events.csv", _of_api(wanted, formats)),
     )
-
-
-def _number(text: str) -> int | None:
-    return int(text) if text.isascii() and text.isdecimal() else None
 
 
 def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> UnixTime | None:
@@ -82,23 +80,13 @@ def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> UnixTime
         return None
 
 
-def _link(chosen: dict[str, str], **more: Any) -> str:
-    return "/events?" + urlencode({name: value for name, value in {**chosen, **more}.items() if value})
+def _address(path: str, query: dict[str, Any]) -> str:
+    return f"{path}?" + urlencode({name: value for name, value in query.items() if value})
 
 
-def _csv_link(wanted: Filter, time_zone: str) -> str:
-    """The same events by the API, which takes instants."""
-    filters: dict[str, Any] = {
-        "kind": wanted.kind,
-        "bus": wanted.bus,
-        "unit": wanted.unit,
-        "who": wanted.who,
-        "from": _iso(wanted.since, time_zone),
-        "to": _iso(wanted.until, time_zone),
-        "search": wanted.search,
-    }
-    return "/api/v1/events.csv?" + urlencode({name: value for name, value in filters.items() if value})
-
-
-def _iso(at: UnixTime | None, time_zone: str) -> str:
-    return "" if at is None else datetime.fromtimestamp(float(at), ZoneInfo(time_zone)).isoformat()
+def _of_api(wanted: Filter, formats: Formats) -> dict[str, Any]:
+    """The query of the API for the same events: it takes instants."""
+    names = ("kind", "bus", "unit", "who", "search")
+    times = {"from": wanted.since, "to": wanted.until}
+    instants = {name: None if at is None else formats.local(at).isoformat() for name, at in times.items()}
+    return {name: getattr(wanted, name) for name in names} | instants

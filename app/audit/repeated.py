@@ -3,99 +3,49 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Hashable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from collections import defaultdict
+from collections.abc import Awaitable, Callable
+from functools import partial
 
 from app.audit.kinds import EventKind
 from app.errors import StoreError
-from bus.instants import Clock, UnixTime
+from app.server.repeats import WINDOW_S, Repeats, Repetition
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now
 from bus.messages import Message
 
-WINDOW_S = 60.0
 MAX_KEYS = 20
 """How many of a group have separate events in a minute."""
-
-Item = TypeVar("Item", bound=Hashable)
-
-
-@dataclass(slots=True)
-class _Window(Generic[Item]):
-    item: Item
-    began: UnixTime
-    count: int = 0
-    last: UnixTime = UnixTime(0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Counted(Generic[Item]):
-    """What happened ``count`` times since it was last recorded; ``last``: when, Unix time in seconds.
-    ``is_many``: ``item`` is the last of several that are counted together."""
-
-    item: Item
-    count: int
-    last: UnixTime
-    is_many: bool
-
-
-class Tally(Generic[Item]):
-    """Counts items by group. Beyond `MAX_KEYS` different ones all others of a group are one."""
-
-    def __init__(self) -> None:
-        self._groups: dict[str, dict[Item | None, _Window[Item]]] = {}
-
-    def note(self, group: str, item: Item, now: UnixTime) -> Counted[Item] | None:
-        """Count an item; return it where it must be recorded at once, else None."""
-        windows = self._groups.setdefault(group, {})
-        key = item if item in windows or len(windows) < MAX_KEYS else None
-        if key not in windows:
-            windows[key] = _Window(item, now)
-            return Counted(item, 1, now, key is None)
-        window = windows[key]
-        window.item, window.last = item, now
-        window.count += 1
-        return None
-
-    def due(self, now: UnixTime, *, everything: bool = False) -> list[Counted[Item]]:
-        """What was counted in windows that are over, or in all. A window in which nothing was is forgotten;
-        one that began later than ``now`` is over too, for the clock was set back."""
-        found: list[Counted[Item]] = []
-        for windows in self._groups.values():
-            for key, window in list(windows.items()):
-                if not everything and 0 <= now - window.began < WINDOW_S:
-                    continue
-                del windows[key]
-                if window.count:
-                    found.append(Counted(window.item, window.count, window.last, key is None))
-                    windows[key] = _Window(window.item, now)
-        return found
-
-
 MANY = Message("many_addresses")
 """The origin of events that are counted for more places than are kept apart."""
 _Text = str | Message
-_RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text]
-"""Kind, what, who, origin and message."""
+_RepeatedEvent = tuple[EventKind, _Text, _Text, _Text, _Text, UnixTime]
+"""Kind, what, who, origin, message and time."""
 
 
 class RepeatedEvents:
     """An event at once for the first of its kind, person, place and message, then one a minute with the
     number of repetitions. Places are kept apart for each person, so that a flood hides no one who is under
     attack: ``who`` is one of a bounded number. ``record``: as `EventLog.record`; ``clock`` gives Unix time in
-    seconds."""
+    seconds, ``now`` measures the minutes."""
 
-    def __init__(self, record: Callable[..., Awaitable[int]], clock: Clock) -> None:
+    def __init__(
+        self, record: Callable[..., Awaitable[int]], clock: Clock, now: MonotonicClock = monotonic_now
+    ) -> None:
         self._record = record
         self._clock = clock
-        self._tally: Tally[_RepeatedEvent] = Tally()
+        self._now = now
+        self._groups: dict[tuple[EventKind, _Text], Repeats[_RepeatedEvent]] = defaultdict(
+            partial(Repeats, MAX_KEYS)
+        )
 
     async def count(
         self, kind: EventKind, what: _Text, *, who: _Text = "", origin: _Text = "", message: _Text = ""
     ) -> None:
         """Something that a stranger can cause as often as they like."""
-        counted = self._tally.note(f"{kind} {who}", (kind, what, who, origin, message), self._clock())
-        if counted is not None:
-            await self._record_counted(counted)
+        event = (kind, what, who, origin, message, self._clock())
+        first = self._groups[kind, who].note((what, origin, message), event, self._now())
+        if first is not None:
+            await self._record_counted(first)
 
     async def follow(self) -> None:
         """Record what was counted in minutes that are over, without end."""
@@ -109,17 +59,19 @@ class RepeatedEvents:
         Raises StoreError once each was tried.
         """
         failed: StoreError | None = None
-        for counted in self._tally.due(self._clock(), everything=everything):
-            try:
-                await self._record_counted(counted)
-            except StoreError as error:
-                failed = error
+        now = self._now()
+        for repeats in list(self._groups.values()):
+            for counted in repeats.take_counted(now, everything=everything):
+                try:
+                    await self._record_counted(counted)
+                except StoreError as error:
+                    failed = error
         if failed is not None:
             raise failed
 
-    async def _record_counted(self, counted: Counted[_RepeatedEvent]) -> None:
-        kind, what, who, origin, message = counted.item
-        if counted.is_many:
+    async def _record_counted(self, counted: Repetition[_RepeatedEvent]) -> None:
+        kind, what, who, origin, message, at = counted.item
+        if counted.is_of_others:
             origin, message = MANY, ""
-        at, count = counted.last, counted.count
-        await self._record(kind=kind, what=what, who=who, origin=origin, message=message, at=at, count=count)
+        fields = {"what": what, "who": who, "origin": origin, "message": message}
+        await self._record(kind=kind, at=at, count=counted.count, **fields)

@@ -8,7 +8,7 @@ from bus.settings import StrictModel
 
 
 class Audit(StrictModel):
-    """What makes the audit log provable. Both are relative to the file; absolute once loaded."""
+    """The files that make the audit log provable, relative to the configuration; absolute once loaded."""
 
     key_file: Path | None = None
     """The keys that seal the log, made at the first start; when absent, see `Settings.key_files`."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.audit import search
 from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
 from app.audit.entry import new_entry, readable
 from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
 from app.audit.walk import Verdict, Walk
+from app.database import StoreConnection
 from bus.instants import UnixTime
 
 _COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
@@ -35,8 +34,6 @@ SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.ne
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
-SCANNED_ROWS = 20_000
-"""Events that a search reads without the index: some 20 ms."""
 _SEARCHED = ("what", "who", "old", "new", "message")
 _IN_GROUP = """
 SELECT 1 FROM event_parts JOIN events change ON change.id = event_parts.change
@@ -116,13 +113,13 @@ def _pattern(text: str) -> str:
     return f"%{text}%"
 
 
-def head_of(connection: sqlite3.Connection) -> Head:
+def head_of(connection: StoreConnection) -> Head:
     """The newest entry as noted apart."""
     head, _ = extent(connection)
     return head
 
 
-def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys) -> int:
+def append(connection: StoreConnection, entry: Mapping[str, Any], keys: Keys) -> int:
     """Add an entry without its id; return the id. Where the log before it cannot be vouched for, an entry
     about that comes first."""
     head = _end_of(connection)
@@ -132,13 +129,13 @@ def append(connection: sqlite3.Connection, entry: Mapping[str, Any], keys: Keys)
     return _insert(connection, head, entry, ring).id
 
 
-def _end_of(connection: sqlite3.Connection) -> Head:
+def _end_of(connection: StoreConnection) -> Head:
     """The newest entry as noted apart, or one that is there behind it and cannot have been written so."""
     head, last = extent(connection)
     return (link_of(connection, last) if last > head.id else None) or head
 
 
-def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
+def _insert(connection: StoreConnection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
     # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
     row = {name: entry.get(name) for name in _COLUMNS} | {"id": head.id + 1}
     sealed = sealed_entry(head.hash, row, ring)
@@ -148,46 +145,20 @@ def _insert(connection: sqlite3.Connection, head: Head, entry: Mapping[str, Any]
     return new
 
 
-def select(connection: sqlite3.Connection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
-    """Events newest first, each command with its outcome.
-
-    A search scans the newest `SCANNED_ROWS` row by row, which suffices for a frequent word, and
-    finds the others by the index: a rare word has few rows there.
-    """
-    phrase, lowest = search.phrase(wanted.search), search.lowest_indexed(connection)
-    if not phrase or lowest is None:
-        return _select(connection, wanted, limit)
-    scanned_from = max(_first_after(connection, wanted) - SCANNED_ROWS, lowest)
-    found = _select(connection, wanted, limit, "AND e.id >= ?", scanned_from)
-    if len(found) < limit:
-        indexed = f"AND e.id < ? AND e.id >= ? AND e.id IN ({search.MATCHING})"
-        found += _select(connection, wanted, limit - len(found), indexed, scanned_from, lowest, phrase)
-    if len(found) < limit and lowest > 1:
-        found += _select(connection, wanted, limit - len(found), "AND e.id < ?", lowest)
-    return found
+def select(connection: StoreConnection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
+    """Events newest first, each command with its outcome."""
+    conditions, values = wanted.conditions()
+    query = f"{_FOLDED} {conditions} ORDER BY e.id DESC LIMIT ?"
+    return [readable(dict(row)) for row in connection.execute(query, [*values, limit])]
 
 
-def _select(
-    connection: sqlite3.Connection, wanted: Filter, limit: int, more: str = "", *values: object
-) -> list[dict[str, Any]]:
-    conditions, wanted_values = wanted.conditions()
-    query = f"{_FOLDED} {conditions} {more} ORDER BY e.id DESC LIMIT ?"
-    return [readable(dict(row)) for row in connection.execute(query, [*wanted_values, *values, limit])]
-
-
-def _first_after(connection: sqlite3.Connection, wanted: Filter) -> int:
-    """The first number of the requested period."""
-    newest: int = connection.execute("SELECT COALESCE(max(id), 0) + 1 FROM events").fetchone()[0]
-    return min(newest, wanted.before or newest)
-
-
-def one(connection: sqlite3.Connection, number: int) -> dict[str, Any] | None:
+def one(connection: StoreConnection, number: int) -> dict[str, Any] | None:
     """One event with its outcome."""
     row = connection.execute(f"{_FOLDED} AND e.id = ?", (number,)).fetchone()
     return readable(dict(row)) if row else None
 
 
-def kinds(connection: sqlite3.Connection) -> list[str]:
+def kinds(connection: StoreConnection) -> list[str]:
     """Every kind there is an event of, each found by one look into the index."""
     query = (
         "WITH RECURSIVE k(kind) AS (SELECT min(kind) FROM events WHERE about IS NULL UNION ALL "
@@ -197,7 +168,7 @@ def kinds(connection: sqlite3.Connection) -> list[str]:
     return [row["kind"] for row in connection.execute(query)]
 
 
-def open_intents(connection: sqlite3.Connection) -> list[dict[str, Any]]:
+def open_intents(connection: StoreConnection) -> list[dict[str, Any]]:
     """Commands without an outcome."""
     query = (
         "SELECT * FROM events e WHERE e.kind = 'command' AND e.about IS NULL AND e.outcome IS NULL "
@@ -206,7 +177,7 @@ def open_intents(connection: sqlite3.Connection) -> list[dict[str, Any]]:
     return [dict(row) for row in connection.execute(query)]
 
 
-def extent(connection: sqlite3.Connection) -> tuple[Head, int]:
+def extent(connection: StoreConnection) -> tuple[Head, int]:
     """The entry noted as the newest, and the number of the last one stored, at one instant."""
     row = connection.execute(
         "SELECT head.*, (SELECT max(id) FROM events) AS last FROM (SELECT 1) LEFT JOIN events_head AS head"
@@ -216,19 +187,19 @@ def extent(connection: sqlite3.Connection) -> tuple[Head, int]:
     return Head() if number is None else Head(number, *rest), last or 0
 
 
-def link_of(connection: sqlite3.Connection, number: int) -> Head | None:
+def link_of(connection: StoreConnection, number: int) -> Head | None:
     """One entry as the next one continues it."""
     row = connection.execute("SELECT id, hash, key FROM events WHERE id = ?", (number,)).fetchone()
     return Head(*row) if row else None
 
 
-def entries_from(connection: sqlite3.Connection, number: int, until: int) -> list[dict[str, Any]]:
+def entries_from(connection: StoreConnection, number: int, until: int) -> list[dict[str, Any]]:
     """The entries from ``number`` on as they are stored, at most `CHUNK` of them, none beyond ``until``."""
     query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
     return [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
 
 
-def prove(connection: sqlite3.Connection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
+def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
     """Walk the log, chunk by chunk: entries added in between are left for the next time."""
     head, last = extent(connection)
     walk, number = Walk(ring, anchors), LOWEST_ID

@@ -45,7 +45,7 @@ def backup(
         wanted = [unit] if unit is not None else list(there.units(bus))
         read, missing = _read(there, bus, wanted)
         if read:
-            write_file(out, write_document(_set(bus, read, missing)))
+            write_file(out, write_document(_set(bus, read, missing)).encode())
         _report(out, read, missing, as_json)
         if missing:
             raise typer.Exit(1)

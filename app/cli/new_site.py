@@ -13,10 +13,10 @@ from app.audit.store import head_of
 from app.cli.accounts import ORIGIN, who_calls
 from app.cli.check_store import check_store
 from app.database import Database
+from app.database.copies import put_aside
 from app.database.presence import Presence, presence_of
 from app.database.words import in_words
 from app.errors import StoreError
-from app.history.store.salvage import put_aside
 from app.settings import Settings
 from bus.messages import Message
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from app.database.connection import Database
+from app.database.connection import Database, StoreConnection
 
-__all__ = ["Database"]
+__all__ = ["Database", "StoreConnection"]

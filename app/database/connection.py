@@ -20,13 +20,15 @@ from app.errors import StoreError
 from bus.messages import Message
 
 T = TypeVar("T")
+StoreConnection = sqlite3.Connection
+"""The type of a connection in the queries of features, which name no engine."""
 Synchronous = Literal["FULL", "NORMAL"]
 READERS = 4
 COSTLY_READERS = 2
 COSTLY_S = 3.0
-"""Of a thread, for which one costly read may compute: the load of the machine does not count."""
+"""CPU time of the thread that one costly read may take: the load of the machine does not count."""
 STEPS = 20_000
-"""Of SQLite between two checks of the clock: a few milliseconds."""
+"""Steps of SQLite between two checks of the clock: a few milliseconds."""
 BUSY_S = 5.0
 
 
@@ -36,6 +38,8 @@ def open_for_writing(path: Path, synchronous: Synchronous = "FULL") -> sqlite3.C
     make_file(path)
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
     connection.row_factory = sqlite3.Row
+    # Only in a new store; in one with tables it changes nothing.
+    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {synchronous}")
     connection.execute("PRAGMA foreign_keys = ON")
@@ -97,6 +101,11 @@ class Database:
         self._local = threading.local()
         self._opened: list[sqlite3.Connection] = []
 
+    def give_back(self, pages: int) -> None:
+        """Return so many pages of deleted rows to the disk. For the writer's own thread."""
+        vacuum = f"PRAGMA incremental_vacuum({pages})"
+        self.write_now(lambda connection: connection.execute(vacuum).fetchall())
+
     async def write(self, work: Callable[[sqlite3.Connection], T]) -> T:
         """Run ``work`` in one transaction on the writer's thread; it is on disk when this returns."""
         return await self._run(self._writer, self.write_now, work)
@@ -110,14 +119,14 @@ class Database:
         return await self._run(self._costly, self._read_within, work)
 
     def write_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
-        """The same without a loop, for the command line and the writer's own thread."""
+        """Run ``work`` in one transaction on this thread: the command line's, or the writer's own."""
         if self._reserve is not None:
             self._reserve.keep()
         with in_words(self.path):
             return transact(self._connection, work)
 
     def read_now(self, work: Callable[[sqlite3.Connection], T]) -> T:
-        """The same without a loop."""
+        """Run ``work`` on a read-only connection of this thread."""
         with in_words(self.path):
             return work(self._reader())
 

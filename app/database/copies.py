@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +20,16 @@ log = structlog.get_logger()
 def copy_of(store: Path, kind: CopyKind, label: str) -> Path:
     """The name of a copy. Labels of a kind sort by age: the number of a step, a UTC time."""
     return store.with_name(f"{store.name}.{kind}-{label}")
+
+
+def put_aside(store: Path) -> Path:
+    """Rename a damaged store that is closed, with its companions; return its new name."""
+    aside = copy_of(store, "damaged", time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()))
+    for suffix in ("", *COMPANIONS):
+        with suppress(FileNotFoundError):
+            store.with_name(store.name + suffix).rename(aside.with_name(aside.name + suffix))
+    remove_older_copies(store, "damaged")
+    return aside
 
 
 def remove_older_copies(store: Path, kind: CopyKind) -> None:

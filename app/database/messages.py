@@ -17,7 +17,7 @@ def stored_messages(messages: Sequence[Message]) -> str:
 
 
 def messages_of(text: str) -> list[Message]:
-    """What was stored. A text that holds no messages, which nothing here writes, is shown as unreadable."""
+    """The messages of a column. A text that holds none, which nothing here writes, is shown as unreadable."""
     try:
         return _DECODER.decode(text)
     except (msgspec.MsgspecError, UnicodeError, RecursionError):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 import stat
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import structlog
@@ -42,14 +43,27 @@ def make_file(path: Path) -> None:
         return
 
 
-def write_file(path: Path, text: str) -> None:
-    """Replace a file, all of it or nothing. A link in its place is replaced, not followed."""
-    fresh = path.with_name(f".{path.name}.new")
-    fresh.unlink(missing_ok=True)
+def write_file(path: Path, content: bytes) -> None:
+    """Replace a file, all of it or nothing; on disk when this returns. A link in its place is replaced, not
+    followed."""
+    with fresh_file(path, content) as fresh:
+        fresh.replace(path)
+    sync_folder(path.parent)
+
+
+@contextmanager
+def fresh_file(path: Path, content: bytes) -> Iterator[Path]:
+    """A new file beside ``path``, on disk; it is removed where it has not been renamed."""
+    fresh = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, FILE_MODE)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        file.write(text)
-    fresh.replace(path)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(descriptor)
+        yield fresh
+    finally:
+        fresh.unlink(missing_ok=True)
 
 
 def sync_folder(folder: Path) -> None:
@@ -86,7 +100,7 @@ def make_private(folder: Path) -> None:
 
 
 def restrict(path: Path) -> int:
-    """The same of one file or folder; gives the mode that it had. Raises StoreError."""
+    """Take the rights of others from one file or folder; return the mode that it had. Raises StoreError."""
     found = path.lstat()
     if found.st_uid not in (os.geteuid(), 0):
         raise StoreError(Message.of("file_of_other_user", path=str(path), uid=found.st_uid))

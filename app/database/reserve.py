@@ -29,7 +29,7 @@ log = structlog.get_logger()
 
 
 def free_bytes(folder: Path) -> int:
-    """What this user may still write there."""
+    """How many bytes this user may still write there."""
     return shutil.disk_usage(folder).free
 
 

@@ -1,4 +1,4 @@
-"""What SQLite's failures mean to a person."""
+"""Turns failures of SQLite into messages for people."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What it was then: every reading kept, downsampled by age, and drawn over any span."""
+"""Stored readings: every one kept, downsampled by age, and drawn over any span."""

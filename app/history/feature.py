@@ -1,4 +1,4 @@
-"""What was: readings stored, queried and exported."""
+"""History: readings stored, queried and exported."""
 
 from __future__ import annotations
 

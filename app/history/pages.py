@@ -1,32 +1,26 @@
-"""The trends page. Its address holds what it shows, so that a link reopens the same view.
-
-The page requests the data that it fetches first while its scripts are on the way. The rules for an address
-are those of ``static/js/trends-view.js``; where they differ, the script requests again.
-"""
+"""The trends page. Its address holds what it shows, so that a link reopens the same view."""
 
 from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
+from itertools import islice
 from typing import Any
-from urllib.parse import urlencode
 
 from fastapi import APIRouter
-from starlette.datastructures import QueryParams
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.errors import Problem, StoreError
-from app.history.api.spans import MAX_SERIES, HistoryOf, Span, moment, series_queries
+from app.history.api.spans import HistoryOf, Span, series_queries
 from app.history.export import parquet_file
 from app.history.series import values
-from app.history.series.runs import DAY, SECOND, micros
+from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
-from app.history.service import History, seconds
+from app.history.service import History
 from app.history.status import store_notice
 from app.web.access import Viewer
 from app.web.assets import Assets
-from app.web.shape import iso
 from app.web.templating import Templates, render, templates_of
 from bus.instants import unix_now
 
@@ -45,7 +39,6 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         values=VALUES,
         has_parquet=parquet_file.is_installed(),
         memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
-        preload=preload_address(history, request.query_params, micros(unix_now())),
     )
 
 
@@ -64,43 +57,13 @@ def _catalogue(history: History) -> list[dict[str, Any]]:
     ]
 
 
-DEFAULT_SPAN_S = 3600.0
 DEFAULT_VALUES = 8
 
 
-def preload_address(history: History, params: QueryParams, now: int) -> str:
-    """The series that a page with this query draws at ``now`` (µs); empty where none can be named."""
-    try:
-        span = _span(params, now)
-    except (Problem, ValueError, OverflowError):
-        return ""
-    names = _names(history, params)[:MAX_SERIES]
-    if not names or span.start >= span.end:
-        return ""
-    query = [("from", iso(seconds(span.start))), ("to", iso(seconds(span.end))), ("format", "epoch")]
-    return "/api/v1/history/series?" + urlencode([*query, *(("series", name) for name in names)])
-
-
-def _span(params: QueryParams, now: int) -> Span:
-    length = round(float(params.get("span", DEFAULT_SPAN_S)) * SECOND)
-    end = moment(params["to"], "to") if "to" in params else now
-    return Span(moment(params["from"], "from") if "from" in params else end - length, end)
-
-
-def _units(history: History) -> list[str]:
-    return [f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit]
-
-
 def usual_series(history: History) -> list[str]:
-    """What the page shows while its address names nothing."""
-    return [f"{unit}/actual" for unit in _units(history)[:DEFAULT_VALUES]]
-
-
-def _names(history: History, params: QueryParams) -> list[str]:
-    if "s" not in params:
-        return usual_series(history)
-    known = {f"{unit}/{value}" for unit in _units(history) for value in VALUES}
-    return [name for name in params.getlist("s") if name in known]
+    """The series that the page shows while its address names none."""
+    units = (f"{bus.name}/{unit.id}" for bus in history.buses.values() for unit in bus.unit)
+    return [f"{unit}/actual" for unit in islice(units, DEFAULT_VALUES)]
 
 
 AFTER_S = 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import structlog
@@ -11,7 +12,6 @@ import structlog
 from app.audit.kinds import EventKind
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
-from app.history.intake.upkeep import Retention
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.intervals import Interval
@@ -19,7 +19,7 @@ from app.history.series.runs import SECOND, micros
 from app.history.status import Status
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.repair import damaged_blocks, pages_are_intact
+from app.history.store.inspection import TABLES, damaged_blocks, is_intact
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now
@@ -44,9 +44,8 @@ class History:
         self.path = settings.server.data / FILE
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
-        retention = Retention(settings.history.raw_days, settings.history.years)
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._writer = Writer(self.path, retention, self._publish_fault)
+        self._writer = Writer(self.path, settings.history, self._publish_fault)
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""
@@ -63,7 +62,7 @@ class History:
         self._writer.start()
 
     def close(self) -> None:
-        """What was taken in is on disk when this returns."""
+        """Write what was taken in to the disk, then close the store."""
         self._writer.close()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
@@ -76,7 +75,7 @@ class History:
         return self._writer.status
 
     async def query(self, queries: Sequence[SeriesQuery]) -> list[QueryResult]:
-        """What each value was. Raises StoreError when the store cannot be read."""
+        """Read the series of each query. Raises StoreError when the store cannot be read."""
         found = await self.read(lambda c, tail: [run_query(c, tail, one) for one in queries])
         for each in found:
             self.report(each.damaged)
@@ -113,8 +112,10 @@ class History:
         """Check everything that is kept; damage is reported."""
         try:
             database = self._writer.database
-            if not await pages_are_intact(database):
-                self._writer.report_torn()
+            for table in TABLES:
+                if not await database.read(partial(is_intact, table=table)):
+                    self._writer.report_torn()
+                    return
             async for block in damaged_blocks(database):
                 self.report([block])
         except DamagedStoreError:
@@ -149,7 +150,7 @@ StatusSpan = tuple[UnixTime, UnixTime, int]
 async def status_words(
     history: History, bus: str, unit: int, start: UnixTime, end: UnixTime
 ) -> list[StatusSpan]:
-    """From and until (Unix time, seconds) with bits, ST2 * 256 + ST1, in order. Raises StoreError."""
+    """Spans (Unix time, seconds) with their bits, ST2 * 256 + ST1, in order. Raises StoreError."""
     wanted = micros(start), micros(end)
 
     def read(connection: tables.StoreConnection, tail: Tail) -> list[Interval]:

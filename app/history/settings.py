@@ -15,4 +15,4 @@ class HistorySettings(StrictModel):
     raw_days: Annotated[int, Field(strict=True, ge=1, le=3650)] = 30
     """Every reading itself; after that one-minute and one-hour least, greatest and average."""
     years: Annotated[int, Field(strict=True, ge=1, le=100)] = 10
-    """Those, and the bits as intervals."""
+    """How long minutes and hours are kept, and the bits as intervals."""

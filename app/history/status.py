@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,6 +32,10 @@ class Status:
     """Updates that could not be stored."""
     damaged: int = 0
     """How often something that was kept turned out to be damaged, in the last seven days."""
+    put_aside: str = ""
+    """The file of a damaged store, put aside in the last seven days; empty: there is none."""
+    begun: UnixTime | None = None
+    """When the store was begun in its place."""
 
 
 NOTICES: dict[StoreState, Message] = {
@@ -40,6 +45,13 @@ NOTICES: dict[StoreState, Message] = {
     "failed": Message("history_failed"),
 }
 DAMAGED = Message("history_damaged")
+
+
+def damage_message(status: Status, shown: Callable[[UnixTime], str]) -> Message | None:
+    """Message about history that is not shown because it was damaged; ``shown`` writes a time as text."""
+    if status.begun is not None:
+        return Message.of("history_put_aside", time=shown(status.begun), file=status.put_aside)
+    return DAMAGED if status.damaged else None
 
 
 def store_message(state: StoreState, cause: Message | None = None) -> Message | None:
@@ -54,7 +66,7 @@ def store_notice(status: Status, formats: Formats, now: UnixTime) -> Message | N
     since = formats.since(status.since, now)
     match status.state:
         case "ok":
-            return DAMAGED if status.damaged else None
+            return damage_message(status, lambda at: formats.since(at, now))
         case "failed":
             return Message.of("history_failed_since", time=since, reason=status.cause or NOTICES["failed"])
         case "paused":

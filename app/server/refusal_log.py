@@ -15,6 +15,8 @@ from app.server.repeats import Repeats
 from bus.instants import MonotonicClock, monotonic_now
 
 _log = structlog.get_logger()
+OTHERS = "others"
+"""Stands for all that are counted together."""
 
 REFUSED = frozenset({400, 401, 403, 408, 413, 414, 415, 417, 421, 429, 431})
 """Statuses that a client gets for what it may not do or cannot mean; one that mistypes gets others."""
@@ -36,18 +38,19 @@ class RefusalLog:
 
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         self._now = now
-        self._repeats = Repeats()
+        self._repeats = Repeats[str]()
 
     def note(self, address: str, reason: str, request: str = "") -> None:
         """One more. ``request``: its path, of which the first is shown."""
         source = source_of(address)
-        if self._repeats.is_first(source, self._now()):
+        if self._repeats.note(source, source, self._now()):
             _log.warning("request refused", address=source, reason=reason, request=request[:MAX_SHOWN])
 
     def sum_up(self) -> None:
         """Log the numbers of the minutes that have passed; to be called about once a second."""
-        for source, count in self._repeats.take_counts(self._now()).items():
-            _log.warning(f"refused {count:,} requests from {source} in the last minute")
+        for each in self._repeats.take_counted(self._now()):
+            source = OTHERS if each.is_of_others else each.item
+            _log.warning(f"refused {each.count:,} requests from {source} in the last minute")
 
 
 class ErrorLines(logging.Handler):
@@ -57,13 +60,13 @@ class ErrorLines(logging.Handler):
     def __init__(self, now: MonotonicClock = monotonic_now) -> None:
         super().__init__(logging.ERROR)
         self._now = now
-        self._repeats = Repeats()
+        self._repeats = Repeats[str]()
 
     def emit(self, record: logging.LogRecord) -> None:
         text = record.getMessage().partition("\n")[0].strip()
         error = record.exc_info[1] if record.exc_info else None
         place = f"{text} {_place_of(error)}".strip()
-        if text not in _OF_CLIENTS and self._repeats.is_first(place, self._now()):
+        if text not in _OF_CLIENTS and self._repeats.note(place, place, self._now()):
             _log.error(text, exc_info=error)
 
     def install(self) -> None:
@@ -74,8 +77,9 @@ class ErrorLines(logging.Handler):
 
     def sum_up(self) -> None:
         """Log how often each text came in the minutes that have passed."""
-        for text, count in self._repeats.take_counts(self._now()).items():
-            _log.error(f"{count:,} times more in the last minute: {text}")
+        for each in self._repeats.take_counted(self._now()):
+            text = OTHERS if each.is_of_others else each.item
+            _log.error(f"{each.count:,} times more in the last minute: {text}")
 
 
 def _place_of(error: BaseException | None) -> str:

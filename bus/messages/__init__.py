@@ -2,6 +2,7 @@
 
 from bus.messages.catalog import ENGLISH as ENGLISH
 from bus.messages.catalog import Catalog as Catalog
+from bus.messages.message import LIST as LIST
 from bus.messages.message import NUMBER as NUMBER
 from bus.messages.message import TERM as TERM
 from bus.messages.message import Message as Message

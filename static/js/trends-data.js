@@ -4,8 +4,6 @@ import { iso } from "./trends-view.js";
 const HISTORY = "/api/v1/history";
 /** uPlot.join: null is a hole and stays one; what is missing because another value has a time there is no hole. */
 const RETAIN_NULLS = 1;
-/** The page's clock and the server's, and the time that the scripts took. */
-const FIRST_WITHIN_S = 10;
 
 /** @param {string} path @param {URLSearchParams} query @param {AbortSignal} [signal] */
 async function get(path, query, signal) {
@@ -27,25 +25,9 @@ const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0
  * @returns {Promise<Result[]>} */
 export function fetchSeries(names, range, points, signal) {
   if (!names.length) return Promise.resolve([]);
-  const early = takeFirst(names, range);
-  if (early) return fetch(early, { signal }).then(json);
   const query = new URLSearchParams({ ...spanOf(range), points: String(points), format: "epoch" });
   for (const name of names) query.append("series", name);
   return get("/series", query, signal);
-}
-
-/** The response that the page requested while its scripts were loading; once, and only if it is the
- * one wanted.
- * @param {string[]} names @param {Span} range */
-function takeFirst(names, [from, to]) {
-  const link = document.getElementById("trend-first");
-  if (!link) return null;
-  link.remove();
-  const query = new URL(link.href).searchParams;
-  /** @param {string} name @param {number} at */
-  const near = (name, at) => Math.abs(Date.parse(query.get(name) ?? "") / 1000 - at) < FIRST_WITHIN_S;
-  const same = query.getAll("series").join() === names.join() && near("from", from) && near("to", to);
-  return same ? link.href : null;
 }
 
 /** What happened over the span: `{marks: [{t, what, …}], more}`.

@@ -9,11 +9,12 @@ from pathlib import Path
 from app.database.connection import Database
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
-from app.history.intake.upkeep import Retention
+from app.history.intake.upkeep import DiskReserve
 from app.history.intake.writer import MIGRATIONS, Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
+from app.history.settings import HistorySettings
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
@@ -76,11 +77,11 @@ class Shelf:
 
 def opened(
     folder: Path,
-    retention: Retention | None = None,
+    reserve: DiskReserve | None = None,
     on_damage: Callable[[Message], None] = lambda _what: None,
 ) -> Writer:
     """A writer with its thread."""
-    writer = Writer(folder / "history.db", retention or Retention(), lambda _kind, what: on_damage(what))
+    writer = Writer(folder / "history.db", HistorySettings(), lambda _kind, what: on_damage(what), reserve)
     writer.start()
     return writer
 

@@ -29,7 +29,6 @@ AS_DATA = {
     "HistoryMark.new": "messages",
     "HistoryMark.old": "messages",
     "HistoryMark.what": "messages",
-    "HistoryStatus.message": "reason",
     "InvalidField.detail": "code",
     "Message.detail": "code",
     "Problem.detail": "reason",
@@ -54,7 +53,7 @@ CODES = {
     *("cause_code", "code", "direction", "effect", "evidence", "kind", "mode", "outcome", "resolution"),
     "AlarmSimulation.toml",
     *("CommandResult.reason", "Problem.reason", "UnitResult.reason"),
-    *("ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
+    *("HistoryStatus.put_aside", "ShiftNote.alarm", "ShiftNote.pictures", "time_zone"),
     *("ShiftSignatures.digest", "ShiftSignatures.page_digest"),
     *("AlarmTransition.alarm", "ParameterSet.origin", "ParameterSetSummary.origin", "state", "type", "where"),
     *(
@@ -83,10 +82,9 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since", "Alarm.came", "Alarm.cleared"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
-    "HistoryStatus.oldest_reading",
+    *("HistoryStatus.begun", "HistoryStatus.oldest_reading"),
     *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
     *(
-        "HistoryStatus.oldest_reading",
         "covered_from",
         "covered_to",
         "AlarmSimulation.first",

@@ -206,3 +206,13 @@ async def test_a_subscriber_that_fails_affects_no_other(log: EventLog) -> None:
     log.subscribe(lambda event: received.append(event["id"]))
     assert await log.record(kind="x", what="y") == 1
     assert received == [1]
+
+
+async def test_a_message_that_this_version_does_not_have_is_shown_as_it_was_stored(
+    log: EventLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.audit.entry._KNOWN", {"term"})
+    await log.record(kind="server", what=Message("event_server_started"), old=term("stopped"))
+    [event] = await newest(log)
+    assert event["what"] == "server started"
+    assert list(event["messages"]) == ["old"]

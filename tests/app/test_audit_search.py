@@ -1,21 +1,17 @@
-"""The index over the events finds what is found without it."""
+"""What a search of the events finds, and what it may cost."""
 
 from __future__ import annotations
 
 import asyncio
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from app.audit import search, store
-from app.audit.keys import passing_keys
+from app.audit import store
 from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.database import Database, connection
@@ -23,8 +19,6 @@ from app.errors import TooCostlyError
 from app.web.access import Role
 from tests.app.complete_app import complete_app
 
-WORDS = ["speed", "Speed set", "unit 3", "ramp_up 50%", "Ärger", "a!b", 'say "so"', "", "x", "ab", "no\0text"]
-words = st.sampled_from(WORDS)
 PATIENCE_S = 10.0
 
 
@@ -34,103 +28,49 @@ def database(folder: Path) -> Iterator[Database]:
         yield opened
 
 
-def add(database: Database, count: int, entry: Callable[[int], dict[str, Any]]) -> None:
-    """Add ``count`` entries; each second one is the result of the one before."""
-    nothing: dict[str, Any] = dict.fromkeys(store.FIELDS)
-    keys = passing_keys()
-    blank = {"who": "", "origin": "", "what": "", "message": "", "frames": "[]", "kind": "command"}
-
-    def write(into: sqlite3.Connection) -> None:
-        for number in range(count):
-            store.append(into, {**nothing, **blank, "time": float(number), **entry(number)}, keys)
-
-    database.write_now(write)
+PLACES = ("what", "who", "old", "new", "message")
+SPECIAL = ["ramp_up 50%", "a!b", 'say "so"', "no\0text", "7"]
 
 
-def texts(seed: int) -> Callable[[int], dict[str, Any]]:
-    def entry(number: int) -> dict[str, Any]:
-        word = [WORDS[(seed + number * step) % len(WORDS)] for step in (1, 3, 5, 7)]
-        about = number if number % 3 == 2 else None
-        searched = {
-            "what": word[0],
-            "who": word[1],
-            "old": word[2],
-            "message": word[3],
-            "unit": number % 2 + 1,
-        }
-        return {"about": about, "message": word[3]} if about else searched
-
-    return entry
-
-
-def found(database: Database, wanted: Filter, limit: int) -> list[int]:
-    return [event["id"] for event in database.read_now(lambda c: store.select(c, wanted, limit))]
-
-
-@pytest.mark.parametrize("pieces", [0, 1, 100])
-def test_with_and_without_the_index_the_same_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pieces: int
-) -> None:
-    monkeypatch.setattr(store, "SCANNED_ROWS", 10)
-    monkeypatch.setattr(search, "MAX_AT_ONCE", 20)
-    with database(tmp_path) as plain:
-        add(plain, 100, texts(4))
-
-        @given(words, st.integers(1, 120), st.none() | st.integers(1, 120), st.none() | st.integers(1, 2))
-        def compare(text: str, limit: int, before: int | None, unit: int | None) -> None:
-            wanted = Filter(search=text, before=before, unit=unit)
-            plainly = plain.read_now(lambda c: store._select(c, wanted, limit))
-            assert found(plain, wanted, limit) == [event["id"] for event in plainly]
-
-        compare()
-        plain.write_now(search.prepare)
-        add(plain, 50, lambda number: texts(9)(number) | {"about": None})
-        for _ in range(pieces):
-            plain.write_now(search.index_more)
-        assert plain.read_now(search.lowest_indexed) == max(101 - 20 * pieces, 1)
-        compare()
-
-
-def test_the_index_is_used(tmp_path: Path) -> None:
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("text", SPECIAL)
+async def test_a_text_is_found_in_each_field(tmp_path: Path, place: str, text: str) -> None:
     with database(tmp_path) as opened:
-        opened.write_now(search.prepare)
-        query = f"EXPLAIN QUERY PLAN {store._FOLDED} AND e.id IN ({search.MATCHING}) ORDER BY e.id DESC"
-        plan = opened.read_now(lambda c: [row["detail"] for row in c.execute(query, ('"abc"',))])
-        assert any("events_text VIRTUAL TABLE" in step for step in plan)
-        assert "SEARCH e USING INTEGER PRIMARY KEY (rowid=?)" in plan
-
-
-def test_without_fts5_events_are_written_and_searched_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with database(tmp_path) as opened:
-        opened.write_now(search.prepare)
-        monkeypatch.setattr(search, "is_possible", lambda _: False)
-        opened.write_now(search.prepare)
-        opened.write_now(lambda c: c.execute("DROP TABLE events_text"))
-        add(opened, 20, texts(1))
-        assert opened.read_now(search.lowest_indexed) is None
-        assert not opened.write_now(search.index_more)
-        missed = found(opened, Filter(search="speed"), 100)
-        assert missed
-        monkeypatch.undo()
-        opened.write_now(search.prepare)
-        while opened.write_now(search.index_more):
-            pass
-        assert found(opened, Filter(search="speed"), 100) == missed
-
-
-async def test_the_log_is_indexed_from_the_start_of_the_server(tmp_path: Path) -> None:
-    async with complete_app(tmp_path) as house:
-        events, rows = house.services[EventLog], house.services[Database].read_now
-        await events.index()
-        assert rows(search.lowest_indexed) == 1
-        number = await events.record(kind="server", what="a needle")
-        [found], after = await events.page(Filter(search="NEEDLE"), 10)
+        events = EventLog(opened)
+        number = await events.record(kind="server", **{"what": "hay", place: f"has {text} in it"})
+        await events.record(kind="server", what="hay", who="rampXup 50 a?b")
+        [found], after = await events.page(Filter(search=text.upper()), 10)
         assert (found["id"], after) == (number, None)
+
+
+async def test_a_command_is_found_by_the_text_of_its_result(tmp_path: Path) -> None:
+    with database(tmp_path) as opened:
+        events = EventLog(opened)
+        [number] = await events.intend_together([{"what": "set speed", "bus": "dry-end", "unit": 1}])
+        await events.conclude(number, "refused", "a needle")
+        [found], _ = await events.page(Filter(search="needle"), 10)
+        assert (found["id"], found["outcome"]) == (number, "refused")
+
+
+async def test_the_page_finds_what_a_person_typed(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        await house.services[EventLog].record(kind="server", what="a needle")
         client = await house.signed_in(Role.VIEWER)
         assert "a needle" in (await client.get("/events?search=needl")).text
-        assert "server" in await events.kinds()
+        assert "server" in await house.services[EventLog].kinds()
+
+
+def test_a_store_with_the_index_of_earlier_versions_loses_it(tmp_path: Path) -> None:
+    with database(tmp_path):
+        pass
+    with closing(sqlite3.connect(tmp_path / "lineside.db")) as old, old:
+        old.execute("CREATE VIRTUAL TABLE events_text USING fts5 (what, content = 'events')")
+        old.execute("CREATE TABLE events_text_extent (lowest INTEGER)")
+        old.execute("CREATE TRIGGER events_text_follows AFTER INSERT ON events BEGIN SELECT 1; END")
+        old.execute("DELETE FROM migrations WHERE number = 130")
+    with database(tmp_path) as opened:
+        query = "SELECT name FROM sqlite_master WHERE name LIKE 'events_text%'"
+        assert opened.read_now(lambda c: c.execute(query).fetchall()) == []
 
 
 async def test_a_search_beyond_its_budget_ends_in_words(

@@ -264,7 +264,7 @@ async def test_an_export_reads_the_tail_before_the_store(
     """A minute that is folded in between is in neither of them otherwise."""
     fill(history)
     order = list[str]()
-    still, runs = tables.standing_still, Tail.runs
+    still, runs = tables.snapshot, Tail.runs
 
     def stand_still(connection: tables.StoreConnection) -> AbstractContextManager[None]:
         order.append("store")
@@ -274,7 +274,7 @@ async def test_an_export_reads_the_tail_before_the_store(
         order.append("tail")
         return runs(*args)
 
-    monkeypatch.setattr(tables, "standing_still", stand_still)
+    monkeypatch.setattr(tables, "snapshot", stand_still)
     monkeypatch.setattr(Tail, "runs", read_tail)
     params = {"series": ["dry-end/1/actual", "dry-end/1/commanded"], "from": at(0), "to": at(20)}
     assert (await client.get("/history/export", params=params)).status_code == 200

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import StoreError
-from app.history.intake.upkeep import DiskReserve, Retention
+from app.history.intake.upkeep import DiskReserve
 from app.history.intake.writer import Writer
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import micros
@@ -59,7 +59,7 @@ def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_pa
         shelf.keep(polls(start, start + 20))
     shelf.fold()
     shelf.close()
-    writer = opened(tmp_path, Retention(reserve=DiskReserve(announce=ENDLESS, trim=ENDLESS, pause=0)))
+    writer = opened(tmp_path, DiskReserve(announce=ENDLESS, trim=ENDLESS, pause=0))
     until(lambda: writer.status.state == "scarce")
     until(lambda: (writer.database.read_now(tables.oldest_raw) or 0) > micros(now - 200))
     assert "nearly full" in str(writer.status.message)
@@ -69,7 +69,7 @@ def test_a_nearly_full_disk_is_announced_and_the_oldest_readings_go_first(tmp_pa
 
 
 def test_a_full_disk_pauses_history_for_the_sake_of_events(tmp_path: Path) -> None:
-    writer = opened(tmp_path, Retention(reserve=DiskReserve(ENDLESS, ENDLESS, ENDLESS)))
+    writer = opened(tmp_path, DiskReserve(ENDLESS, ENDLESS, ENDLESS))
     until(lambda: writer.status.state == "paused")
     writer.take((BUS.name, polls(NOON, NOON + 10)))
     until(lambda: writer.status.free_bytes > 0)

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import Database
-from app.database.copies import copy_of, remove_older_copies
-from app.history.store import salvage
+from app.database import Database, copies
+from app.database.copies import copy_of, put_aside, remove_older_copies
 
 
 def names_in(folder: Path) -> list[str]:
@@ -63,7 +62,7 @@ def test_a_store_put_aside_again_and_again_leaves_the_newest_two(
     store = tmp_path / "history.db"
     for minute in range(4):
         stamp = f"20260101T00{minute:02d}00Z"
-        monkeypatch.setattr(salvage.time, "strftime", lambda *_, stamp=stamp: stamp)
+        monkeypatch.setattr(copies.time, "strftime", lambda *_, stamp=stamp: stamp)
         store.write_text(stamp)
-        assert salvage.put_aside(store).read_text() == stamp
+        assert put_aside(store).read_text() == stamp
     assert names_in(tmp_path) == [f"history.db.damaged-20260101T00{minute:02d}00Z" for minute in (2, 3)]

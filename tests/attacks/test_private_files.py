@@ -115,7 +115,7 @@ def test_links_lead_to_nothing_of_others(data: Path, tmp_path: Path) -> None:
     (data / "folder").symlink_to(folder)
     (data / "hard").hardlink_to(elsewhere)
     make_private(data)
-    write_file(data / "link", "new")
+    write_file(data / "link", b"new")
     assert elsewhere.read_text() == "keep"
     assert (elsewhere.stat().st_mode & 0o777, folder.stat().st_mode & 0o777) == (0o644, 0o755)
 

@@ -78,33 +78,6 @@ test("without a name nothing is requested", async () => {
   assert.deepEqual(requested, []);
 });
 
-/** A request that the page has already sent, for these names from this time. */
-function requestedEarly(names, from) {
-  const query = new URLSearchParams({ from: new Date(from * 1000).toISOString(), to: new Date(RANGE[1] * 1000).toISOString() });
-  for (const name of names) query.append("series", name);
-  const link = { href: `http://site/early?${query}`, remove: () => delete link.href };
-  document.getElementById = (id) => (id === "trend-first" && link.href ? { ...link, remove: link.remove } : null);
-  return link.href;
-}
-
-test("a series that the page requested already is taken, once", async () => {
-  const early = requestedEarly(["line/1/actual"], RANGE[0] + 9);
-  const requested = serve([]);
-  await fetchSeries(["line/1/actual"], RANGE, 500);
-  await fetchSeries(["line/1/actual"], RANGE, 500);
-  assert.equal(requested[0], early);
-  assert.match(requested[1], /^\/api\/v1\/history\/series/);
-});
-
-test("a series that the page requested already is left where it is of another value or time", async () => {
-  const requested = serve([]);
-  requestedEarly(["line/2/actual"], RANGE[0]);
-  await fetchSeries(["line/1/actual"], RANGE, 500);
-  requestedEarly(["line/1/actual"], RANGE[0] - 11);
-  await fetchSeries(["line/1/actual"], RANGE, 500);
-  for (const address of requested) assert.match(address, /^\/api\/v1\/history\/series/);
-});
-
 test("a refusal is an error in the server's words, else its status", async () => {
   serve({ detail: "too many points" }, false, 422);
   await assert.rejects(fetchSeries(["a/1/b"], RANGE, 1), { message: "too many points" });

@@ -28,7 +28,7 @@ from app.web.shape import iso, json_response, maybe_shown, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
@@ -154,15 +154,10 @@ async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
     """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
     what to do. The rest of Lineside works in every state."""
     status = history.status
-    texts = {
-        "message": in_english(status.message),
-        "reason": maybe_shown(status.message),
-        "cause": in_english(status.cause),
-        "cause_message": maybe_shown(status.cause),
-    }
-    oldest = None if status.oldest_reading is None else iso(status.oldest_reading)
-    times = {"since": iso(status.since), "oldest_reading": oldest}
-    return cast(HistoryStatus, asdict(status) | texts | times)
+    texts = {"message": maybe_shown(status.message), "cause": maybe_shown(status.cause)}
+    times = {"since": status.since, "oldest_reading": status.oldest_reading, "begun": status.begun}
+    shown_times = {name: None if at is None else iso(at) for name, at in times.items()}
+    return cast(HistoryStatus, asdict(status) | texts | shown_times)
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
@@ -184,7 +179,7 @@ async def export_history(
 
 MAX_MARKS = 500
 MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
-"""What explains a curve. Who signed in does not."""
+"""Events that explain a curve; sign-ins do not."""
 _SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
 
 

@@ -23,7 +23,7 @@ from bus.messages import Message
 MAX_POINTS = 20_000
 MAX_SERIES = 32
 FIRST_YEAR, LAST_YEAR = 1970, 9998
-"""Within these an instant stays one in every time zone."""
+"""Years in which every instant has a date in every time zone."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MICROSECOND = timedelta(microseconds=1)
 _PLUS_LOST = re.compile(r"(:\d\d(?:\.\d+)?) (\d\d:?\d\d)$")
@@ -34,7 +34,7 @@ MaybeMomentText = Annotated[str, Field(max_length=40), WithJsonSchema({**DATE_TI
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """From ``start`` up to ``end``, µs since the epoch."""
+    """A span from ``start`` up to ``end``, µs since the epoch."""
 
     start: int
     end: int
@@ -98,7 +98,7 @@ def series_query(history: History, bus: str, unit: int, value: str, span: Span, 
 
 
 def named_series_query(history: History, name: str, span: Span, most: int) -> SeriesQuery:
-    """The same from ``bus/unit/value``, as the trends page writes it."""
+    """The query of one value named ``bus/unit/value``. Raises Problem."""
     bus, _, rest = name.partition("/")
     unit, _, value = rest.partition("/")
     number = parse_integer(unit)
@@ -108,7 +108,7 @@ def named_series_query(history: History, name: str, span: Span, most: int) -> Se
 
 
 def series_queries(history: History, names: list[str], span: Span, most: int) -> list[SeriesQuery]:
-    """Several. Raises Problem."""
+    """The queries of several values, each named ``bus/unit/value``. Raises Problem."""
     if not 1 <= len(names) <= MAX_SERIES:
         raise Problem(422, "invalid", Message.of("series_count", most=MAX_SERIES, count=len(names)))
     return [named_series_query(history, name, span, most) for name in names]

@@ -12,9 +12,9 @@ from starlette.responses import StreamingResponse
 
 from app.errors import Problem
 from app.history.export import parquet_file
-from app.history.export.rows import Cell, ExportRow, Fineness, Table, pieces
+from app.history.export.rows import Cell, ExportRow, Table, pieces
 from app.history.intake.tail import Tail
-from app.history.query.query import SeriesQuery, has_raw
+from app.history.query.query import Resolution, SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
@@ -22,7 +22,7 @@ from app.web.shape import csv_text
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]
-ExportResolution = Literal["auto", "readings", "minutes", "hours"]
+ExportResolution = Literal["auto", Resolution]
 
 
 async def response(
@@ -48,7 +48,7 @@ def _stamp(at: int, table: Table) -> str:
 
 async def _fineness(
     history: History, queries: Sequence[SeriesQuery], resolution: ExportResolution
-) -> Fineness:
+) -> Resolution:
     if resolution != "auto":
         return resolution
 

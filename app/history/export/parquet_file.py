@@ -29,7 +29,7 @@ def is_installed() -> bool:
 
 
 async def is_usable() -> bool:
-    """Whether it can be imported, too: with everything that it needs."""
+    """Whether pyarrow can be imported, too, with everything that it needs."""
     return is_installed() and await asyncio.to_thread(_can_import)
 
 
@@ -95,6 +95,6 @@ class _Sink(io.RawIOBase):
         return len(part)
 
     def taken(self) -> bytes:
-        """What was written since the last time."""
+        """Take the bytes that were written since the last call."""
         parts, self._parts = self._parts, []
         return b"".join(parts)

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
-from app.history.query.query import SeriesQuery, marks_of, scale_of
+from app.history.query.query import Resolution, SeriesQuery, marks_of, scale_of
 from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, Run, micros
@@ -25,8 +25,7 @@ from app.history.store import tables
 from app.history.store.damage import BlockKey
 from bus.instants import unix_now
 
-Fineness = Literal["readings", "minutes", "hours"]
-PIECE: dict[Fineness, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
+PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
 """How much is read at a time, µs."""
 
 
@@ -47,10 +46,10 @@ class ExportRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """What an export holds: its columns, and how fine it is."""
+    """The columns of an export, and how fine it is."""
 
     queries: Sequence[SeriesQuery]
-    fineness: Fineness
+    fineness: Resolution
     time_zone: str
 
     @property
@@ -83,7 +82,7 @@ async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow
 
 
 def _extent(connection: tables.StoreConnection, tail: Tail) -> tuple[int, int]:
-    """From when to when anything can be kept, µs: what the tail holds is not in the store yet, and may
+    """The span of all that can be kept, µs: what the tail holds is not in the store yet, and may
     become older or newer than all that is, until the export ends."""
     now = micros(unix_now())
     spans = [span for span in (tail.extent(), tables.extent(connection), (now - DAY, now)) if span]
@@ -105,7 +104,7 @@ def _rows(
         (_source(connection, tail, unit, part[0], damaged), list(group))
         for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit))
     ]
-    with tables.standing_still(connection):
+    with tables.snapshot(connection):
         for source, wanted in sources:
             if source is None:
                 continue
@@ -124,8 +123,8 @@ def _source(
     span: SeriesQuery,
     damaged: list[BlockKey],
 ) -> unit_history.StoredUnit | None:
-    """None for a unit without history. Made before the store's snapshot: a block folded in between is there
-    twice, not never."""
+    """The sources of a unit; None for one without history. Made before the snapshot of the store: a block
+    folded in between is there twice, not never."""
     key = tables.find_unit(connection, *unit)
     if key is None:
         return None

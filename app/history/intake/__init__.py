@@ -1,1 +1,1 @@
-"""From updates to disk: one thread writes, packs and removes by age."""
+"""Writes updates to the disk: one thread writes, packs and removes by age."""

@@ -14,7 +14,7 @@ class ClockWatch:
         self._difference = float(wall) - float(running)
 
     def step(self, wall: UnixTime, running: Monotonic) -> float:
-        """By how many seconds the wall clock was set since the last look; 0.0 when it was not."""
+        """The seconds by which the wall clock was set since the last call; 0.0 when it was not."""
         before, self._difference = self._difference, float(wall) - float(running)
         moved = self._difference - before
         return moved if abs(moved) >= MIN_STEP_S else 0.0

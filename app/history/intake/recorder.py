@@ -1,4 +1,4 @@
-"""From updates to disk: commits about twice a second, and packs complete minutes and hours into blocks.
+"""Writes updates to the disk: commits about twice a second, and packs complete minutes and hours into blocks.
 
 Everything here runs on the one thread that writes (:mod:`app.history.intake.writer`). A minute that comes
 late takes the same way: its runs are merged with the stored ones, and the minute, its hour and its bits are
@@ -19,7 +19,7 @@ from app.history.series.rollup import combine, replace_row, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, merge
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
-from app.history.store.repair import FoundDamage, Repair
+from app.history.store.inspection import FoundDamage, set_aside
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
 
@@ -30,7 +30,7 @@ MAX_IN_TAIL = 400_000
 MAX_AT_ONCE = 4_000
 """Runs folded in one transaction: few enough that a slow machine still commits in time."""
 MAX_KEYS = 64
-"""And minutes of units: each is a block, its rollups and its bits."""
+"""Minutes of units folded in one transaction: each is a block, its rollups and its bits."""
 _LOOK_EVERY = 64
 
 
@@ -40,7 +40,6 @@ class Recorder:
     def __init__(self, database: Database, tail: Tail, on_damage: FoundDamage) -> None:
         self._database = database
         self._on_damage = on_damage
-        self._repair = Repair(database, on_damage)
         self._tail = tail
         self._intake = Intake(tail)
         self._folding: deque[tuple[int, int]] = deque()
@@ -62,7 +61,7 @@ class Recorder:
         self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
-        """These are on disk when this returns. Raises StoreError; then nothing of them is."""
+        """Write deliveries to the disk. Raises StoreError; then nothing of them is stored."""
 
         def write(connection: tables.StoreConnection) -> Taken:
             return self._intake.write(connection, deliveries)
@@ -128,7 +127,7 @@ class Recorder:
             self._database.write_now(write)
         except DamagedBlock as found:
             # It costs itself: these minutes are folded in the next turn, without it.
-            self._repair.set_aside(found.block)
+            set_aside(self._database, found.block, self._on_damage)
             return
         for key in keys:
             self._tail.drop(*key)

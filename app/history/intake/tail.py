@@ -78,7 +78,7 @@ class Tail:
             return sorted(key for key in self._minutes if key[1] != current)
 
     def extent(self) -> tuple[int, int] | None:
-        """From when to when its minutes are, µs; None when it holds nothing."""
+        """The span of its minutes, µs; None when it holds nothing."""
         with self._lock:
             minutes = [minute for _, minute in self._minutes]
         return (min(minutes), max(minutes) + MINUTE) if minutes else None

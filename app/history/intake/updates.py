@@ -1,4 +1,4 @@
-"""What of the workers' updates is kept, written within one transaction and then put into the tail."""
+"""Writes what is kept of the workers' updates within one transaction, and then puts it into the tail."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Delivery = tuple[str, Sequence[Update]]
 
 @dataclass(slots=True)
 class Taken:
-    """What one transaction wrote, to be put into the tail once it is on disk."""
+    """The rows that one transaction wrote, to be put into the tail once they are on disk."""
 
     rows: list[tuple[int, Run]] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)

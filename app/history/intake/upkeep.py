@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sqlite3
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 from app.database.connection import Database
-from app.database.private import make_file, make_folder
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
@@ -15,7 +12,7 @@ from app.history.settings import HistorySettings
 from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
-from app.history.store.repair import Repair
+from app.history.store.inspection import FoundDamage, set_aside
 from bus.instants import Monotonic, monotonic_now
 
 _MB = 1_000_000
@@ -34,7 +31,7 @@ class DiskReserve:
 
 
 def space(free: int, reserve: DiskReserve) -> StoreState:
-    """What so many free bytes mean."""
+    """The state of a store on a disk with so many free bytes."""
     if free < reserve.pause:
         return "paused"
     if free < reserve.trim:
@@ -45,28 +42,23 @@ def space(free: int, reserve: DiskReserve) -> StoreState:
 SETTLED_S = 3600.0
 """After a start or a clock step nothing is given up for its age for so long: the clock may be wrong."""
 LATE = 10 * MINUTE
-"""What workers keep while the app is away: an hour that ended longer ago is complete."""
+"""How long workers buffer while the app is away: an hour that ended longer ago is complete."""
 MAX_DROPPED = 50
 """Blocks given up in one transaction."""
-_VACUUM = "PRAGMA incremental_vacuum(2000)"
-
-
-@dataclass(frozen=True, slots=True)
-class Retention:
-    """How long readings and their rollups are stored, and how much of the disk stays free."""
-
-    raw_days: int = HistorySettings().raw_days
-    years: int = HistorySettings().years
-    reserve: DiskReserve = field(default_factory=DiskReserve)
+MAX_PAGES = 2000
+"""Given back to the disk at a time."""
 
 
 class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
-    def __init__(self, database: Database, retention: Retention, repair: Repair) -> None:
+    def __init__(
+        self, database: Database, kept: HistorySettings, reserve: DiskReserve, on_damage: FoundDamage
+    ) -> None:
         self._database = database
-        self._repair = repair
-        self._retention = retention
+        self._kept = kept
+        self._reserve = reserve
+        self._on_damage = on_damage
         self._settled_at = monotonic_now() + SETTLED_S
         self._to_sweep = True
 
@@ -77,7 +69,7 @@ class Upkeep:
     def look(self) -> tuple[int, StoreState]:
         """Free bytes where the store is, and what they mean."""
         free = free_bytes(self._database.path.parent)
-        return free, space(free, self._retention.reserve)
+        return free, space(free, self._reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:
         """Pack hours that are over until ``deadline`` (monotonic seconds)."""
@@ -91,15 +83,15 @@ class Upkeep:
             try:
                 self._database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
             except DamagedBlock as damaged:
-                self._repair.set_aside(damaged.block)
+                set_aside(self._database, damaged.block, self._on_damage)
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
         if monotonic_now() < self._settled_at:
             return
-        horizon = now - self._retention.raw_days * DAY
+        horizon = now - self._kept.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
-        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._retention.years * 365 * DAY))
+        self._database.write_now(lambda c: tables.drop_rollups(c, now - self._kept.years * 365 * DAY))
 
     def trim(self, now: int) -> None:
         """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
@@ -113,7 +105,7 @@ class Upkeep:
         while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
             self._to_sweep = dropped == MAX_DROPPED
-            self._database.write_now(lambda c: c.execute(_VACUUM).fetchall())
+            self._database.give_back(MAX_PAGES)
 
     def _give_up_before(self, horizon: int) -> None:
         def move(connection: tables.StoreConnection) -> bool:
@@ -123,16 +115,3 @@ class Upkeep:
             return further
 
         self._to_sweep = self._database.write_now(move) or self._to_sweep
-
-
-def prepare(path: Path) -> None:
-    """A new store returns space to the disk when readings are deleted; it must be set first. An empty file is
-    a new one, too."""
-    if path.exists() and path.stat().st_size:
-        return
-    make_folder(path.parent)
-    make_file(path)
-    connection = sqlite3.connect(path)
-    connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
-    connection.execute("VACUUM")
-    connection.close()

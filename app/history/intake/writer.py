@@ -6,7 +6,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,20 +14,23 @@ from pathlib import Path
 import structlog
 
 from app.audit.kinds import EventKind
-from app.database.connection import Database
+from app.database.connection import STEPS, Database
+from app.database.copies import put_aside
+from app.database.presence import examining
 from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.upkeep import Retention, Upkeep, prepare, space
+from app.history.intake.upkeep import DiskReserve, Upkeep, space
 from app.history.series.runs import DAY, SECOND, micros
-from app.history.status import DAMAGED, NOTICES, Status, StoreState, store_message
+from app.history.settings import HistorySettings
+from app.history.status import NOTICES, Status, StoreState, damage_message, store_message
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.repair import FoundDamage, Repair
-from app.history.store.salvage import copies, put_aside
+from app.history.store.inspection import FoundDamage, is_intact, set_aside
+from app.web.shape import iso
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
 
@@ -45,7 +48,8 @@ MAX_WAITING = 500_000
 """Updates kept in memory while the store cannot be written; then the oldest are lost."""
 
 MAX_REPORTED = 1000
-REBUILD_EVERY_S = 3600.0
+REPLACE_EVERY_S = 86_400.0
+"""A store that is damaged again within this time is not replaced: the machine is at fault."""
 SHOWN_FOR = 7 * DAY
 """How long damage is shown on the pages; in the events it stays."""
 
@@ -59,20 +63,22 @@ class _Open:
     database: Database
     recorder: Recorder
     upkeep: Upkeep
-    repair: Repair
 
 
 class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
-    def __init__(self, path: Path, retention: Retention, on_fault: OnFault) -> None:
+    def __init__(
+        self, path: Path, kept: HistorySettings, on_fault: OnFault, reserve: DiskReserve | None = None
+    ) -> None:
         self._path = path
-        self._retention = retention
+        self._kept = kept
+        self._reserve = reserve or DiskReserve()
         self._on_fault = on_fault
         self._on_damage: FoundDamage = partial(on_fault, "server")
         self._reported: deque[BlockKey] = deque(maxlen=MAX_REPORTED)
         self._torn = False
-        self._rebuilt_at = Monotonic(-math.inf)
+        self._replaced_at = Monotonic(-math.inf)
         self.tail = Tail()
         self._queue: deque[Delivery] = deque()
         self._waiting = 0
@@ -93,7 +99,7 @@ class Writer:
         self._thread.start()
 
     def close(self) -> None:
-        """What was taken in is on disk, then the store is closed."""
+        """Write what was taken in to the disk, then close the store."""
         self._ending.set()
         self._thread.join()
 
@@ -120,7 +126,7 @@ class Writer:
     @property
     def status(self) -> Status:
         status = self._status
-        message = status.message or (DAMAGED if status.damaged else None)
+        message = status.message or damage_message(status, iso)
         return replace(status, message=message, waiting=self._waiting - self._taken, lost=self._lost)
 
     @property
@@ -159,28 +165,25 @@ class Writer:
     def _tick(self) -> None:
         self._watch_clock()
         if self._torn and not self._ending.is_set():
-            self._rebuild()
+            self._replace_store()
         if not self._writable:
             if monotonic_now() < self._retry_at:
                 return
             self._open_store()
         self._watch_disk()
         if self._space == "paused":
-            self._give_way()
+            # Nothing is written, and what was given up goes back to the disk.
+            assert self._open is not None
+            self._open.upkeep.sweep(monotonic_now() + BUSY_S)
         else:
             self._store()
-
-    def _give_way(self) -> None:
-        """Nothing is written, and what was given up goes back to the disk."""
-        assert self._open is not None
-        self._open.upkeep.sweep(monotonic_now() + BUSY_S)
 
     def _store(self) -> None:
         opened = self._open
         assert opened is not None
         self._commit(opened.recorder)
         with suppress(IndexError):
-            opened.repair.set_aside(self._reported.popleft())
+            set_aside(opened.database, self._reported.popleft(), self._on_damage)
         now = micros(unix_now())
         opened.recorder.fold(now, monotonic_now() + BUSY_S)
         deadline = monotonic_now() + BUSY_S
@@ -215,7 +218,6 @@ class Writer:
             self._open.database.close()
 
     def _open_store(self) -> None:
-        prepare(self._path)
         database = Database(self._path, MIGRATIONS, synchronous="FULL")
         try:
             opened = self._begin(database)
@@ -232,27 +234,34 @@ class Writer:
         database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
         recorder = Recorder(database, self.tail, self._on_damage)
         recorder.replay()
-        repair = Repair(database, self._on_damage)
-        return _Open(database, recorder, Upkeep(database, self._retention, repair), repair)
+        return _Open(database, recorder, Upkeep(database, self._kept, self._reserve, self._on_damage))
 
-    def _rebuild(self) -> None:
-        """Pages are damaged: what can be read goes into a new store, and history goes on there. A second
-        time within the hour it is the machine that is at fault, and nothing more is tried."""
+    def _replace_store(self) -> None:
+        """Put a store with damaged pages aside, and go on in a new one. A second look decides: the first may
+        have met an error of the memory or of the disk that passed."""
         self._torn = False
-        if monotonic_now() - self._rebuilt_at < REBUILD_EVERY_S:
+        if monotonic_now() - self._replaced_at < REPLACE_EVERY_S:
             return
-        self._rebuilt_at = monotonic_now()
+        self._replaced_at = monotonic_now()
         opened, self._writable, self._open = self._open, False, None
         if opened is not None:
             opened.database.close()
-        aside = put_aside(self._path)
-        prepare(self._path)
-        missing = 0
-        with closing(Database(self._path, MIGRATIONS, synchronous="NORMAL")) as database:
-            for copy in copies(aside, database):
-                missing += database.write_now(copy)
+        if self._is_intact():
+            self._open_store()
+            return
+        file = put_aside(self._path).name
         self._open_store()
-        self._on_damage(Message.of("event_history_rebuilt", n=missing, file=aside.name))
+        self.database.write_now(lambda c: tables.note_replaced(c, file, micros(unix_now())))
+        self._on_damage(Message.of("event_history_put_aside", file=file))
+
+    def _is_intact(self) -> bool:
+        try:
+            with examining(self._path) as connection:
+                # The end of the server does not wait for a look at all pages.
+                connection.set_progress_handler(self._ending.is_set, STEPS)
+                return is_intact(connection)
+        except DamagedStoreError:
+            return False
 
     def _fail(self, cause: Message) -> None:
         """Stored history can still be read, until the store is opened again."""
@@ -261,7 +270,7 @@ class Writer:
         is_full = False
         with suppress(OSError):
             free = free_bytes(self._path.parent)
-            is_full = space(free, self._retention.reserve) == "paused"
+            is_full = space(free, self._reserve) == "paused"
             self._status = replace(self._status, free_bytes=free)
         self._set_state("paused" if is_full else "failed", None if is_full else cause)
 
@@ -281,16 +290,18 @@ class Writer:
         free, self._space = opened.upkeep.look()
         if self._space in ("scarce", "paused"):
             opened.upkeep.trim(micros(unix_now()))
-        oldest = opened.database.read_now(tables.oldest_raw)
-        lately = micros(unix_now()) - SHOWN_FOR
-        damaged = opened.database.read_now(lambda c: tables.damaged_since(c, lately))
+        read, lately = opened.database.read_now, micros(unix_now()) - SHOWN_FOR
+        oldest = read(tables.oldest_raw)
+        replaced = read(lambda c: tables.replaced_since(c, lately))
         self._set_state(self._space)
         self._status = replace(
             self._status,
             free_bytes=free,
             size_bytes=self._path.stat().st_size,
             oldest_reading=None if oldest is None else UnixTime(oldest / SECOND),
-            damaged=damaged,
+            damaged=read(lambda c: tables.damaged_since(c, lately)),
+            begun=None if replaced is None else UnixTime(replaced[0] / SECOND),
+            put_aside="" if replaced is None else replaced[1],
         )
 
     def _set_state(self, state: StoreState, cause: Message | None = None) -> None:

@@ -1,1 +1,1 @@
-"""From the store to the points of a chart."""
+"""Reads the points of a chart from the store."""

@@ -57,7 +57,7 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
     if key is None:
         return QueryResult(Series())
     recent = tail.runs(key, query.start, query.end)
-    with tables.standing_still(connection):
+    with tables.snapshot(connection):
         return _run(unit_history.StoredUnit(connection, key, recent), query)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +10,6 @@ from itertools import chain, pairwise
 from statistics import median_low
 from typing import TypeVar
 
-from app.database.words import primary_code
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.gaps import usual_interval
@@ -38,31 +36,19 @@ class StoredUnit:
     unit: int
     tail: Sequence[Run]
     damaged: list[BlockKey] = field(default_factory=list)
-    """What could not be read, and was left out."""
+    """Blocks that could not be read, and were left out."""
 
     def blocks(self, tier: StoredTier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
-        """Start and content of each that may touch a span (µs), in order of time. Each is fetched separately,
-        so that a page that SQLite cannot follow costs only its own content."""
+        """Start and content of each that may touch a span (µs), in order of time."""
         span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
-        starts = f"SELECT start FROM {tier} WHERE unit = ? AND start > ? AND start < ? AND start + {span} > ?"
         longest = HOUR if tier == "raw" else tables.ROW_SPAN[tier]
-        arguments = (self.unit, start - longest, end, start)
-        found = self.connection.execute(f"{starts} ORDER BY start", arguments).fetchall()
-        query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
-        for (begin,) in found:
-            try:
-                row = self.connection.execute(query, (self.unit, begin)).fetchone()
-            except sqlite3.DatabaseError as error:
-                if primary_code(error) != sqlite3.SQLITE_CORRUPT:
-                    raise
-                row = None
-            if row is None:
-                self.damaged.append(BlockKey(tier, self.unit, begin))
-            else:
-                yield begin, row[0]
+        within = f"unit = ? AND start > ? AND start < ? AND start + {span} > ?"
+        query = f"SELECT start, data FROM {tier} WHERE {within} ORDER BY start"
+        for row in self.connection.execute(query, (self.unit, start - longest, end, start)):
+            yield row[0], row[1]
 
     def unpacked(self, tier: StoredTier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
-        """What a block holds; nothing where it is damaged, which is noted."""
+        """The content of a block; empty where it is damaged, which is noted."""
         try:
             return unpack()
         except ValueError:

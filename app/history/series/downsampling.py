@@ -61,7 +61,7 @@ class Series:
 
 
 def downsample(points: Points, start: int, end: int, most: int) -> Points:
-    """The same in at most ``most`` buckets between ``start`` and ``end``, µs."""
+    """Reduce points to at most ``most`` buckets between ``start`` and ``end``, µs."""
     width, origin = grid(start, end, most, points.width or _MS)
     parts = _parts(points.at, origin, width)
     return Points(
@@ -77,7 +77,7 @@ def downsample(points: Points, start: int, end: int, most: int) -> Points:
 
 
 def _parts(at: Sequence[int], origin: int, width: int) -> list[tuple[int, int]]:
-    """From where to where the times of each bucket are, without the empty ones."""
+    """The range of positions of each bucket, without the empty ones."""
     parts = []
     i, n = 0, len(at)
     while i < n:
@@ -138,7 +138,7 @@ def holes_in(points: Points, marks: Marks) -> list[int]:
 
 
 def in_order(points: Points) -> Points:
-    """By time: where a clock was set back or a minute came late, two stretches lie over each other."""
+    """Sort points by time: where a clock was set back or a minute came late, two stretches overlap."""
     if all(map(le, points.at, points.at[1:])):
         return points
     order = sorted(range(len(points.at)), key=points.at.__getitem__)

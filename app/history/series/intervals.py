@@ -34,7 +34,7 @@ def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> 
 
 
 def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: Marks) -> list[Interval]:
-    """What takes the place of ``stored``: the intervals that touch a minute or are next to it,
+    """Return the replacement of ``stored``, the intervals that touch a minute or are next to it,
     now that all runs of that minute are known."""
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]

@@ -71,7 +71,7 @@ def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]
 
 
 def combine(rows: Sequence[Rollup], start: int) -> Rollup:
-    """Several rows, at least one, as one longer row."""
+    """Combine rows, at least one, into one of a longer time."""
     _, readings, *plain, words_and, words_or, on = zip(*rows, strict=True)
     reaches = [
         reach

@@ -1,4 +1,4 @@
-"""From the integers of the wire to display units, with the parameters in force at that time.
+"""Converts the integers of the wire to display units, with the parameters in force at that time.
 
 #3 (decimals), #22 and #23 (analog input at 0 and at 255) and, where CS and AS are a ratio,
 #8. Readings are kept as sent; each parameter is kept with the time at which it was read, and a
@@ -65,7 +65,7 @@ class Scaling:
         return self.scales[max(0, bisect_right(self.since, time) - 1)]
 
     def stretches(self, times: Sequence[int]) -> Iterator[tuple[int, int, LinearScale]]:
-        """From where to where one scale is in force, for times in order."""
+        """Split times in order into ranges of positions, each with the scale in force."""
         i = 0
         while i < len(times):
             place = max(1, bisect_right(self.since, times[i]))

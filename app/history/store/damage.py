@@ -29,11 +29,9 @@ class DamagedBlock(ValueError):
 
 
 def intact(block: BlockKey, unpack: Callable[[], T]) -> T:
-    """What ``unpack`` gives. Raises DamagedBlock where that is a ValueError."""
+    """Return what ``unpack`` gives. Raises DamagedBlock where it raises ValueError."""
     try:
         return unpack()
-    except DamagedBlock:
-        raise
     except ValueError as error:
         raise DamagedBlock(block, str(error)) from error
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal
 
+from app.database import StoreConnection as StoreConnection
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
@@ -22,12 +22,10 @@ STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
 
-StoreConnection = sqlite3.Connection
-
 
 @contextmanager
-def standing_still(connection: StoreConnection) -> Iterator[None]:
-    """One moment of the store for all that is read within."""
+def snapshot(connection: StoreConnection) -> Iterator[None]:
+    """Everything that is read within is of one instant of the store."""
     connection.execute("BEGIN")
     try:
         yield
@@ -54,10 +52,6 @@ def units_of(connection: StoreConnection, bus: str) -> list[int]:
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
 
 
-def every_unit(connection: StoreConnection) -> list[int]:
-    return [row[0] for row in connection.execute("SELECT id FROM unit")]
-
-
 def name_of(connection: StoreConnection, unit: int) -> str:
     """A unit's key in words: ``bus/number``."""
     row = connection.execute("SELECT bus, number FROM unit WHERE id = ?", (unit,)).fetchone()
@@ -75,7 +69,7 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) 
 
 
 def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] | None]:
-    """What every row holds, oldest first; None for a damaged one."""
+    """The readings of every row, oldest first; None for a damaged one."""
     for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
         try:
             units, at, lengths, *rest = columns.unpack(data)
@@ -87,7 +81,7 @@ def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] 
 
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
-    """From when to when anything is kept, µs; None when nothing is."""
+    """The span of all that is kept, µs; None when nothing is."""
     row = connection.execute("SELECT min(start), max(start) FROM hours").fetchone()
     return None if row[0] is None else (row[0], row[1] + DAY)
 
@@ -196,13 +190,25 @@ def is_damaged(connection: StoreConnection, block: BlockKey) -> bool:
 
 
 def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None:
-    """Out of the way of the rest, as it is; ``now`` in µs."""
+    """Move a block to the damaged ones, as it is; ``now`` in µs."""
     where = f"FROM {block.tier} WHERE unit = ? AND start = ?"
     key = (block.unit, block.start)
     connection.execute(
         f"INSERT OR IGNORE INTO damaged SELECT ?, unit, start, ?, data {where}", (block.tier, now, *key)
     )
     connection.execute(f"DELETE {where}", key)
+
+
+def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
+    """The store is new, and the damaged one before it is kept as ``file``; ``now`` in µs."""
+    connection.execute("INSERT INTO damaged VALUES ('store', 0, 0, ?, ?)", (now, file.encode()))
+
+
+def replaced_since(connection: StoreConnection, since: int) -> tuple[int, str] | None:
+    """When this store was begun in place of a damaged one, and the name of that file; times in µs."""
+    query = "SELECT found, data FROM damaged WHERE tier = 'store' AND found >= ? AND data NOTNULL"
+    row = connection.execute(query, (since,)).fetchone()
+    return None if row is None else (row[0], row[1].decode())
 
 
 def damaged_since(connection: StoreConnection, since: int) -> int:
@@ -230,7 +236,7 @@ def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> 
 def replace_bits(
     connection: StoreConnection, unit: int, old: Iterable[Interval], new: Iterable[Interval]
 ) -> None:
-    """Other intervals in place of these; what stays the same is not written."""
+    """Replace intervals; one that stays the same is not written."""
     before, after = set(old), set(new)
     connection.executemany(
         "DELETE FROM bits WHERE unit = ? AND at = ? AND word = ?",

@@ -6,13 +6,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from app.audit.log import EventLog
-from app.audit.repeated import MANY, MAX_KEYS, WINDOW_S, Tally
+from app.audit.repeated import MANY, MAX_KEYS, RepeatedEvents
 from app.audit.store import Filter
 from app.database import Database
+from app.server.repeats import WINDOW_S
 from tests.app.complete_app import complete_app
 
 
@@ -23,6 +22,7 @@ class Scene:
         self.now = 1000.0
         self.database = Database(folder / "lineside.db")
         self.events = EventLog(self.database, lambda: self.now)
+        self.events.repeated = RepeatedEvents(self.events.record, lambda: self.now, lambda: self.now)
 
     async def refuse(self, times: int = 1, origin: str = "192.0.2.7") -> None:
         for _ in range(times):
@@ -101,17 +101,3 @@ async def test_the_count_is_part_of_the_chain(scene: Scene) -> None:
         lambda connection: connection.execute("UPDATE events SET count = 2 WHERE count = 4")
     )
     assert (await scene.events.proof.verify()).broken == 2
-
-
-@given(st.lists(st.tuples(st.integers(0, 60), st.floats(-100, 100)), max_size=60))
-def test_nothing_is_lost_or_reported_twice_whatever_the_clock_does(steps: list[tuple[int, float]]) -> None:
-    tally: Tally[int] = Tally()
-    now, reported, happened = 1000.0, 0, 0
-    for key, step in steps:
-        now += step
-        happened += 1
-        first = tally.note("x", key, now)
-        reported += first.count if first else 0
-        reported += sum(counted.count for counted in tally.due(now))
-    reported += sum(counted.count for counted in tally.due(now, everything=True))
-    assert reported == happened
