@@ -108,9 +108,13 @@ class AlarmList:
         """A person acted."""
         self._apply(alarm, changed, who, reason)
 
-    def restore(self, alarm: Alarm, facts: AlarmFacts) -> None:
+    def restore(
+        self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
+    ) -> None:
         """What a person did could not be recorded: it did not happen."""
-        alarm.facts = facts
+        if alarm.facts is not unless_changed_from:
+            return
+        alarm.facts, alarm.hidden_by, alarm.reason = facts, hidden_by, reason
         self._schedule(alarm)
         self._has_changed(alarm)
 

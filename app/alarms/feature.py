@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from app.alarms import api, occurrences_api, own_api, pages, performance_api
+from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.control_watch import ControlWatch, HeldControl
@@ -92,4 +93,5 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 FEATURE = Feature(
     make,
     (performance_api.router, occurrences_api.router, own_api.router, api.router, pages.router),
+    acts=ACTS,
 )

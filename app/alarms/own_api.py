@@ -9,11 +9,11 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarm_settings import AlarmSettings, OwnValue
-from app.alarms.api import ActReason, Comment
+from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
 from app.alarms.own_book import OwnAlarm, OwnAlarmBook
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
-from app.web.access import Engineer
+from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.services import service
 from app.web.shape import MaybeInstant, MessageShown, iso, message_shown
@@ -112,7 +112,7 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
 
 @router.post("", status_code=201)
 async def add_own_alarm(
-    person: Engineer, own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
+    person: Annotated[Person, ADD_OWN.permitted], own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
     return own_alarm_json(await own.add(person, _written(body), key))
@@ -120,7 +120,10 @@ async def add_own_alarm(
 
 @router.put("/{own_id}")
 async def change_own_alarm(
-    person: Engineer, own: OwnBook, own_id: OwnAlarmKey, body: OwnAlarmChangeRequest
+    person: Annotated[Person, CHANGE_OWN.permitted],
+    own: OwnBook,
+    own_id: OwnAlarmKey,
+    body: OwnAlarmChangeRequest,
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
     return own_alarm_json(await own.change(person, own_id, body.version, _written(body), body.reason))
@@ -128,7 +131,7 @@ async def change_own_alarm(
 
 @router.delete("/{own_id}", status_code=204)
 async def remove_own_alarm(
-    person: Engineer,
+    person: Annotated[Person, REMOVE_OWN.permitted],
     own: OwnBook,
     own_id: OwnAlarmKey,
     version: Annotated[int, Query(ge=1, le=2**62, description="That was seen.")],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import structlog
 
 from app.alarm_settings import AlarmSettings
+from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.definition import own_key
@@ -20,7 +20,8 @@ from app.alarms.own import own_definition
 from app.alarms.own_store import OwnAlarmRow, OwnAlarmStore, OwnAlarmWriting
 from app.alarms.rules import changes
 from app.alarms.simulation.proposal import in_toml, proposed
-from app.alarms.store import JournalWriting
+from app.alarms.transaction import ActTransaction, written_together
+from app.audit.act import Act
 from app.audit.log import Also, EventLog
 from app.errors import Problem, StoreError
 from app.settings import Settings
@@ -115,6 +116,7 @@ class OwnAlarmBook:
         self, person: Person, written: Mapping[str, Any], key_of_request: str | None = None
     ) -> OwnAlarm:
         """Observe another alarm from the next reading on. The same request adds it once. Raises Problem."""
+        ADD_OWN.check(person)
         request = f"{person.account}:{key_of_request}" if key_of_request else ""
         async with self._acting:
             earlier = next((own for own in self.added.values() if request and own.request == request), None)
@@ -128,8 +130,7 @@ class OwnAlarmBook:
             stored = await self._alarms.store.find(key)
             row = self._row(person, settings, request)
             writing = OwnAlarmWriting(key, row)
-            what = Message.of("event_own_alarm_added", name=settings.name)
-            await self._record(person, settings, what, None, in_words(settings), "", writing)
+            await self._record(person, ADD_OWN, settings, writing, new=in_words(settings))
             self.left_aside.pop(key, None)
             bus.add_own(settings, alarm)
             if stored is not None:
@@ -146,6 +147,7 @@ class OwnAlarmBook:
     ) -> OwnAlarm:
         """Another definition under the same name and unit. The alarm ends; it comes again by the next reading
         where that fulfills the new one. ``version``: of what was changed. Raises Problem."""
+        CHANGE_OWN.check(person)
         async with self._acting:
             own = self._of_version(key, version)
             settings = proposed(written, self._bus_settings)
@@ -153,34 +155,28 @@ class OwnAlarmBook:
                 raise Problem(422, "invalid", Message.of("own_alarm_other_place", name=own.settings.name))
             row = self._row(person, settings, own.request)
             writing = OwnAlarmWriting(key, row)
-            what = Message.of("event_own_alarm_changed", name=settings.name)
-            alarm = await self._end(person, own, what, in_words(settings), reason, writing)
+            alarm = await self._end(person, CHANGE_OWN, own, in_words(settings), reason, writing)
             after = Alarm(own_definition(settings), alarm.facts)
             self._bus(settings).add_own(settings, after)
             return self._keep(row, settings, writing.version)
 
     async def remove(self, person: Person, key: str, version: int, reason: str) -> None:
         """End an alarm and its definition. Raises Problem."""
+        REMOVE_OWN.check(person)
         async with self._acting:
             aside = self.left_aside.get(key)
             if aside is not None and aside.version == version:
-                await self._remove_aside(person, aside, reason)
+                await self._events.record(
+                    **REMOVE_OWN.by(person, name=aside.name),
+                    message=reason,
+                    also=OwnAlarmWriting(key, None),
+                )
+                del self.left_aside[key]
                 return
             own = self._of_version(key, version)
-            what = Message.of("event_own_alarm_removed", name=own.settings.name)
-            await self._end(person, own, what, None, reason, OwnAlarmWriting(key, None))
+            await self._end(person, REMOVE_OWN, own, None, reason, OwnAlarmWriting(key, None))
             self._bus(own.settings).list.take_out(key)
             del self.added[key]
-
-    async def _remove_aside(self, person: Person, aside: LeftAside, reason: str) -> None:
-        await self._events.record(
-            kind="alarm",
-            **person.author,
-            what=Message.of("event_own_alarm_removed", name=aside.name),
-            message=reason,
-            also=OwnAlarmWriting(aside.key, None),
-        )
-        del self.left_aside[aside.key]
 
     def _of_version(self, key: str, version: int) -> OwnAlarm:
         own = self.added.get(key)
@@ -194,36 +190,29 @@ class OwnAlarmBook:
         return own
 
     async def _end(
-        self,
-        person: Person,
-        own: OwnAlarm,
-        what: Message,
-        new: str | None,
-        reason: str,
-        writing: OwnAlarmWriting,
+        self, person: Person, act: Act, own: OwnAlarm, new: str | None, reason: str, writing: OwnAlarmWriting
     ) -> Alarm:
         bus = self._bus(own.settings)
         async with bus.list.writing:
-            alarm = bus.list.alarms[own.key]
-            now = self._clock()
+            alarm, now = bus.list.alarms[own.key], self._clock()
             bus.list.advance(now)
-            before = (alarm.facts, alarm.hidden_by, alarm.reason)
             bus.end_own(alarm)
-            changed = changes.withdraw(alarm.facts, alarm.definition.attributes, now)
-            bus.list.change(alarm, changed, person.name, reason)
-            entries, alarms = bus.list.take_unwritten()
-            journal = JournalWriting(entries, alarms)
-
-            def write(connection: sqlite3.Connection) -> None:
-                journal(connection)
-                writing(connection)
-
+            transaction = ActTransaction(person.name, [bus.list])
+            ended = changes.withdraw(alarm.facts, alarm.definition.attributes, now)
+            transaction.change(bus.list, alarm, ended, reason)
             try:
-                await self._record(person, own.settings, what, in_words(own.settings), new, reason, write)
+                await transaction.record(
+                    lambda journal: self._record(
+                        person,
+                        act,
+                        own.settings,
+                        written_together(journal, writing),
+                        old=in_words(own.settings),
+                        new=new,
+                        message=reason,
+                    )
+                )
             except StoreError:
-                bus.list.give_back([entry for entry in entries if entry.who != person.name], alarms)
-                facts, alarm.hidden_by, alarm.reason = before
-                bus.list.restore(alarm, facts)
                 bus.add_own(own.settings, alarm)
                 raise
         return alarm
@@ -231,23 +220,17 @@ class OwnAlarmBook:
     async def _record(
         self,
         person: Person,
+        act: Act,
         settings: AlarmSettings,
-        what: Message,
-        old: str | None,
-        new: str | None,
-        reason: str,
         also: Also,
+        *,
+        old: str | None = None,
+        new: str | None = None,
+        message: str = "",
     ) -> None:
+        performed = act.by(person, name=settings.name)
         await self._events.record(
-            kind="alarm",
-            **person.author,
-            bus=settings.bus,
-            unit=settings.unit,
-            what=what,
-            old=old,
-            new=new,
-            message=reason,
-            also=also,
+            **performed, bus=settings.bus, unit=settings.unit, old=old, new=new, message=message, also=also
         )
 
     def _row(self, person: Person, settings: AlarmSettings, request: str) -> OwnAlarmRow:

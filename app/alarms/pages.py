@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
-from pydantic import StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.api import MAX_MINUTES, Alarms
+from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
+from app.alarms.api import Alarms
 from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
@@ -24,7 +25,7 @@ from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of, st
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Person, Viewer
 from app.web.formats import UNKNOWN, Formats
 from app.web.services import service_of
 from app.web.templating import render, templates_of
@@ -189,7 +190,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
 @router.post("/alarms/acknowledge")
 async def acknowledge_shown(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, ACKNOWLEDGE.permitted],
     alarms: Alarms,
     chosen: ChosenFilters,
     id: Annotated[list[str], Form(max_length=MAX_ROWS)],
@@ -200,7 +201,7 @@ async def acknowledge_shown(
     left_out = 0
     for alarm_id in id:
         try:
-            await alarms.acknowledge(person, alarm_id)
+            await alarms.act(person, ACKNOWLEDGE, alarm_id)
         except Problem:
             left_out += 1
     if shown:
@@ -213,59 +214,38 @@ async def acknowledge_shown(
 
 @router.post("/alarms/silence")
 async def silence_sounding(
-    person: Operator, alarms: Alarms, until: Annotated[float, Form(allow_inf_nan=False)]
+    person: Annotated[Person, SILENCE_SOUNDING.permitted],
+    alarms: Alarms,
+    until: Annotated[float, Form(allow_inf_nan=False)],
 ) -> Response:
     """Those that sounded at the press: not one that came since."""
     await alarms.silence_sounding(person, UnixTime(until))
     return Response(status_code=204)
 
 
-@router.post("/alarms/{alarm_id}/silence")
-async def silence(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """End its sound."""
-    await alarms.silence(person, alarm_id)
-    return _to(alarm_id)
+class WrittenAct(BaseModel):
+    """The form of an act as it was filled in."""
+
+    reason: Annotated[OneLine, Field(max_length=200)] = ""
+    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES)] = 30
 
 
-@router.post("/alarms/{alarm_id}/reset")
-async def reset(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """End a latch."""
-    await alarms.reset(person, alarm_id)
-    return _to(alarm_id)
+def _add_form(act: AlarmAct) -> None:
+    async def perform(
+        alarms: Alarms, alarm_id: str, written: Annotated[WrittenAct, Form()], person: Person = act.permitted
+    ) -> Response:
+        fields = written.model_dump(include=set(act.body.model_fields))
+        if act.hides:
+            given_reason(written.reason)
+        await alarms.act(person, act, alarm_id, act.body.model_validate(fields))
+        return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
+
+    router.post(f"/alarms/{{alarm_id}}/{act.path}", name=act.name)(perform)
 
 
-@router.post("/alarms/{alarm_id}/shelve")
-async def shelve(
-    person: Operator,
-    alarms: Alarms,
-    alarm_id: str,
-    minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
-    reason: TypedReason = "",
-) -> Response:
-    """Hide it for a time."""
-    await alarms.shelve(person, alarm_id, given_reason(reason), minutes)
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/unshelve")
-async def unshelve(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """Annunciate it again."""
-    await alarms.unshelve(person, alarm_id)
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/out-of-service")
-async def remove(person: Engineer, alarms: Alarms, alarm_id: str, reason: TypedReason = "") -> Response:
-    """Take it out of service."""
-    await alarms.remove(person, alarm_id, given_reason(reason))
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/in-service")
-async def return_to_service(person: Engineer, alarms: Alarms, alarm_id: str) -> Response:
-    """Return it to service."""
-    await alarms.return_(person, alarm_id)
-    return _to(alarm_id)
+for alarm_act in ALARM_ACTS:
+    if alarm_act is not ACKNOWLEDGE:
+        _add_form(alarm_act)
 
 
 def given_reason(reason: str) -> str:
@@ -273,10 +253,6 @@ def given_reason(reason: str) -> str:
     if not reason.strip():
         raise Problem(422, "invalid", Message("alarm_needs_reason"))
     return reason.strip()
-
-
-def _to(alarm_id: str) -> Response:
-    return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
 
 
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:

@@ -33,11 +33,11 @@ def act(facts: AlarmFacts, how: AlarmAttributes, word: str, at: float, end: floa
         case "reset":
             return changes.reset(facts, how, UnixTime(at))
         case "shelve":
-            return changes.shelve(facts, UnixTime(end), UnixTime(at), once=once)
+            return changes.shelve(facts, how, UnixTime(at), for_s=end - at, once=once)
         case "unshelve":
             return changes.unshelve(facts, how, UnixTime(at))
         case "remove":
-            return changes.remove_from_service(facts, UnixTime(at))
+            return changes.remove_from_service(facts, how, UnixTime(at))
         case "return":
             return changes.return_to_service(facts, how, UnixTime(at))
         case _:
@@ -175,12 +175,12 @@ def test_an_alarm_rises_again_while_it_stays_after_its_time_since_it_was_acknowl
 def test_a_shelf_for_once_ends_with_the_condition_and_hides_from_acts_until_then() -> None:
     how = AlarmAttributes()
     facts, _ = changes.observe(AlarmFacts(), how, holds=True, at=UnixTime(10))
-    facts, _ = changes.shelve(facts, UnixTime(99), UnixTime(11), once=True)
+    facts, _ = changes.shelve(facts, how, UnixTime(11), for_s=88, once=True)
     for hidden_act in (changes.acknowledge, changes.reset):
         with pytest.raises(NoTransitionError):
             hidden_act(facts, how, UnixTime(12))
     with pytest.raises(NoTransitionError):
-        changes.shelve(facts, UnixTime(99), UnixTime(12))
+        changes.shelve(facts, how, UnixTime(12), for_s=87)
     facts, done = changes.observe(facts, how, holds=False, at=UnixTime(13))
     assert ([each.trigger for each in done], facts.shelved_until) == (["clear", "unshelve"], None)
 
@@ -224,7 +224,7 @@ def test_an_acknowledgement_ends_where_it_is_annunciated_again_and_the_time_it_c
     facts, _ = changes.acknowledge(facts, how, UnixTime(12))
     again, _ = changes.advance(facts, how, UnixTime(15))
     assert times(again) == (10, None, None)
-    hidden, _ = changes.shelve(facts, UnixTime(14), UnixTime(13))
+    hidden, _ = changes.shelve(facts, how, UnixTime(13), for_s=1)
     back, _ = changes.advance(hidden, how, UnixTime(14))
     assert (times(back), back.state) == ((10, None, None), "unack_active")
 

@@ -18,9 +18,9 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import MAX_OWN, OwnAlarmBook
 from app.audit.log import EventLog
 from app.database import Database
-from app.errors import StoreError
+from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -81,6 +81,22 @@ async def test_an_alarm_is_detected_as_soon_as_it_was_added(house: House) -> Non
     assert (event["what"], event["old"]) == ("Alarm added: Too fast", None)
     assert 'above = "105.0"' in event["new"]
     assert [each["id"] for each in (await engineer.get(PATH)).json()["alarms"]] == [own["id"]]
+
+
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    own = await added(await house.program(Role.ENGINEER))
+    book, person, key = house.services[OwnAlarmBook], Person("ben", role, "session"), own["id"]
+    for act in (
+        book.add(person, {**FAST, "name": "Other"}),
+        book.change(person, key, own["version"], {**FAST, "above": "103.0"}),
+        book.remove(person, key, own["version"], "no longer needed"),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await act
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert {each.version for each in book.added.values()} == {own["version"]}
+    assert len(await house.events("alarm")) == 1
 
 
 async def test_a_changed_alarm_ends_and_comes_again_by_the_next_reading(house: House) -> None:

@@ -103,11 +103,13 @@ def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     return _moved(facts, replace(facts, silenced=True), "silence", at)
 
 
-def shelve(facts: AlarmFacts, until: UnixTime, at: UnixTime, *, once: bool = False) -> Changed:
-    """Hide it until a time; ``once``: or until its condition ends. Raises NoTransitionError."""
+def shelve(
+    facts: AlarmFacts, _: AlarmAttributes, at: UnixTime, *, for_s: float, once: bool = False
+) -> Changed:
+    """Hide it for a time; ``once``: or until its condition ends. Raises NoTransitionError."""
     if facts.shelved_until is not None or facts.out_of_service:
         raise NoTransitionError
-    return _moved(facts, replace(facts, shelved_until=until, shelved_once=once), "shelve", at)
+    return _moved(facts, replace(facts, shelved_until=at + for_s, shelved_once=once), "shelve", at)
 
 
 def unshelve(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
@@ -117,7 +119,7 @@ def unshelve(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Ch
     return _unhide(facts, attributes, "unshelve", at)
 
 
-def remove_from_service(facts: AlarmFacts, at: UnixTime) -> Changed:
+def remove_from_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     """Hide it until it is returned to service. Raises NoTransitionError."""
     if facts.out_of_service:
         raise NoTransitionError
@@ -148,7 +150,7 @@ def _next_withdrawal(facts: AlarmFacts) -> StateChange | None:
     if facts.state == "normal":
         return None
     if not facts.out_of_service:
-        return lambda facts, _, at: remove_from_service(facts, at)
+        return remove_from_service
     if facts.active:
         return lambda facts, attributes, at: _base(facts, attributes, "clear", at)
     if facts.latched:

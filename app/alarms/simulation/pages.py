@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarm_settings import AlarmSettings, OwnValue
+from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_api import OwnBook
 from app.alarms.own_book import OwnAlarm, OwnAlarmBook
@@ -22,7 +23,7 @@ from app.alarms.simulation.proposal import in_toml, proposed
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.settings import Settings
-from app.web.access import Engineer
+from app.web.access import Engineer, Person
 from app.web.services import service, service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
@@ -83,7 +84,10 @@ async def own_alarms_page(
 
 @router.post("/alarms/own")
 async def store_own_alarm(
-    request: Request, person: Engineer, own: OwnBook, form: Annotated[WrittenAlarm, Form()]
+    request: Request,
+    person: Annotated[Person, ADD_OWN.permitted],
+    own: OwnBook,
+    form: Annotated[WrittenAlarm, Form()],
 ) -> Response:
     """Add the alarm of the form, or change the one that it names."""
     written = _written(form)
@@ -101,7 +105,7 @@ async def store_own_alarm(
 
 @router.post("/alarms/own/remove")
 async def remove_own_alarm(
-    person: Engineer,
+    person: Annotated[Person, REMOVE_OWN.permitted],
     own: OwnBook,
     alarm: Annotated[str, Form(max_length=200)],
     version: Annotated[int, Form(ge=1, le=2**62)],
