@@ -68,7 +68,7 @@ class AlarmSimulation(SimulatedSpanShown):
     """What the alarm would have done. Durations in seconds."""
 
     covered_from: Annotated[
-        MaybeInstant, Field(description="From when on there is history; null: there is none of this time.")
+        MaybeInstant, Field(description="From when on readings are stored; null: none of this time are.")
     ]
     covered_to: SimulatedTime
     annunciated: Annotated[int, Field(description="How often it would have come.")]
@@ -79,9 +79,6 @@ class AlarmSimulation(SimulatedSpanShown):
     longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
     stands_at_end: bool
     unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
-    exact: Annotated[
-        bool, Field(description="false: of a part only minutes are stored; it came at least so often.")
-    ]
     complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
     toml: Annotated[str, Field(description="The entry for lineside.toml.")]
 
@@ -127,7 +124,6 @@ def _shown(found: Simulated) -> dict[str, Any]:
         "longest_s": None if found.longest_s is None else round(found.longest_s, 3),
         "stands_at_end": found.stands_at_end,
         "unknown_s": round(found.unknown_s, 3),
-        "exact": found.is_exact,
         "complete": found.is_complete,
     }
 

@@ -50,7 +50,7 @@ class Annunciations:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: what is stored of it.
+    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: the readings of it.
     Durations in seconds."""
 
     start: UnixTime
@@ -66,7 +66,5 @@ class Simulated:
     stands_at_end: bool = False
     unknown_s: float = 0.0
     """Of the covered time: no reading, or what its condition needs was not known."""
-    is_exact: bool = True
-    """Whether every reading was judged; where only minutes are stored the count is the least."""
     is_complete: bool = True
     """Whether all that is stored was judged within the bounds of a simulation."""
