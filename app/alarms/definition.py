@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Annotated
+
+from pydantic import Field
 
 from app.alarms.rules.facts import PLAIN, AlarmAttributes
 from app.conditions.condition import SuppressionGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 
+BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
+UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 SITE = "_"
 """In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
 

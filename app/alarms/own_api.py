@@ -80,8 +80,7 @@ class OwnAlarmLeftAside(TypedDict):
     id: str
     name: str
     version: int
-    reason: Annotated[str, Field(description="Why, English.")]
-    reason_message: MessageShown
+    reason: Annotated[MessageShown, Field(description="Why.")]
 
 
 class OwnAlarmsShown(TypedDict):
@@ -102,8 +101,7 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
                 "id": each.key,
                 "name": each.name,
                 "version": each.version,
-                "reason": str(each.why),
-                "reason_message": message_shown(each.why),
+                "reason": message_shown(each.why),
             }
             for each in own.left_aside.values()
         ],

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
@@ -13,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
+from app.alarms.alarm import state_text
 from app.alarms.api import Alarms
 from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
@@ -21,7 +21,7 @@ from app.alarms.rules.performance import DAY_S, Figure
 from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
-from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of, state_text
+from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
@@ -52,37 +52,23 @@ async def chosen_filters(
 ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
 
 
-@dataclass(frozen=True, slots=True)
-class TransitionRow:
+class TransitionRow(NamedTuple):
     """One transition as a page shows it."""
 
-    at: UnixTime
+    entry: JournalEntry
     name: str | Message
     place: str
-    priority: str
     before: Message
     after: Message
-    who: str
-    reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class FigureRow:
+class FigureRow(NamedTuple):
     """One figure as the page shows it."""
 
     name: Message
     value: str
     target: str
-    met: bool | None
-
-
-@dataclass(frozen=True, slots=True)
-class FrequentRow:
-    """One of the most frequent alarms."""
-
-    name: str | Message
-    place: str
-    times: int
+    is_met: bool | None
 
 
 @router.get("/alarms")
@@ -160,9 +146,7 @@ async def performance_page(
         csv=f"/api/v1/alarms/performance.csv?{span}",
         figures=[_figure(figure, formats) for figure in found.figures],
         frequent=[
-            FrequentRow(
-                recorded_name(each.alarm, each.code, each.name), alarms.place(each.bus, each.unit), each.times
-            )
+            (recorded_name(each), alarms.place(each.bus, each.unit), each.times)
             for each in found.most_frequent
         ],
     )
@@ -256,16 +240,9 @@ def given_reason(reason: str) -> str:
 
 
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
-    return TransitionRow(
-        at=entry.at,
-        name=recorded_name(entry.alarm, entry.code, entry.name),
-        place=alarms.place(entry.bus, entry.unit),
-        priority=entry.priority,
-        before=state_text(entry.before),
-        after=Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after),
-        who=entry.who,
-        reason=entry.reason,
-    )
+    after = Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after)
+    place = alarms.place(entry.bus, entry.unit)
+    return TransitionRow(entry, recorded_name(entry), place, state_text(entry.before), after)
 
 
 def _figure(figure: Figure, formats: Formats) -> FigureRow:

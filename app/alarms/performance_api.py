@@ -14,7 +14,6 @@ from typing_extensions import TypeAliasType, TypedDict
 from app.alarms.api import Alarms
 from app.alarms.performance import FrequentAlarm, Performance, measure
 from app.alarms.rules.performance import DAY_S, Figure, FigureCode
-from app.alarms.shown import BusName, UnitNumber
 from app.audit.api import CSV
 from app.errors import Problem
 from app.web.access import Viewer
@@ -45,17 +44,6 @@ class AlarmFigure(TypedDict):
     met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
 
 
-class FrequentAlarmShown(TypedDict):
-    """One of the ten most frequent alarms."""
-
-    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
-    code: str
-    name: str
-    bus: BusName
-    unit: UnitNumber
-    times: Annotated[int, Field(description="How often it was annunciated.")]
-
-
 ObservedShown = TypedDict(
     "ObservedShown",
     {
@@ -70,7 +58,7 @@ class AlarmPerformance(ObservedShown):
     """The figures of a time, and in how much of it alarms were observed."""
 
     figures: list[AlarmFigure]
-    most_frequent: list[FrequentAlarmShown]
+    most_frequent: list[FrequentAlarm]
 
 
 async def wanted_performance(
@@ -97,7 +85,7 @@ async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> Al
     return {
         **_observed(performance),
         "figures": [_figure(figure) for figure in performance.figures],
-        "most_frequent": [_frequent(alarm) for alarm in performance.most_frequent],
+        "most_frequent": performance.most_frequent,
     }
 
 
@@ -128,15 +116,4 @@ def _figure(figure: Figure) -> AlarmFigure:
         "at_most": figure.at_most,
         "at_least": figure.at_least,
         "met": figure.is_met,
-    }
-
-
-def _frequent(alarm: FrequentAlarm) -> FrequentAlarmShown:
-    return {
-        "alarm": alarm.alarm,
-        "code": alarm.code,
-        "name": alarm.name,
-        "bus": alarm.bus,
-        "unit": alarm.unit,
-        "times": alarm.times,
     }

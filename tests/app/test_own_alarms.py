@@ -235,7 +235,7 @@ async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_pat
         found = (await engineer.get(PATH)).json()
         assert found["alarms"] == [own]
         (aside,) = found["left_aside"]
-        assert (aside["name"], "has no unit 9" in aside["reason"]) == ("Of a unit that goes", True)
+        assert (aside["name"], "has no unit 9" in aside["reason"]["detail"]) == ("Of a unit that goes", True)
         assert (await removed(engineer, aside)).status_code == 204
         assert (await engineer.get(PATH)).json()["left_aside"] == []
 

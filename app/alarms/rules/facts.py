@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 from app.alarms.rules.states import FACTS_OF, STATE_OF, AlarmState, AlarmTrigger, BaseFacts, BaseState
 from bus.instants import UnixTime
 
-LONGEST_SHELVING_S = 12 * 3600.0
-"""A shift: what is shelved longer belongs out of service."""
-
 
 @dataclass(frozen=True, slots=True)
 class AlarmAttributes:
@@ -19,7 +16,6 @@ class AlarmAttributes:
     off_delay_s: float = 0.0
     realarm_s: float | None = None
     """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
-    longest_shelving_s: float = LONGEST_SHELVING_S
     latching: bool = False
     """It stays after its condition has ended, until a person resets it."""
     needs_acknowledgement: bool = True
@@ -65,7 +61,12 @@ class AlarmFacts:
     @property
     def is_hidden(self) -> bool:
         """Whether it is detected and recorded, and not annunciated."""
-        return self.suppressed or self.out_of_service or self.shelved_until is not None
+        return self.suppressed or self.is_hidden_by_person
+
+    @property
+    def is_hidden_by_person(self) -> bool:
+        """Whether a person hid it, and has to end that or wait."""
+        return self.out_of_service or self.shelved_until is not None
 
     @property
     def sounds(self) -> bool:

@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latched_unack", "latched_ack"]
-AlarmState = Literal[
-    "normal",
-    "unack_active",
-    "ack_active",
-    "rtn_unack",
-    "latched_unack",
-    "latched_ack",
-    "shelved",
-    "suppressed",
-    "out_of_service",
-]
-PRESENT_STATES: tuple[AlarmState, ...] = (
-    "unack_active",
-    "ack_active",
-    "rtn_unack",
-    "latched_unack",
-    "latched_ack",
-    "shelved",
-    "suppressed",
-    "out_of_service",
-)
+AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
+PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
 """All but normal."""
 BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
 AlarmTrigger = Literal[
-    "rise",
-    "clear",
-    "acknowledge",
-    "reset",
-    "realarm",
-    "shelve",
-    "unshelve",
-    "suppress",
-    "unsuppress",
-    "remove",
-    "return",
-    "silence",
+    BaseTrigger, "shelve", "unshelve", "suppress", "unsuppress", "remove", "return", "silence"
 ]
 
 
