@@ -10,7 +10,8 @@ from typing_extensions import TypedDict
 
 from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
-from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarm
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
 from app.web.access import Engineer, Person
