@@ -92,7 +92,7 @@ async def get_alarm_journal(
 async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
     """One alarm with the record of its rationalization and its last transitions."""
     alarm = alarms.find(alarm_id).alarm
-    entries = await alarms.store.journal_of(alarm.definition.key, 100)
+    entries = await alarms.store.journal(100, alarm=alarm.definition.key)
     return {
         "alarm": alarm_json(alarms, alarm),
         "record": record_json(alarm.definition.record),

@@ -14,6 +14,9 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarmStore
+from app.alarms.simulation import api as simulation_api
+from app.alarms.simulation import pages as simulation_pages
+from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
@@ -49,6 +52,7 @@ def make(services: Services) -> None:
     held = {name: partial(_held_control, guards) for name, guards in services.of_buses(Safeguards).items()}
     control = ControlWatch(of_buses, held, lambda: services[Hub].people())
     services.lifespan.add("control", control.follow)
+    services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 
 
@@ -92,6 +96,14 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 
 FEATURE = Feature(
     make,
-    (performance_api.router, occurrences_api.router, own_api.router, api.router, pages.router),
+    (
+        simulation_api.router,
+        simulation_pages.router,
+        performance_api.router,
+        occurrences_api.router,
+        own_api.router,
+        api.router,
+        pages.router,
+    ),
     acts=ACTS,
 )

@@ -161,7 +161,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
         if problem.code != "superseded":
             raise
         return RedirectResponse(f"/alarms/{problem.extra['id']}", SEE_OTHER)
-    entries = await alarms.store.journal_of(alarm.definition.key, ON_A_PAGE)
+    entries = await alarms.store.journal(ON_A_PAGE, alarm=alarm.definition.key)
     return render(
         request,
         "alarms/one.html",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
@@ -61,19 +62,24 @@ class AlarmPerformance(ObservedShown):
     most_frequent: list[FrequentAlarm]
 
 
-async def wanted_performance(
-    alarms: Alarms,
-    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
-    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
-) -> Performance:
-    """The figures of a span, at most a month; the last week by default. Raises Problem 422."""
+def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
+    """From ``since`` to ``until``; the last week by default. Raises Problem 422."""
     end = unix_now() if until is None else UnixTime(until.timestamp())
     start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
     if start >= end:
         raise Problem(422, "invalid", Message("span_reversed"))
     if end - start > MAX_DAYS * DAY_S:
         raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
-    return await measure(alarms, start, end)
+    return start, end
+
+
+async def wanted_performance(
+    alarms: Alarms,
+    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
+    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+) -> Performance:
+    """The figures of a span."""
+    return await measure(alarms, *month_at_most(since, until))
 
 
 WantedPerformance = Annotated[Performance, Depends(wanted_performance)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
@@ -48,14 +48,13 @@ def query_of(chosen: dict[str, str]) -> str:
 def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
     definition = alarm.definition
     bus, _, unit = chosen["place"].partition("/")
-    filters: tuple[tuple[str, Callable[[], object]], ...] = (
-        (chosen["state"], lambda: alarm.facts.state),
-        (chosen["priority"], lambda: definition.priority),
-        (chosen["group"], lambda: group_of(definition)),
-        (bus, lambda: definition.bus),
-        (unit, lambda: str(definition.unit)),
+    return (
+        chosen["state"] in ("", alarm.facts.state)
+        and chosen["priority"] in ("", definition.priority)
+        and chosen["group"] in ("", group_of(definition))
+        and bus in ("", definition.bus)
+        and unit in ("", str(definition.unit))
     )
-    return all(not wanted or wanted == value() for wanted, value in filters)
 
 
 def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:

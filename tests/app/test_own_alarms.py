@@ -111,7 +111,7 @@ async def test_a_changed_alarm_ends_and_comes_again_by_the_next_reading(house: H
     alarm = alarm_of(house, own["id"])
     assert (alarm.facts.state, alarm.facts.occurrence) == ("unack_active", 2)
     await house.services[LineAlarms].write()
-    entries = await house.services[LineAlarms].store.journal_of(own["id"], 10)
+    entries = await house.services[LineAlarms].store.journal(10, alarm=own["id"])
     assert [each.trigger for each in reversed(entries)] == ["rise", "remove", "clear", "return", "rise"]
     event = (await house.events("alarm"))[0]
     assert event["what"] == "Alarm changed: Too fast"

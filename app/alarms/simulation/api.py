@@ -9,20 +9,17 @@ from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
 from app.alarm_settings import OwnValue
-from app.alarms.performance_api import MAX_DAYS, USUAL_DAYS
-from app.alarms.rules.performance import DAY_S
+from app.alarms.performance_api import month_at_most
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
-from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import Instant, MaybeInstant, StrictBody, iso
-from bus.instants import UnixTime, unix_now
-from bus.messages import Message
+from bus.instants import UnixTime
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
@@ -90,19 +87,9 @@ async def simulate_alarm(
     """What an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
     settings = proposed(_written(body), buses)
-    end = unix_now() if body.until is None else UnixTime(body.until.timestamp())
-    start = end - USUAL_DAYS * DAY_S if body.since is None else UnixTime(body.since.timestamp())
-    check_span(start, end)
-    found = await simulator.run(history.buses[settings.bus], settings, start, end, person.account)
+    span = month_at_most(body.since, body.until)
+    found = await simulator.run(history.buses[settings.bus], settings, *span, person.account)
     return {**_shown(found), "toml": in_toml(settings)}  # type: ignore[typeddict-item]
-
-
-def check_span(start: UnixTime, end: UnixTime) -> None:
-    """Raises Problem 422 for a span that ends before it begins, or is too long."""
-    if start >= end:
-        raise Problem(422, "invalid", Message("span_reversed"))
-    if end - start > MAX_DAYS * DAY_S:
-        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
 
 
 def _written(body: AlarmSimulationRequest) -> dict[str, Any]:

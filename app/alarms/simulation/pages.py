@@ -14,12 +14,14 @@ from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_api import OwnBook
-from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarm
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.simulation.api import SimulatorOf
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
+from app.alarms.summary import places_of
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.settings import Settings
@@ -134,7 +136,7 @@ def _page(
         "alarms/own.html",
         configured=rows,
         left_aside=list(own.left_aside.values()),
-        places=_places(service_of(request, Settings)),
+        places=[place for place in places_of(alarms) if "/" in place[0]],
         values=get_args(OwnValue),
         spans=SPANS,
         written=written,
@@ -158,12 +160,6 @@ def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
     """What the form has no field for, as it is."""
     former = own.added.get(key)
     return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
-
-
-def _places(configured: Settings) -> list[tuple[str, str]]:
-    return [
-        (f"{bus.name}/{unit.id}", f"{bus.name} · {unit.name}") for bus in configured.bus for unit in bus.unit
-    ]
 
 
 def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
