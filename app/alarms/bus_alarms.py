@@ -32,8 +32,8 @@ _OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
 
 class BusAlarms:
     """Detects, suppresses and keeps the alarms of one bus. ``has_drift``: whether a unit differs from its
-    golden set; ``tuned``: limits and delays of the built-in ones. Call :meth:`load` before the first
-    update."""
+    golden set; ``left_control``: who has left control without releasing it; ``tuned``: limits and delays of
+    the built-in ones. Call :meth:`load` before the first update."""
 
     def __init__(
         self,
@@ -41,6 +41,7 @@ class BusAlarms:
         own: Iterable[AlarmSettings],
         store: AlarmStore,
         has_drift: Callable[[int], bool],
+        left_control: Callable[[], Message | None] = lambda: None,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
         tuned: Sequence[BuiltInAlarmSettings] = (),
@@ -70,7 +71,7 @@ class BusAlarms:
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._ages_from = Monotonic(0.0)
         """Before it, ages mean nothing: the clock was set."""
-        self._control_holder: Message | None = None
+        self._left_control = left_control
         self.list.subscribe(self._on_alarm)
         live.subscribe(Audience.ALARMS, self._see)
 
@@ -132,7 +133,7 @@ class BusAlarms:
     def present(self, alarm: Alarm) -> Message | None:
         """The present value of what an alarm is about, where it is about one."""
         if alarm is self._control_left:
-            return self._control_holder
+            return self._left_control()
         own, unit = self._own.get(alarm.definition.key), alarm.definition.unit
         if own is None or unit is None:
             return None
@@ -158,6 +159,7 @@ class BusAlarms:
             self._see_links(now)
         for monitor in self._monitors.values():
             monitor.see_parameters(now)
+        self._observe(self._control_left, self._left_control() is not None, now)
         self._suppress_again(now)
 
     def _notice_step(self, now: UnixTime) -> None:
@@ -213,11 +215,6 @@ class BusAlarms:
                 self._monitors[unit.unit].see_figures(unit, now)
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
         self._observe(self._second_master, self._foreign.judged(SECOND_MASTER.holds), now)
-
-    def see_control(self, left_by: Message | None) -> None:
-        """Who has left control without releasing it; None: no one."""
-        self._control_holder = left_by
-        self._observe(self._control_left, left_by is not None, self._clock())
 
     # --- suppression ----------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from app.alarms import api, occurrences_api, own_api, pages, performance_api
 from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.control_watch import ControlWatch, HeldControl
+from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch, certificates_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.notification.service import Notification
@@ -35,6 +35,7 @@ from app.web.page_head import PageHead
 from app.web.services import Registry
 from app.web.templating import Templates
 from bus.instants import unix_now
+from bus.messages import Message
 
 
 def make(services: Services) -> None:
@@ -49,9 +50,6 @@ def make(services: Services) -> None:
     # The site's own alarms first: the state of each is loaded after its definition.
     services.lifespan.add("own alarms", start=own_alarms.load)
     services.lifespan.add("alarms", of_site.follow, start=alarms.load, end=alarms.write)
-    held = {name: partial(_held_control, guards) for name, guards in services.of_buses(Safeguards).items()}
-    control = ControlWatch(of_buses, held, lambda: services[Hub].people())
-    services.lifespan.add("control", control.follow)
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 
@@ -60,7 +58,12 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
     settings, drift = services.settings, bus[BusDrift]
     own = [alarm for alarm in settings.alarm if alarm.bus == name]
     alarms = BusAlarms(
-        bus[BusLive], own, store, lambda unit: bool(drift.of(unit)), tuned=settings.built_in_alarm
+        bus[BusLive],
+        own,
+        store,
+        lambda unit: bool(drift.of(unit)),
+        left_control=partial(_control_left, services, bus[Safeguards]),
+        tuned=settings.built_in_alarm,
     )
     bus.add(alarms)
     services.lifespan.add(f"alarms of {name}", alarms.follow)
@@ -79,9 +82,11 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)
 
 
-def _held_control(guards: Safeguards) -> HeldControl | None:
+def _control_left(services: Services, guards: Safeguards) -> Message | None:
     holding = guards.holding()
-    return None if holding is None else (holding.holder, holding.used_at)
+    if holding is None:
+        return None
+    return control_left_by(holding.holder, holding.used_at, services[Hub].people(), guards.monotonic())
 
 
 def _add_banner(services: Services, banner: AlarmBanner) -> None:

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from app.alarms.control_watch import ControlWatch
+from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.site_alarms import SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
@@ -22,7 +22,7 @@ from app.live.diagnosis.links import bus_facts
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
-from tests.app.alarm_bus import AT_SPEED, BUS, REMOTE, AlarmBus
+from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
 from tests.app.notification_servers import certificate
 
@@ -142,17 +142,14 @@ def replace_at(figures: BusFigures, at: float) -> BusFigures:
 
 def test_control_is_left_when_its_holder_has_no_page_and_sends_nothing(bus: AlarmBus) -> None:
     pages, used_at = {"anna"}, Monotonic(bus.now)
-    held = {BUS: lambda: ("anna", used_at)}
-    watch = ControlWatch({BUS: bus.alarms}, held, lambda: pages, lambda: Monotonic(bus.now))
+    bus.left_control = lambda: control_left_by("anna", used_at, pages, Monotonic(bus.now))
     bus.wait(200, 1, 2, 3)
-    watch.look()
     assert bus.state("control_left") == "normal"
     pages.clear()
-    watch.look()
+    bus.wait(1, 1, 2, 3)
     alarm = bus.alarm("control_left")
     assert (alarm.facts.state, str(bus.alarms.present(alarm))) == ("unack_active", "held by anna")
     used_at = Monotonic(bus.now)
-    watch.look()
     bus.wait(6, 1, 2, 3)
     assert alarm.facts.state == "rtn_unack"
 
