@@ -17,7 +17,7 @@ from app.alarms.api import Alarms
 from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
-from app.alarms.rules.performance import DAY_S, Figure
+from app.alarms.rules.performance import DAY_S, AlarmFigure
 from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
@@ -245,7 +245,7 @@ def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
     return TransitionRow(entry, recorded_name(entry), place, state_text(entry.before), after)
 
 
-def _figure(figure: Figure, formats: Formats) -> FigureRow:
+def _figure(figure: AlarmFigure, formats: Formats) -> FigureRow:
     name = Message(f"alarm_figure_{figure.code}")
 
     def shown(value: float | None) -> str:
@@ -261,4 +261,4 @@ def _figure(figure: Figure, formats: Formats) -> FigureRow:
         target = f"≤ {shown(figure.at_most)}"
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
-    return FigureRow(name, shown(figure.value), target, figure.is_met)
+    return FigureRow(name, shown(figure.value), target, figure.met)

@@ -18,7 +18,7 @@ from app.alarms.rules.performance import (
     STALE_S,
     WINDOW_S,
     AlarmCounts,
-    Figure,
+    AlarmFigure,
     FigureCode,
     figures,
 )
@@ -81,7 +81,7 @@ class Performance:
     """How long the span is."""
     observed_s: float
     """In how much of it alarms were observed."""
-    figures: list[Figure]
+    figures: list[AlarmFigure]
     most_frequent: list[FrequentAlarm]
 
     @property

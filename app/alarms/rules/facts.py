@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from app.alarms.rules.states import FACTS_OF, STATE_OF, AlarmState, AlarmTrigger, BaseFacts, BaseState
 from bus.instants import UnixTime
@@ -88,6 +89,9 @@ class AlarmFacts:
         return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
 
 
+_TIMES = ("shelved_until", "since", "came", "cleared", "acknowledged_at", "changing_since", "unknown_since")
+
+
 @dataclass(frozen=True, slots=True)
 class Transition:
     """A change of an alarm. ``before`` equals ``after`` where only something hidden has changed."""
@@ -122,16 +126,6 @@ def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | No
 def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
     """The same after the clock was set by ``step_s``: every time keeps its distance from now."""
 
-    def moved(time: UnixTime | None) -> UnixTime | None:
-        return None if time is None else time + step_s
-
-    return replace(
-        facts,
-        shelved_until=moved(facts.shelved_until),
-        changing_since=moved(facts.changing_since),
-        since=moved(facts.since),
-        came=moved(facts.came),
-        cleared=moved(facts.cleared),
-        acknowledged_at=moved(facts.acknowledged_at),
-        unknown_since=moved(facts.unknown_since),
-    )
+    times = {name: getattr(facts, name) for name in _TIMES}
+    moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
+    return replace(facts, **moved)
