@@ -102,7 +102,7 @@ class AlarmList:
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
         """Suppression by design begins or ends."""
         if suppressed is not alarm.facts.suppressed:
-            self._apply(alarm, changes.suppress(alarm.facts, alarm.definition.attributes, suppressed, now))
+            self._apply(alarm, changes.suppress(alarm.facts, suppressed, now))
 
     def change(self, alarm: Alarm, changed: Changed, who: str, reason: str) -> None:
         """A person acted."""

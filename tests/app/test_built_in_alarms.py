@@ -15,7 +15,7 @@ from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
-from app.conditions.expiry import DAY_S, certificate_expires, token_expires
+from app.conditions.of_server import DAY_S, certificate_expires, token_expires
 from app.database import Database
 from app.history.status import Status
 from app.live.diagnosis.links import bus_facts
@@ -51,7 +51,7 @@ def test_every_code_that_programs_rely_on_is_in_the_catalogue() -> None:
 
 def model_of(code: str) -> ModelAlarm:
     row = CONDITIONS[code]
-    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching, True)
+    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching)
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,10 @@ class AlarmAttributes:
     """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
     latching: bool = False
     """It stays after its condition has ended, until a person resets it."""
-    needs_acknowledgement: bool = True
 
 
 PLAIN = AlarmAttributes()
-"""No delay, no latch, to be acknowledged."""
+"""No delay, no latch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +119,11 @@ def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | No
     """When an acknowledged alarm is annunciated again."""
     if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
         return None
-    return facts.acknowledged_at + attributes.realarm_s if attributes.needs_acknowledgement else None
+    return facts.acknowledged_at + attributes.realarm_s
 
 
 def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
     """The same after the clock was set by ``step_s``: every time keeps its distance from now."""
-
     times = {name: getattr(facts, name) for name in _TIMES}
     moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
     return replace(facts, **moved)

@@ -57,8 +57,7 @@ TRANSITIONS: dict[tuple[BaseState, BaseTrigger], Target] = {
     ("latched_ack", "reset"): _both("normal"),
     ("latched_ack", "rise"): _both("unack_active"),
 }
-"""Every transition between base states; what is not here does not happen. Where no acknowledgement is needed,
-a rise leads to ``ack_active``."""
+"""Every transition between base states; what is not here does not happen."""
 
 ON_RETURN: dict[BaseState, BaseState] = {
     "normal": "normal",

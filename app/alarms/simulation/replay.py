@@ -136,14 +136,14 @@ class Replay:
             return
         rises, self._holds = bool(holds) and not self._holds, holds
         if rises and self._suppresses():
-            self._apply(changes.suppress(self._facts, self._definition.attributes, True, at))
+            self._apply(changes.suppress(self._facts, True, at))
         self._apply(changes.observe(self._facts, self._definition.attributes, holds, at))
 
     def _hide(self, at: UnixTime) -> None:
         """An alarm that is neither active nor about to be is left alone."""
         facts = self._facts
         if facts.suppressed or facts.active or self._holds:
-            self._apply(changes.suppress(facts, self._definition.attributes, self._suppresses(), at))
+            self._apply(changes.suppress(facts, self._suppresses(), at))
 
     def _suppresses(self) -> bool:
         unit = self._settings.unit
