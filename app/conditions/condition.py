@@ -41,16 +41,6 @@ class Tuning:
 
 
 @dataclass(frozen=True, slots=True)
-class Tile:
-    """What the first line of a unit or bus names. ``check``: what a person does about it, empty where only
-    time or a decision helps; ``cause``: its code for programs, where that is not the one of the condition."""
-
-    text: str
-    check: str = ""
-    cause: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class ConditionEvent:
     """The event of a change. ``began`` and ``ended``: codes of its text; ``off`` and ``on``: the words for
     not holding and holding."""
@@ -80,7 +70,9 @@ class Condition(Generic[Predicate]):
     group: SuppressionGroup | None = None
     is_alarm: bool = True
     """False: a person caused it, it ends within seconds, or another condition has the alarm."""
-    tiles: tuple[Tile, ...] = ()
+    tiles: tuple[str, ...] = ()
+    """The causes that tiles name where it holds, by their codes for programs. Named after them are two
+    messages: what the tile names and, unless only time or a decision helps, what to check."""
     event: ConditionEvent | None = None
     rung: Rung | None = None
     broken: ReadingPredicate | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from app.conditions.condition import Condition, ConditionEvent, Tile, Tuning
+from app.conditions.condition import Condition, ConditionEvent, Tuning
 from app.conditions.evidence import BusFacts, BusPredicate, CountPredicate
 from app.conditions.of_unit import MIN_FAULTS
 from bus.messages import term
@@ -13,7 +13,6 @@ from bus.messages import term
 SCAN_BUDGET = 1.5
 """Of the time in which every unit is polled once and takes its full turnaround."""
 CONTROL_IDLE_S = 120.0
-_CHECK_WORKER = "Check that the bus worker runs and reaches this server"
 
 
 def _wire_overloaded(bus: BusFacts) -> bool | None:
@@ -29,7 +28,7 @@ PORT_LOST: Condition[BusPredicate] = Condition(
     holds=lambda bus: None if bus.worker_is_lost else bus.port_is_closed,
     means="the port of the bus is closed",
     group="bus",
-    tiles=(Tile("port closed", "Check the adapter and its cable"),),
+    tiles=("port_lost",),
     event=ConditionEvent("bus", "event_port_closed", "event_port_opened", term("open"), term("closed")),
 )
 BY_BUS: tuple[Condition[BusPredicate], ...] = (
@@ -39,10 +38,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         holds=lambda bus: bus.worker_is_lost,
         means="no bus worker is connected, or it reports nothing",
         tuning=Tuning(on_delay_s=2),
-        tiles=(
-            Tile("bus worker not connected", _CHECK_WORKER),
-            Tile("bus worker does not respond", _CHECK_WORKER, "worker_silent"),
-        ),
+        tiles=("worker_lost", "worker_silent"),
     ),
     PORT_LOST,
     Condition(
@@ -52,7 +48,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         means="no unit of several responds",
         tuning=Tuning(on_delay_s=3, off_delay_s=5),
         group="cable",
-        tiles=(Tile("no unit responds"),),
+        tiles=("no_unit_responds",),
     ),
     Condition(
         "wire_overloaded",
@@ -85,7 +81,7 @@ NO_UNIT_YET: Condition[Callable[[int], bool]] = Condition(
     ("minor", "shift"),
     holds=lambda lost: lost == 0,
     is_alarm=False,
-    tiles=(Tile("no unit has responded yet"),),
+    tiles=("no_unit_yet",),
 )
 """Of a bus on which no unit responds, by how many are overdue."""
 

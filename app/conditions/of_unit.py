@@ -6,7 +6,7 @@ from collections.abc import Callable
 from decimal import Decimal
 from typing import Any
 
-from app.conditions.condition import Condition, ConditionEvent, Tile, Tuning
+from app.conditions.condition import Condition, ConditionEvent, Tuning
 from app.conditions.evidence import (
     BusValues,
     CountPredicate,
@@ -91,7 +91,7 @@ ESTOP_ACTIVE: Condition[ReadingPredicate] = Condition(
     holds=lambda unit: unit.bits.estop_active,
     means="the e-stop input is active",
     group="unit",
-    tiles=(Tile("emergency stop active", "Check the emergency stop chain of this unit"),),
+    tiles=("estop_active",),
     event=ConditionEvent("estop", "event_estop_input", "event_estop_input", term("healthy"), term("active")),
     rung="e-stop",
     names=("motion",),
@@ -106,7 +106,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the motor turns without run and does not slow down",
         tuning=Tuning(on_delay_s=2),
         group="unit",
-        tiles=(Tile("turning without run", "Check what drives this section, and keep clear of it"),),
+        tiles=("running_without_run",),
         rung="run",
         since=("run_off", "turning"),
     ),
@@ -115,7 +115,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         ("major", "minutes"),
         holds=lambda unit: not unit.bits.run and unit.commanded != 0,
         is_alarm=False,
-        tiles=(Tile("run input off", "Check the run contact at the drive"),),
+        tiles=("run_off",),
         event=ConditionEvent("run", "event_run_input", "event_run_input", term("on"), term("off")),
         rung="run",
         broken=lambda unit: not unit.bits.run and (unit.commanded != 0 or unit.actual != 0),
@@ -129,7 +129,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the unit is in LOCAL or KEYLOCK",
         tuning=Tuning(on_delay_s=5),
         group="unit",
-        tiles=(Tile("in {mode}", "The unit rejects commands from here; set it to REMOTE at its panel"),),
+        tiles=("not_in_remote",),
         event=ConditionEvent("mode", "event_mode", "event_mode", term("REMOTE"), term("LOCAL")),
         rung="mode",
         names=("motion", "mode"),
@@ -140,7 +140,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         ("minor", "half_hour"),
         holds=lambda unit: unit.is_late,
         is_alarm=False,
-        tiles=(Tile("response overdue", "Check its power and the cable"),),
+        tiles=("link_stale",),
         rung="link",
     ),
     Condition(
@@ -150,7 +150,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the unit runs, no longer comes nearer to its commanded speed, and does not report AT SPEED",
         tuning=Tuning(on_delay_s=10, off_delay_s=2),
         group="speed",
-        tiles=(Tile("", "Check the load and the speed feedback"),),
+        tiles=("not_at_speed",),
         rung="ramp",
         names=("motion",),
         status=lambda bits: not bits.at_speed,
@@ -195,9 +195,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
         holds=lambda bus, unit: suspicion(bus, unit) is not None,
         means="#17 reads as another address, or responses come twice; latched",
         latching=True,
-        tiles=(
-            Tile("address uncertain", "Check that every unit has a unique address (#17)", "address_suspect"),
-        ),
+        tiles=("address_suspect",),
     ),
     Condition(
         "staged_left",
@@ -216,7 +214,7 @@ UNIT_OFFLINE: Condition[LinkPredicate] = Condition(
     holds=_unit_offline,
     means="the unit does not respond, and others of its bus do",
     group="unit",
-    tiles=(Tile("offline", "Check its power and the cable"),),
+    tiles=("unit_offline",),
     event=ConditionEvent("unit", "event_unit_lost", "event_unit_back", term("online"), term("offline")),
 )
 UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
@@ -224,7 +222,7 @@ UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
     ("minor", "shift"),
     holds=lambda is_overdue: not is_overdue,
     is_alarm=False,
-    tiles=(Tile("no response yet", "Check its power, its address and the cable"),),
+    tiles=("unit_unknown",),
 )
 """Of a unit without a response since the start: unless that is overdue."""
 LINK_DEGRADED: Condition[CountPredicate] = Condition(
@@ -240,7 +238,7 @@ PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     ("major", "shift"),
     holds=bool,
     means="a parameter differs from the golden set",
-    tiles=(Tile("", "", "drift"),),
+    tiles=("drift",),
 )
 """Of whether, or in what, a unit differs."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
@@ -248,7 +246,7 @@ BLOCKED: Condition[Callable[[object], bool]] = Condition(
     ("minor", "shift"),
     holds=bool,
     is_alarm=False,
-    tiles=(Tile("commands blocked"),),
+    tiles=("blocked",),
 )
 """Of why commands are blocked."""
 
