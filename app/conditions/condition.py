@@ -14,8 +14,7 @@ Predicate = TypeVar("Predicate")
 Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
 """Of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
-"""``bus``: follows from a lost worker; ``cable``: also from a lost port; ``unit``: also from a bus on which
-no unit responds; ``speed``: also from an e-stop of the unit, and means nothing on a line at rest."""
+"""What the rows that ``suppress`` it hide; ``speed``: also an e-stop of the unit, and a line at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +67,8 @@ class Condition(Generic[Predicate]):
     tuning: Tuning = field(default_factory=Tuning)
     latching: bool = False
     group: SuppressionGroup | None = None
+    suppresses: tuple[SuppressionGroup, ...] = ()
+    """What follows from it, on all of its bus."""
     is_alarm: bool = True
     """False: a person caused it, it ends within seconds, or another condition has the alarm."""
     tiles: tuple[str, ...] = ()

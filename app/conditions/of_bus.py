@@ -28,6 +28,7 @@ PORT_LOST: Condition[BusPredicate] = Condition(
     holds=lambda bus: None if bus.worker_is_lost else bus.port_is_closed,
     means="the port of the bus is closed",
     group="bus",
+    suppresses=("cable", "unit", "speed"),
     tiles=("port_lost",),
     event=ConditionEvent("bus", "event_port_closed", "event_port_opened", term("open"), term("closed")),
 )
@@ -38,6 +39,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         holds=lambda bus: bus.worker_is_lost,
         means="no bus worker is connected, or it reports nothing",
         tuning=Tuning(on_delay_s=2),
+        suppresses=("bus", "cable", "unit", "speed"),
         tiles=("worker_lost", "worker_silent"),
     ),
     PORT_LOST,
@@ -48,6 +50,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         means="no unit of several responds",
         tuning=Tuning(on_delay_s=3, off_delay_s=5),
         group="cable",
+        suppresses=("unit", "speed"),
         tiles=("no_unit_responds",),
     ),
     Condition(
