@@ -8,7 +8,6 @@ from fastapi import APIRouter, Body, Query
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ALARM_ACTS, AlarmAct
-from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
@@ -19,6 +18,7 @@ from app.alarms.shown import (
     record_json,
     transition_json,
 )
+from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
@@ -70,7 +70,7 @@ async def get_alarms(
         and priority in (None, alarm.definition.priority)
         and bus in (None, alarm.definition.bus)
         and unit in (None, alarm.definition.unit)
-        and group in (None, group_of(alarm.definition))
+        and group in (None, alarm.definition.about)
     ]
     return {"alarms": [alarm_json(alarms, alarm) for alarm in found]}
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from app.alarms.rules.facts import PLAIN, AlarmAttributes
-from app.conditions.condition import SuppressionGroup
+from app.alarms.rules.facts import AlarmAttributes
+from app.conditions.condition import AlarmGroup, SuppressionGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 
@@ -41,13 +41,9 @@ class AlarmDefinition:
     unit: int | None
     priority: AlarmPriority
     record: Rationalization
-    attributes: AlarmAttributes = PLAIN
+    attributes: AlarmAttributes
     group: SuppressionGroup | None = None
-
-    @property
-    def is_built_in(self) -> bool:
-        """Whether it has texts of Lineside, and not those of the configuration."""
-        return isinstance(self.name, Message)
+    about: AlarmGroup = "own"
 
 
 def key_of(bus: str | None, unit: int | None, code: str) -> str:

@@ -114,7 +114,7 @@ async def add_own_alarm(
     person: Annotated[Person, ADD_OWN.permitted], own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
-    return own_alarm_json(await own.add(person, _written(body), key))
+    return own_alarm_json(await own.add(person, body.written(), key))
 
 
 @router.put("/{own_id}")
@@ -125,7 +125,7 @@ async def change_own_alarm(
     body: OwnAlarmChangeRequest,
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
-    return own_alarm_json(await own.change(person, own_id, body.version, _written(body), body.reason))
+    return own_alarm_json(await own.change(person, own_id, body.version, body.written(), body.reason))
 
 
 @router.delete("/{own_id}", status_code=204)
@@ -138,11 +138,6 @@ async def remove_own_alarm(
 ) -> None:
     """Remove an alarm that was added. One that is active ends."""
     await own.remove(person, own_id, version, reason)
-
-
-def _written(body: OwnAlarmRequest) -> dict[str, Any]:
-    fields = body.model_dump(exclude_unset=True, exclude={"version", "reason"})
-    return {key: value for key, value in fields.items() if value is not None}
 
 
 def own_alarm_json(own: OwnAlarm) -> OwnAlarmShown:

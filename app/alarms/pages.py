@@ -14,7 +14,6 @@ from starlette.responses import RedirectResponse, Response
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
 from app.alarms.alarm import state_text
 from app.alarms.api import Alarms
-from app.alarms.group import GROUPS
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, AlarmFigure
@@ -22,6 +21,7 @@ from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
 from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
+from app.conditions.condition import GROUPS
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP

@@ -9,11 +9,11 @@ from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.alarm import Alarm
 from app.alarms.definition import BusName, Rationalization, UnitNumber
-from app.alarms.group import AlarmGroup, group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import FrequentAlarm
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry, RecordedAlarm
+from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
@@ -123,7 +123,7 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "id": alarm.id,
         "name": str(definition.name),
         "code": definition.code,
-        "group": group_of(definition),
+        "group": definition.about,
         "bus": definition.bus,
         "unit": definition.unit,
         "priority": definition.priority,

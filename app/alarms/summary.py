@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from app.alarms.alarm import Alarm
-from app.alarms.group import group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import present_value
 from bus.messages import Message
@@ -51,7 +50,7 @@ def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
     return (
         chosen["state"] in ("", alarm.facts.state)
         and chosen["priority"] in ("", definition.priority)
-        and chosen["group"] in ("", group_of(definition))
+        and chosen["group"] in ("", definition.about)
         and bus in ("", definition.bus)
         and unit in ("", str(definition.unit))
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar, get_args
 
 from app.conditions.evidence import ReadingPredicate, StatusPredicate
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
@@ -15,6 +15,11 @@ Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
 """Of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
 """What the rows that ``suppress`` it hide; ``speed``: also an e-stop of the unit, and a line at rest."""
+
+AlarmGroup = Literal["drive", "communication", "parameters", "system", "own"]
+"""What an alarm is about. ``drive``: what the machine does; ``communication``: units, cable, port, worker;
+``parameters``: what units are set to; ``system``: the server; ``own``: those of the site."""
+GROUPS: tuple[AlarmGroup, ...] = get_args(AlarmGroup)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,8 @@ class Condition(Generic[Predicate]):
     tuning: Tuning = field(default_factory=Tuning)
     latching: bool = False
     group: SuppressionGroup | None = None
+    about: AlarmGroup | None = None
+    """Where that does not follow from its place."""
     suppresses: tuple[SuppressionGroup, ...] = ()
     """What follows from it, on all of its bus."""
     is_alarm: bool = True

@@ -185,6 +185,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "ratio_out_of_limits",
         ("major", "half_hour"),
+        about="parameters",
         holds=_ratio_out_of_limits,
         means="the ratio (#37) of a follower is outside #38 and #31",
         group="unit",
@@ -192,6 +193,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "duplicate_address",
         ("severe", "half_hour"),
+        about="communication",
         holds=lambda bus, unit: suspicion(bus, unit) is not None,
         means="#17 reads as another address, or responses come twice; latched",
         latching=True,
@@ -200,6 +202,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "staged_left",
         ("major", "half_hour"),
+        about="parameters",
         holds=lambda _, unit: unit.staged is not None,
         means="a setpoint was staged (82h) and neither executed nor withdrawn",
         tuning=Tuning(on_delay_s=60),
@@ -211,6 +214,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
 UNIT_OFFLINE: Condition[LinkPredicate] = Condition(
     "unit_offline",
     ("major", "minutes"),
+    about="communication",
     holds=_unit_offline,
     means="the unit does not respond, and others of its bus do",
     group="unit",
@@ -228,6 +232,7 @@ UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
 LINK_DEGRADED: Condition[CountPredicate] = Condition(
     "link_degraded",
     ("minor", "shift"),
+    about="communication",
     holds=lambda polls, faults: faults >= MIN_FAULTS and faults >= DEGRADED_SHARE * polls,
     means="5 % of the polls of a minute, and three at least, had no valid response",
     tuning=Tuning(off_delay_s=60),
@@ -236,6 +241,7 @@ LINK_DEGRADED: Condition[CountPredicate] = Condition(
 PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     "parameter_drift",
     ("major", "shift"),
+    about="parameters",
     holds=bool,
     means="a parameter differs from the golden set",
     tiles=("drift",),

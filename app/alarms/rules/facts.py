@@ -21,10 +21,6 @@ class AlarmAttributes:
     """It stays after its condition has ended, until a person resets it."""
 
 
-PLAIN = AlarmAttributes()
-"""No delay, no latch."""
-
-
 @dataclass(frozen=True, slots=True)
 class AlarmFacts:
     """``occurrence`` counts how often it has risen; an acknowledgement names one of them."""

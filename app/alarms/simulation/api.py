@@ -47,6 +47,11 @@ class WrittenAlarmBody(StrictBody):
     priority: AlarmPriority = "medium"
     latch: bool = False
 
+    def written(self) -> dict[str, Any]:
+        """The keys of ``[[alarm]]`` that were given."""
+        beside = {"since", "until", "version", "reason"}
+        return self.model_dump(exclude_unset=True, exclude_none=True, exclude=beside)
+
 
 class AlarmSimulationRequest(WrittenAlarmBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
@@ -86,15 +91,10 @@ async def simulate_alarm(
 ) -> AlarmSimulation:
     """What an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
-    settings = proposed(_written(body), buses)
+    settings = proposed({"name": body.name, **body.written()}, buses)
     span = month_at_most(body.since, body.until)
     found = await simulator.run(history.buses[settings.bus], settings, *span, person.account)
     return {**_shown(found), "toml": in_toml(settings)}  # type: ignore[typeddict-item]
-
-
-def _written(body: AlarmSimulationRequest) -> dict[str, Any]:
-    fields = body.model_dump(exclude_unset=True, exclude={"since", "until"})
-    return {"name": body.name, **{key: value for key, value in fields.items() if value is not None}}
 
 
 def _shown(found: Simulated) -> dict[str, Any]:
