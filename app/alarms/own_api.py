@@ -10,6 +10,7 @@ from typing_extensions import TypedDict
 
 from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
+from app.alarms.definition import own_key
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarm
 from app.alarms.shown import AlarmPriorityShown
@@ -94,16 +95,10 @@ class OwnAlarmsShown(TypedDict):
 @router.get("")
 async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
     """The alarms of the site, with their origin."""
-    configured = [_shown(key, settings, None) for key, settings in own.configured.items()]
     return {
-        "alarms": configured + [own_alarm_json(each) for each in own.added.values()],
+        "alarms": [own_alarm_json(*each) for each in own.every()],
         "left_aside": [
-            {
-                "id": each.key,
-                "name": each.name,
-                "version": each.version,
-                "reason": message_shown(each.why),
-            }
+            {"id": each.key, "name": each.name, "version": each.version, "reason": message_shown(each.why)}
             for each in own.left_aside.values()
         ],
     }
@@ -114,7 +109,8 @@ async def add_own_alarm(
     person: Annotated[Person, ADD_OWN.permitted], own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
-    return own_alarm_json(await own.add(person, body.written(), key))
+    added = await own.add(person, body.written(), key)
+    return own_alarm_json(added.settings, added)
 
 
 @router.put("/{own_id}")
@@ -125,7 +121,8 @@ async def change_own_alarm(
     body: OwnAlarmChangeRequest,
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
-    return own_alarm_json(await own.change(person, own_id, body.version, body.written(), body.reason))
+    changed = await own.change(person, own_id, body.version, body.written(), body.reason)
+    return own_alarm_json(changed.settings, changed)
 
 
 @router.delete("/{own_id}", status_code=204)
@@ -140,14 +137,10 @@ async def remove_own_alarm(
     await own.remove(person, own_id, version, reason)
 
 
-def own_alarm_json(own: OwnAlarm) -> OwnAlarmShown:
-    """One that was added."""
-    return _shown(own.key, own.settings, own)
-
-
-def _shown(key: str, settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
+def own_alarm_json(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
+    """One of the site; ``own``: as it was added, None for one of the configuration."""
     shown: Any = {
-        "id": key,
+        "id": own_key(settings.bus, settings.unit, settings.name),
         "origin": "configuration" if own is None else "page",
         "version": None if own is None else own.version,
         "changed_by": None if own is None else own.who,

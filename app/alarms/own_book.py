@@ -89,11 +89,15 @@ class OwnAlarmBook:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))
         self.left_aside[row["alarm"]] = LeftAside(row["alarm"], name, row["version"], why)
 
+    def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
+        """All that are observed; those of the configuration without what was added."""
+        configured = [(settings, None) for settings in self.configured.values()]
+        return [*configured, *((own.settings, own) for own in self.added.values())]
+
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
         """Raises Problem 422, or 409 where its name is taken."""
         settings = proposed(written, self._bus_settings)
-        every = [*self.configured.values(), *(own.settings for own in self.added.values())]
-        if (settings.bus, settings.name) in {(each.bus, each.name) for each in every}:
+        if (settings.bus, settings.name) in {(each.bus, each.name) for each, _ in self.every()}:
             raise Problem(409, "taken", Message.of("own_alarm_taken", name=settings.name, bus=settings.bus))
         return settings
 

@@ -10,12 +10,11 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarm_settings import AlarmSettings, OwnValue
+from app.alarm_settings import OwnValue
 from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_api import OwnBook
 from app.alarms.own_book import OwnAlarmBook
-from app.alarms.own_store import OwnAlarm
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.simulation.api import SimulatorOf
@@ -127,14 +126,10 @@ def _page(
     toml: str = "",
 ) -> Response:
     own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
-    rows: list[tuple[AlarmSettings, str, OwnAlarm | None]] = [
-        (each, _place(alarms, each), None) for each in own.configured.values()
-    ]
-    rows += [(each.settings, _place(alarms, each.settings), each) for each in own.added.values()]
     return render(
         request,
         "alarms/own.html",
-        configured=rows,
+        configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
         places=[place for place in places_of(alarms) if "/" in place[0]],
         values=get_args(OwnValue),
@@ -182,7 +177,3 @@ def _delay(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
-
-
-def _place(alarms: LineAlarms, settings: AlarmSettings) -> str:
-    return f"{settings.bus} · {alarms.place(settings.bus, settings.unit)}"
