@@ -158,7 +158,7 @@ RETURN = AlarmAct(
     change=lambda _: changes.return_to_service,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
-"""Those that people do with one alarm."""
+"""The acts on one alarm; each has its routes."""
 
 SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
 """With all that sound; of one alone :data:`SILENCE` is recorded."""

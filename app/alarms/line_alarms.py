@@ -109,15 +109,15 @@ class LineAlarms:
         return [each.observed for each in self._lists if each.observed is not None]
 
     def present(self) -> list[Alarm]:
-        """Those that are not normal: active before cleared, hidden ones last, the most important first."""
+        """The alarms that are not normal, by :func:`rank`."""
         return sorted(self._present.values(), key=rank)
 
     def annunciated(self) -> list[Alarm]:
-        """Those that are active or wait for an acknowledgement and that nothing hides, in no order."""
+        """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
         return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
-        """Those that are audible, the most important first."""
+        """The alarms that are audible, the most important first."""
         sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 

@@ -180,8 +180,8 @@ async def acknowledge_shown(
     id: Annotated[list[str], Form(max_length=MAX_ROWS)],
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
-    """Those that the person saw. One that has changed since is left as it is, and the page reports it. The
-    list that they are acknowledged in keeps the places of its rows."""
+    """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
+    reports it. The list that they are acknowledged in keeps the places of its rows."""
     left_out = 0
     for alarm_id in id:
         try:
@@ -202,7 +202,7 @@ async def silence_sounding(
     alarms: Alarms,
     until: Annotated[float, Form(allow_inf_nan=False)],
 ) -> Response:
-    """Those that sounded at the press: not one that came since."""
+    """Silence the alarms that sounded at the press, and none that came since."""
     await alarms.silence_sounding(person, UnixTime(until))
     return Response(status_code=204)
 

@@ -23,7 +23,7 @@ class ActTransaction:
         self._lists = tuple(lists)
         self._undo: list[Callable[[], None]] = []
         self.alarms: list[Alarm] = []
-        """Those that were changed."""
+        """The alarms that were changed."""
 
     def change(
         self, of: AlarmList, alarm: Alarm, changed: Changed, reason: str = "", *, hides: bool = False

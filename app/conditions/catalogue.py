@@ -15,7 +15,7 @@ PLACES: dict[Place, tuple[Condition[Any], ...]] = {"unit": OF_UNIT, "bus": OF_BU
 CONDITIONS = {row.code: row for rows in PLACES.values() for row in rows}
 TILES = {cause: row for row in CONDITIONS.values() for cause in row.tiles}
 STATUS = {row.code: row.status for row in BY_READING if row.status is not None}
-"""Those of single bits of ST1 or ST2 (manual, 81h)."""
+"""The conditions that are single bits of ST1 or ST2 (manual, 81h)."""
 UNIT_ALARMS, BUS_ALARMS, SERVER_ALARMS = (
     tuple(row.code for row in rows if row.is_alarm) for rows in PLACES.values()
 )

@@ -12,7 +12,7 @@ from bus.messages import TEXTS, Message
 
 Predicate = TypeVar("Predicate")
 Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
-"""Of the ladder: what a unit needs to be at speed, each of which needs the one before."""
+"""A rung of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
 """What the rows that ``suppress`` it hide; ``speed``: also an e-stop of the unit, and a line at rest."""
 

@@ -11,7 +11,7 @@ from app.conditions.of_unit import MIN_FAULTS
 from bus.messages import term
 
 SCAN_BUDGET = 1.5
-"""Of the time in which every unit is polled once and takes its full turnaround."""
+"""Multiple of the time in which every unit is polled once and takes its full turnaround."""
 CONTROL_IDLE_S = 120.0
 
 
@@ -63,7 +63,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         group="unit",
     ),
 )
-"""Those that time alone can change."""
+"""Conditions that time alone can change."""
 SECOND_MASTER: Condition[CountPredicate] = Condition(
     "second_master",
     ("severe", "half_hour"),
@@ -87,6 +87,6 @@ NO_UNIT_YET: Condition[Callable[[int], bool]] = Condition(
     is_alarm=False,
     tiles=("no_unit_yet",),
 )
-"""Of a bus on which no unit responds, by how many are overdue."""
+"""Holds for a bus on which no unit responds; judged by how many are overdue."""
 
 OF_BUS: tuple[Condition[Any], ...] = (*BY_BUS, SECOND_MASTER, CONTROL_LEFT, NO_UNIT_YET)

@@ -12,7 +12,7 @@ DAY_S = 86_400.0
 CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1
-"""Of its life: a token for a day is no alarm from the start."""
+"""Share of its life: a token for a day is no alarm from the start."""
 IN_USE_S = 30 * DAY_S
 """A token that no program has used for so long is not missed."""
 

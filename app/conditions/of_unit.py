@@ -25,7 +25,7 @@ from bus.contract import Reading
 from bus.messages import Message, term
 
 DEGRADED_SHARE = 0.05
-"""Of the polls of a minute without a valid response: an operator cannot see it, and it only gets worse."""
+"""Share of polls without a valid response in a minute. An operator cannot see it, and it only gets worse."""
 MIN_FAULTS = 3
 SETTLED = frozenset(("at_speed", "off_speed"))
 RUNNING = SETTLED | {"ramping_up", "ramping_down"}
@@ -156,7 +156,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         status=lambda bits: not bits.at_speed,
     ),
 )
-"""Those of each reading, in the order of the ladder."""
+"""Conditions that are judged by each reading, in the order of the ladder."""
 
 BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
     Condition(
@@ -179,7 +179,7 @@ BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
         group="speed",
     ),
 )
-"""Those of each reading that have limits."""
+"""Conditions that are judged by each reading and have limits."""
 
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
@@ -209,7 +209,7 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
         group="unit",
     ),
 )
-"""Those of what is read or reported now and then."""
+"""Conditions that are judged by what is read or reported now and then."""
 
 UNIT_OFFLINE: Condition[LinkPredicate] = Condition(
     "unit_offline",
@@ -228,7 +228,7 @@ UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
     is_alarm=False,
     tiles=("unit_unknown",),
 )
-"""Of a unit without a response since the start: unless that is overdue."""
+"""Holds for a unit without a response since the start, unless that is overdue."""
 LINK_DEGRADED: Condition[CountPredicate] = Condition(
     "link_degraded",
     ("minor", "shift"),
@@ -246,7 +246,7 @@ PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     means="a parameter differs from the golden set",
     tiles=("drift",),
 )
-"""Of whether, or in what, a unit differs."""
+"""Judged by whether, or in what, a unit differs."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
     "blocked",
     ("minor", "shift"),
@@ -254,7 +254,7 @@ BLOCKED: Condition[Callable[[object], bool]] = Condition(
     is_alarm=False,
     tiles=("blocked",),
 )
-"""Of why commands are blocked."""
+"""Judged by why commands are blocked."""
 
 OF_UNIT: tuple[Condition[Any], ...] = (
     *BY_READING,

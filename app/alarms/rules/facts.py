@@ -119,7 +119,7 @@ def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | No
 
 
 def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
-    """The same after the clock was set by ``step_s``: every time keeps its distance from now."""
+    """The facts of an alarm after the clock was set by ``step_s``: every time keeps its distance from now."""
     times = {name: getattr(facts, name) for name in _TIMES}
     moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
     return replace(facts, **moved)

@@ -13,7 +13,7 @@ class Suppressors:
     """What holds on one bus now."""
 
     groups: Collection[SuppressionGroup] = ()
-    """Those that conditions of the bus suppress."""
+    """The groups that conditions of the bus suppress."""
     at_rest: bool = False
     estops: Collection[int] = ()
     """The units whose emergency stop is active."""

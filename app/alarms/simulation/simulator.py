@@ -22,13 +22,13 @@ from bus.instants import UnixTime
 from bus.settings import BusSettings
 
 MAX_WAITING = 3
-"""Of one account."""
+"""Simulations of one account that wait for their turn."""
 WORK_S = 10.0
-"""Of a thread, for one simulation."""
+"""CPU time of a thread that one simulation may take."""
 
 
 class Simulator:
-    """Of all buses. ``work_s``: what one simulation may compute."""
+    """Simulates alarms of all buses. ``work_s``: CPU time that one simulation may take."""
 
     def __init__(self, history: History, work_s: float = WORK_S) -> None:
         self._history = history
