@@ -11,7 +11,6 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from app.alarms import feature as alarms
-from app.alarms.simulation import feature as simulation
 from app.audit import feature as audit
 from app.audit.log import EventLog
 from app.auth import feature as auth
@@ -56,7 +55,6 @@ FEATURES = (
     sets.FEATURE,
     swap.FEATURE,
     recipes.FEATURE,
-    simulation.FEATURE,
     alarms.FEATURE,
     notification.FEATURE,
     handover.FEATURE,

@@ -17,7 +17,6 @@ from jinja2 import Environment, nodes
 from app.audit.kinds import EventKind
 from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
-from app.conditions.catalogue import TILES
 from app.handover.signatures import SignedPart
 from app.live.browsers.hub import STAGE_WORDS
 from app.live.screen.cause_text import MOTION_TEXTS, STOPPED_WITH_RUN
@@ -102,7 +101,6 @@ def in_tables() -> set[str]:
     return {
         *STATE_WORDS.values(),
         *PORT_WORDS.values(),
-        *(text for _, tile in TILES.values() for text in (tile.text, tile.check) if text),
         *MOTION_TEXTS.values(),
         STOPPED_WITH_RUN,
         *STAGE_WORDS.values(),

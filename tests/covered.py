@@ -38,7 +38,6 @@ TESTS = {
     "app/conditions/catalogue.py": "tests/app/test_condition_rows.py",
     "app/conditions/condition.py": "tests/app/test_condition_rows.py",
     "app/conditions/evidence.py": "tests/app/test_condition_rows.py",
-    "app/conditions/expiry.py": "tests/app/test_built_in_alarms.py",
     "app/conditions/of_bus.py": "tests/app/test_condition_rows.py",
     "app/conditions/of_server.py": "tests/app/test_condition_rows.py",
     "app/conditions/of_unit.py": "tests/app/test_condition_rows.py",

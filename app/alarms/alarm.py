@@ -6,6 +6,13 @@ from dataclasses import dataclass, field
 
 from app.alarms.definition import AlarmDefinition
 from app.alarms.rules.facts import AlarmFacts
+from app.alarms.rules.states import AlarmState
+from bus.messages import Message
+
+
+def state_text(state: AlarmState) -> Message:
+    """The words for a state."""
+    return Message(f"alarm_state_{state}")
 
 
 @dataclass(slots=True, eq=False)
@@ -35,6 +42,16 @@ class Alarm:
     def is_annunciated(self) -> bool:
         """Whether a person is to know of it: it is active or not acknowledged, and nothing hides it."""
         return not self.facts.is_hidden and (self.facts.active or not self.facts.acknowledged)
+
+    @property
+    def state_text(self) -> Message:
+        """The words for its state."""
+        return state_text(self.facts.state)
+
+    @property
+    def hiding(self) -> tuple[str, str]:
+        """The person who hides it and why; empty where none does."""
+        return (self.hidden_by, self.reason) if self.facts.is_hidden_by_person else ("", "")
 
     @property
     def mark(self) -> str:

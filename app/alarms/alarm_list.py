@@ -102,15 +102,19 @@ class AlarmList:
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
         """Suppression by design begins or ends."""
         if suppressed is not alarm.facts.suppressed:
-            self._apply(alarm, changes.suppress(alarm.facts, alarm.definition.attributes, suppressed, now))
+            self._apply(alarm, changes.suppress(alarm.facts, suppressed, now))
 
     def change(self, alarm: Alarm, changed: Changed, who: str, reason: str) -> None:
         """A person acted."""
         self._apply(alarm, changed, who, reason)
 
-    def restore(self, alarm: Alarm, facts: AlarmFacts) -> None:
+    def restore(
+        self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
+    ) -> None:
         """What a person did could not be recorded: it did not happen."""
-        alarm.facts = facts
+        if alarm.facts is not unless_changed_from:
+            return
+        alarm.facts, alarm.hidden_by, alarm.reason = facts, hidden_by, reason
         self._schedule(alarm)
         self._has_changed(alarm)
 

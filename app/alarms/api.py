@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
-from pydantic import ConfigDict, Field
+from fastapi import APIRouter, Body, Query
 from typing_extensions import TypedDict
 
-from app.alarms.group import AlarmGroup, group_of
+from app.alarms.acts import ALARM_ACTS, AlarmAct
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
@@ -19,53 +18,16 @@ from app.alarms.shown import (
     record_json,
     transition_json,
 )
+from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import StrictBody
-from bus.text import OneLine
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
-MAX_MINUTES = 720
-"""A shift: what is to be hidden longer goes out of service."""
 MAX_ENTRIES = 1000
 Alarms = Annotated[LineAlarms, service(LineAlarms)]
-ActReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
-Comment = Annotated[OneLine, Field(max_length=200)]
-
-
-class ActBody(StrictBody):
-    """What a person writes loses the blanks around it."""
-
-    model_config = ConfigDict(str_strip_whitespace=True)
-
-
-class AlarmCommentRequest(ActBody):
-    """A remark for the journal and the audit log."""
-
-    comment: Comment = ""
-
-
-class AlarmShelveRequest(ActBody):
-    """Why, and for how long."""
-
-    reason: ActReason
-    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a shift, 720.")]
-    once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
-
-
-class AlarmReturnRequest(ActBody):
-    """Why, for the journal and the audit log."""
-
-    reason: Comment = ""
-
-
-class AlarmOutOfServiceRequest(ActBody):
-    """Why."""
-
-    reason: ActReason
 
 
 class AlarmsShown(TypedDict):
@@ -108,7 +70,7 @@ async def get_alarms(
         and priority in (None, alarm.definition.priority)
         and bus in (None, alarm.definition.bus)
         and unit in (None, alarm.definition.unit)
-        and group in (None, group_of(alarm.definition))
+        and group in (None, alarm.definition.about)
     ]
     return {"alarms": [alarm_json(alarms, alarm) for alarm in found]}
 
@@ -130,7 +92,7 @@ async def get_alarm_journal(
 async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
     """One alarm with the record of its rationalization and its last transitions."""
     alarm = alarms.find(alarm_id).alarm
-    entries = await alarms.store.journal_of(alarm.definition.key, 100)
+    entries = await alarms.store.journal(100, alarm=alarm.definition.key)
     return {
         "alarm": alarm_json(alarms, alarm),
         "record": record_json(alarm.definition.record),
@@ -138,63 +100,18 @@ async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
     }
 
 
-@router.post("/{alarm_id}/acknowledge")
-async def acknowledge_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
-) -> AlarmShown:
-    """Acknowledge the occurrence that the id names."""
-    comment = "" if body is None else body.comment
-    return alarm_json(alarms, await alarms.acknowledge(person, alarm_id, comment))
+def _add_route(act: AlarmAct) -> None:
+    default = Body() if act.hides else None
+
+    async def perform(
+        alarms: Alarms, alarm_id: str, body: Any = default, person: Person = act.permitted
+    ) -> AlarmShown:
+        return alarm_json(alarms, await alarms.act(person, act, alarm_id, body))
+
+    perform.__name__, perform.__doc__ = act.name, act.means
+    perform.__annotations__["body"] = act.body if act.hides else act.body | None
+    router.post(f"/{{alarm_id}}/{act.path}")(perform)
 
 
-@router.post("/{alarm_id}/silence")
-async def silence_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
-) -> AlarmShown:
-    """End the sound of the occurrence that the id names. It is still to be acknowledged."""
-    comment = "" if body is None else body.comment
-    return alarm_json(alarms, await alarms.silence(person, alarm_id, comment))
-
-
-@router.post("/{alarm_id}/reset")
-async def reset_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmCommentRequest | None = None
-) -> AlarmShown:
-    """Reset an acknowledged alarm that is latched."""
-    comment = "" if body is None else body.comment
-    return alarm_json(alarms, await alarms.reset(person, alarm_id, comment))
-
-
-@router.post("/{alarm_id}/shelve")
-async def shelve_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmShelveRequest
-) -> AlarmShown:
-    """Hide it until a time. It is still detected and recorded."""
-    alarm = await alarms.shelve(person, alarm_id, body.reason, body.minutes, once=body.once)
-    return alarm_json(alarms, alarm)
-
-
-@router.post("/{alarm_id}/unshelve")
-async def unshelve_alarm(
-    person: Operator, alarms: Alarms, alarm_id: str, body: AlarmReturnRequest | None = None
-) -> AlarmShown:
-    """Annunciate it again before its time."""
-    reason = "" if body is None else body.reason
-    return alarm_json(alarms, await alarms.unshelve(person, alarm_id, reason))
-
-
-@router.post("/{alarm_id}/out-of-service")
-async def remove_alarm_from_service(
-    person: Engineer, alarms: Alarms, alarm_id: str, body: AlarmOutOfServiceRequest
-) -> AlarmShown:
-    """Hide it until it is returned to service. It is still detected and recorded."""
-    return alarm_json(alarms, await alarms.remove(person, alarm_id, body.reason))
-
-
-@router.post("/{alarm_id}/in-service")
-async def return_alarm_to_service(
-    person: Engineer, alarms: Alarms, alarm_id: str, body: AlarmReturnRequest | None = None
-) -> AlarmShown:
-    """Annunciate it again."""
-    reason = "" if body is None else body.reason
-    return alarm_json(alarms, await alarms.return_(person, alarm_id, reason))
+for alarm_act in ALARM_ACTS:
+    _add_route(alarm_act)

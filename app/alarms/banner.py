@@ -7,6 +7,7 @@ from app.alarms.line_alarms import LineAlarms, rank
 from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber
 from bus.instants import UnixTime
+from bus.messages import Message
 
 
 class AlarmBanner:
@@ -35,7 +36,7 @@ class AlarmBanner:
             "mark": first.mark if first else "",
             "text": self._place_and_name(first, translator) if first else "",
             "state": _state(first, translator, now) if first else "",
-            "more": f" · {translator.t('{n} more', n=len(found) - 1)}" if len(found) > 1 else "",
+            "more": f" · {translator.t(Message.of('alarms_more', n=len(found) - 1))}" if found[1:] else "",
             "changed": str(self._changed),
             **self._sound(),
         }
@@ -62,12 +63,10 @@ class AlarmBanner:
 def _state(alarm: Alarm, translator: Translator, now: UnixTime) -> str:
     """Its state and the time that matters: of a cleared one, when it cleared."""
     facts = alarm.facts
-
-    def shown(at: UnixTime | None) -> str:
-        return translator.formats.since(at or facts.since or now, now)
-
     if not facts.active:
-        return translator.t("cleared {time}", time=shown(facts.cleared))
-    if facts.unknown_since is not None:
-        return translator.t("unknown since {time}", time=shown(facts.unknown_since))
-    return translator.t("active since {time}", time=shown(facts.came))
+        code, at = "alarm_cleared_at", facts.cleared
+    elif facts.unknown_since is not None:
+        code, at = "alarm_unknown_since", facts.unknown_since
+    else:
+        code, at = "alarm_active_since", facts.came
+    return translator.t(Message.of(code, time=translator.formats.since(at or facts.since or now, now)))

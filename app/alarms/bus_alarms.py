@@ -15,7 +15,7 @@ from app.alarms.rules.suppression import Suppressors, is_at_rest
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
 from app.built_in_settings import BuiltInAlarmSettings, tuning_of
-from app.conditions.catalogue import BUS_ALARMS, UNIT_ALARMS
+from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
 from app.conditions.of_bus import BY_BUS, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
@@ -26,14 +26,11 @@ from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, U
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
-_OF_BUS = frozenset(("worker_lost", "port_lost", "no_unit_responds"))
-"""Alarms that suppress on all of the bus."""
-
 
 class BusAlarms:
     """Detects, suppresses and keeps the alarms of one bus. ``has_drift``: whether a unit differs from its
-    golden set; ``tuned``: limits and delays of the built-in ones. Call :meth:`load` before the first
-    update."""
+    golden set; ``left_control``: who has left control without releasing it; ``tuned``: limits and delays of
+    the built-in ones. Call :meth:`load` before the first update."""
 
     def __init__(
         self,
@@ -41,6 +38,7 @@ class BusAlarms:
         own: Iterable[AlarmSettings],
         store: AlarmStore,
         has_drift: Callable[[int], bool],
+        left_control: Callable[[], Message | None] = lambda: None,
         clock: Clock = unix_now,
         monotonic: MonotonicClock = monotonic_now,
         tuned: Sequence[BuiltInAlarmSettings] = (),
@@ -54,12 +52,8 @@ class BusAlarms:
         self.list = AlarmList(self._definitions(), store, self.bus)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
-        self._worker_lost, self._port_lost, self._no_unit_responds = (
-            self.list.alarms[key_of(self.bus, None, code)]
-            for code in ("worker_lost", "port_lost", "no_unit_responds")
-        )
-        self._second_master, self._control_left = (
-            self.list.alarms[key_of(self.bus, None, code)] for code in ("second_master", "control_left")
+        self._no_unit_responds, self._second_master, self._control_left = map(
+            self._alarm_of, ("no_unit_responds", "second_master", "control_left")
         )
         self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
         for alarm in self.list.alarms.values():
@@ -70,7 +64,7 @@ class BusAlarms:
         self._clock_watch = ClockWatch(clock(), monotonic())
         self._ages_from = Monotonic(0.0)
         """Before it, ages mean nothing: the clock was set."""
-        self._control_holder: Message | None = None
+        self._left_control = left_control
         self.list.subscribe(self._on_alarm)
         live.subscribe(Audience.ALARMS, self._see)
 
@@ -81,6 +75,10 @@ class BusAlarms:
             for code in UNIT_ALARMS:
                 yield built_in(code, self.bus, unit, tuning_of(self._tuned, code, self.bus, unit))
         yield from (own_definition(own.settings) for own in self._own.values())
+
+    def _alarm_of(self, code: str) -> Alarm:
+        """A built-in alarm of the bus itself."""
+        return self.list.alarms[key_of(self.bus, None, code)]
 
     def _monitor(self, unit: int, has_drift: Callable[[int], bool]) -> UnitMonitor:
         alarms = {code: self.list.alarms[key_of(self.bus, unit, code)] for code in UNIT_ALARMS}
@@ -132,7 +130,7 @@ class BusAlarms:
     def present(self, alarm: Alarm) -> Message | None:
         """The present value of what an alarm is about, where it is about one."""
         if alarm is self._control_left:
-            return self._control_holder
+            return self._left_control()
         own, unit = self._own.get(alarm.definition.key), alarm.definition.unit
         if own is None or unit is None:
             return None
@@ -158,6 +156,7 @@ class BusAlarms:
             self._see_links(now)
         for monitor in self._monitors.values():
             monitor.see_parameters(now)
+        self._observe(self._control_left, self._left_control() is not None, now)
         self._suppress_again(now)
 
     def _notice_step(self, now: UnixTime) -> None:
@@ -200,7 +199,7 @@ class BusAlarms:
     def _see_bus(self, now: UnixTime) -> None:
         facts = bus_facts(self._live, now)
         for row in BY_BUS:
-            self._observe(self.list.alarms[key_of(self.bus, None, row.code)], row.holds(facts), now)
+            self._observe(self._alarm_of(row.code), row.holds(facts), now)
 
     def _see_links(self, now: UnixTime) -> None:
         self._see_bus(now)
@@ -214,16 +213,11 @@ class BusAlarms:
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
         self._observe(self._second_master, self._foreign.judged(SECOND_MASTER.holds), now)
 
-    def see_control(self, left_by: Message | None) -> None:
-        """Who has left control without releasing it; None: no one."""
-        self._control_holder = left_by
-        self._observe(self._control_left, left_by is not None, self._clock())
-
     # --- suppression ----------------------------------------------------------------------------------
 
     def _on_alarm(self, alarm: Alarm) -> None:
         code, unit = alarm.definition.code, alarm.definition.unit
-        if code in _OF_BUS:
+        if unit is None and CONDITIONS[code].suppresses:
             self._suppress_again(self._clock())
         elif code == ESTOP_ACTIVE.code and unit is not None and alarm.facts.active != (unit in self._estops):
             self._estops ^= {unit}
@@ -248,10 +242,9 @@ class BusAlarms:
 
     def _suppressing(self) -> Suppressors:
         readings = (unit.reading for unit in self._live.units.values())
+        holding = [row for row in BY_BUS if self._alarm_of(row.code).facts.active]
         return Suppressors(
-            worker_lost=self._worker_lost.facts.active,
-            port_lost=self._port_lost.facts.active,
-            no_unit_responds=self._no_unit_responds.facts.active,
+            groups=frozenset(group for row in holding for group in row.suppresses),
             at_rest=is_at_rest(None if reading is None else reading.commanded for reading in readings),
             estops=self._estops,
         )

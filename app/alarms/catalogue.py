@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.alarms.definition import AlarmDefinition, Rationalization, key_of
 from app.alarms.rules.facts import AlarmAttributes
 from app.conditions.catalogue import CONDITIONS
-from app.conditions.condition import Tuning
+from app.conditions.condition import AlarmGroup, Tuning
 from bus.messages import Message
 
 
@@ -16,6 +16,7 @@ def built_in(
     row = CONDITIONS[code]
     tuning = tuning or row.tuning
     name, cause, consequence, response = map(Message, row.texts)
+    usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
     return AlarmDefinition(
         key=key_of(bus, unit, code),
         code=code,
@@ -26,4 +27,5 @@ def built_in(
         record=Rationalization(cause, consequence, response, *row.rated),
         attributes=AlarmAttributes(tuning.on_delay_s, tuning.off_delay_s, latching=row.latching),
         group=row.group,
+        about=row.about or usual,
     )

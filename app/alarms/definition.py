@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Annotated
 
-from app.alarms.rules.facts import PLAIN, AlarmAttributes
-from app.conditions.condition import SuppressionGroup
+from pydantic import Field
+
+from app.alarms.rules.facts import AlarmAttributes
+from app.conditions.condition import AlarmGroup, SuppressionGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from bus.messages import Message
 
+BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
+UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 SITE = "_"
 """In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
 
@@ -36,13 +41,9 @@ class AlarmDefinition:
     unit: int | None
     priority: AlarmPriority
     record: Rationalization
-    attributes: AlarmAttributes = PLAIN
+    attributes: AlarmAttributes
     group: SuppressionGroup | None = None
-
-    @property
-    def is_built_in(self) -> bool:
-        """Whether it has texts of Lineside, and not those of the configuration."""
-        return isinstance(self.name, Message)
+    about: AlarmGroup = "own"
 
 
 def key_of(bus: str | None, unit: int | None, code: str) -> str:

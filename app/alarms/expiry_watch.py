@@ -69,7 +69,7 @@ def _first(endings: Iterable[Expiry]) -> Message | None:
 
 
 def _ending(path: Path) -> Expiry | None:
-    """Of a file with several authorities, the one that lasts longest: it may be the one that counts. None for
+    """When a certificate ends; of several in a file, the last: that may be the one that counts. None for
     a file that holds none; who uses it reports that."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:

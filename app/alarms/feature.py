@@ -5,13 +5,17 @@ from __future__ import annotations
 from functools import partial
 
 from app.alarms import api, occurrences_api, own_api, pages, performance_api
+from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.control_watch import ControlWatch, HeldControl
+from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarmStore
+from app.alarms.simulation import api as simulation_api
+from app.alarms.simulation import pages as simulation_pages
+from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
@@ -28,7 +32,8 @@ from app.messages import Language
 from app.sets.drift import BusDrift
 from app.web.services import Registry
 from app.web.templating import PageHead, Templates
-from bus.instants import unix_now
+from bus.instants import monotonic_now, unix_now
+from bus.messages import Message
 
 
 def make(services: Services) -> None:
@@ -43,9 +48,7 @@ def make(services: Services) -> None:
     # The site's own alarms first: the state of each is loaded after its definition.
     services.lifespan.add("own alarms", start=own_alarms.load)
     services.lifespan.add("alarms", of_site.follow, start=alarms.load, end=alarms.write)
-    held = {name: partial(_held_control, guards) for name, guards in services.of_buses(Safeguards).items()}
-    control = ControlWatch(of_buses, held, lambda: services[Hub].people())
-    services.lifespan.add("control", control.follow)
+    services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 
 
@@ -53,7 +56,12 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
     settings, drift = services.settings, bus[BusDrift]
     own = [alarm for alarm in settings.alarm if alarm.bus == name]
     alarms = BusAlarms(
-        bus[BusLive], own, store, lambda unit: bool(drift.of(unit)), tuned=settings.built_in_alarm
+        bus[BusLive],
+        own,
+        store,
+        lambda unit: bool(drift.of(unit)),
+        left_control=partial(_control_left, services, bus[Safeguards]),
+        tuned=settings.built_in_alarm,
     )
     bus.add(alarms)
     services.lifespan.add(f"alarms of {name}", alarms.follow)
@@ -72,9 +80,11 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)
 
 
-def _held_control(guards: Safeguards) -> HeldControl | None:
+def _control_left(services: Services, guards: Safeguards) -> Message | None:
     holding = guards.holding()
-    return None if holding is None else (holding.holder, holding.used_at)
+    if holding is None:
+        return None
+    return control_left_by(holding.holder, holding.used_at, services[Hub].people(), monotonic_now())
 
 
 def _add_banner(services: Services, banner: AlarmBanner) -> None:
@@ -89,5 +99,14 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 
 FEATURE = Feature(
     make,
-    (performance_api.router, occurrences_api.router, own_api.router, api.router, pages.router),
+    (
+        simulation_api.router,
+        simulation_pages.router,
+        performance_api.router,
+        occurrences_api.router,
+        own_api.router,
+        api.router,
+        pages.router,
+    ),
+    acts=ACTS,
 )

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
+from functools import partial
 from typing import NamedTuple
 
+from app.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.rules import changes
-from app.alarms.rules.changes import Changed, NoTransitionError, StateChange
-from app.alarms.rules.facts import AlarmAttributes, AlarmFacts
+from app.alarms.rules.changes import NoTransitionError
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.site_alarms import SiteAlarms
-from app.alarms.store import AlarmStore, JournalEntry, JournalWriting
+from app.alarms.store import AlarmStore
+from app.alarms.transaction import ActTransaction
+from app.audit.act import Performed
 from app.audit.log import Also, EventLog
 from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
@@ -24,7 +26,6 @@ from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
-MINUTE_S = 60
 PAUSE_EVERY = 100
 """Alarms, in a change of many: what else the server does comes between."""
 
@@ -108,15 +109,15 @@ class LineAlarms:
         return [each.observed for each in self._lists if each.observed is not None]
 
     def present(self) -> list[Alarm]:
-        """Those that are not normal: active before cleared, hidden ones last, the most important first."""
+        """The alarms that are not normal, by :func:`rank`."""
         return sorted(self._present.values(), key=rank)
 
     def annunciated(self) -> list[Alarm]:
-        """Those that are active or wait for an acknowledgement and that nothing hides, in no order."""
+        """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
         return [alarm for alarm in self._present.values() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
-        """Those that are audible, the most important first."""
+        """The alarms that are audible, the most important first."""
         sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
@@ -148,148 +149,57 @@ class LineAlarms:
             return FoundAlarm(alarm, each)
         raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id[:200]))
 
-    async def acknowledge(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
-        """A person has seen this occurrence."""
-        return await self._act(person, alarm_id, changes.acknowledge, "event_alarm_acknowledged", comment)
+    async def act(self, person: Person, act: AlarmAct, alarm_id: str, body: ActBody | None = None) -> Alarm:
+        """Do ``act`` to the occurrence of an id; ``body``: what was sent with it. Raises Problem 403, 404 or,
+        where it has come again or its state has no such transition, 409."""
+        act.check(person)
+        body = body or act.body()
+        async with self.find(alarm_id).list.writing:
+            alarm, of = self.find(alarm_id)
+            definition = alarm.definition
+            try:
+                changed = act.change(body)(alarm.facts, definition.attributes, self._clock())
+            except NoTransitionError:
+                raise _not_in_state(alarm) from None
+            transaction = ActTransaction(person.name, [of])
+            transaction.change(of, alarm, changed, body.remark, hides=act.hides)
+            performed = act.by(person, name=definition.name)
+            place = (definition.bus, definition.unit)
+            await transaction.record(partial(self._record, performed, *place, body.remark))
+        return alarm
 
-    async def silence(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
-        """End the sound of this occurrence."""
-        return await self._act(person, alarm_id, changes.silence, "event_alarm_silenced", comment)
+    async def _record(
+        self, performed: Performed, bus: str | None, unit: int | None, remark: str, also: Also
+    ) -> None:
+        await self._events.record(**performed, bus=bus, unit=unit, message=remark, also=also)
 
     async def silence_sounding(self, person: Person, until: UnixTime) -> None:
         """End the sound of every alarm that began to sound by ``until``: of all or, where that cannot be
-        recorded, of none. Raises StoreError."""
+        recorded, of none. Raises Problem 403 and StoreError."""
+        SILENCE_SOUNDING.check(person)
         async with AsyncExitStack() as writing:
             for each in self._lists:
                 await writing.enter_async_context(each.writing)
-            await self._silence_now(person, until)
+            await self._silence(person, until)
 
-    async def _silence_now(self, person: Person, until: UnixTime) -> None:
-        silenced: list[tuple[FoundAlarm, AlarmFacts, AlarmFacts]] = []
-        for found in self._sounding_until(until):
-            alarm, before = found.alarm, found.alarm.facts
-            with suppress(NoTransitionError):
-                changed = changes.silence(before, alarm.definition.attributes, self._clock())
-                found.list.change(alarm, changed, person.name, "")
-                silenced.append((found, before, alarm.facts))
-            if len(silenced) % PAUSE_EVERY == 0:
+    async def _silence(self, person: Person, until: UnixTime) -> None:
+        transaction = ActTransaction(person.name, self._lists)
+        for number, alarm in enumerate(self.sounding(), 1):
+            of = self.list_of(alarm.definition.bus or "")
+            if (alarm.facts.since or UnixTime(0.0)) <= until:
+                with suppress(NoTransitionError):
+                    changed = changes.silence(alarm.facts, alarm.definition.attributes, self._clock())
+                    transaction.change(of, alarm, changed)
+            if number % PAUSE_EVERY == 0:
                 await asyncio.sleep(0)
-        if not silenced:
+        if not transaction.alarms:
             return
-        taken = [(each, *each.take_unwritten()) for each in self._lists]
-        try:
-            await self._record_silenced(
-                person, [found.alarm for found, _, _ in silenced], _written_together(taken)
-            )
-        except StoreError:
-            for each, entries, alarms in taken:
-                each.give_back([entry for entry in entries if entry.who != person.name], alarms)
-            for found, before, after in silenced:
-                if found.alarm.facts is after:
-                    found.list.restore(found.alarm, before)
-            raise
-
-    def _sounding_until(self, until: UnixTime) -> list[FoundAlarm]:
-        return [
-            FoundAlarm(alarm, self.list_of(alarm.definition.bus or ""))
-            for alarm in self.sounding()
-            if (alarm.facts.since or UnixTime(0.0)) <= until
-        ]
-
-    async def _record_silenced(self, person: Person, silenced: list[Alarm], also: Also) -> None:
-        """One event; the journal has each alarm."""
-        first = silenced[0].definition
-        what = Message.of("event_alarms_silenced", n=len(silenced))
-        if len(silenced) == 1:
-            what = Message.of("event_alarm_silenced", name=first.name)
-        buses = {alarm.definition.bus for alarm in silenced}
-        await self._events.record(
-            kind="alarm",
-            **person.author,
-            bus=first.bus if len(buses) == 1 else None,
-            unit=first.unit if len(silenced) == 1 else None,
-            what=what,
-            also=also,
-        )
-
-    async def reset(self, person: Person, alarm_id: str, comment: str = "") -> Alarm:
-        """End a latch."""
-        return await self._act(person, alarm_id, changes.reset, "event_alarm_reset", comment)
-
-    async def shelve(
-        self, person: Person, alarm_id: str, reason: str, minutes: int, *, once: bool = False
-    ) -> Alarm:
-        """Hide it for a time; ``once``: or until its condition ends."""
-
-        def act(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-            return changes.shelve(facts, at + minutes * MINUTE_S, at, once=once)
-
-        return await self._act(person, alarm_id, act, "event_alarm_shelved", reason, hides=True)
-
-    async def unshelve(self, person: Person, alarm_id: str, reason: str = "") -> Alarm:
-        """Annunciate it again."""
-        return await self._act(person, alarm_id, changes.unshelve, "event_alarm_unshelved", reason)
-
-    async def remove(self, person: Person, alarm_id: str, reason: str) -> Alarm:
-        """Take it out of service."""
-
-        def act(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
-            return changes.remove_from_service(facts, at)
-
-        return await self._act(person, alarm_id, act, "event_alarm_removed", reason, hides=True)
-
-    async def return_(self, person: Person, alarm_id: str, reason: str = "") -> Alarm:
-        """Return it to service."""
-        return await self._act(person, alarm_id, changes.return_to_service, "event_alarm_returned", reason)
-
-    async def _act(
-        self, person: Person, alarm_id: str, act: StateChange, what: str, reason: str, *, hides: bool = False
-    ) -> Alarm:
-        async with self.find(alarm_id).list.writing:
-            return await self._act_now(person, alarm_id, act, what, reason, hides=hides)
-
-    async def _act_now(
-        self, person: Person, alarm_id: str, act: StateChange, what: str, reason: str, *, hides: bool
-    ) -> Alarm:
-        alarm, of = self.find(alarm_id)
-        before = (alarm.facts, alarm.hidden_by, alarm.reason)
-        try:
-            changed = act(alarm.facts, alarm.definition.attributes, self._clock())
-        except NoTransitionError:
-            raise _not_in_state(alarm) from None
-        if hides:
-            alarm.hidden_by, alarm.reason = person.name, reason
-        of.change(alarm, changed, person.name, reason)
-        after = alarm.facts
-        entries, alarms = of.take_unwritten()
-        definition = alarm.definition
-        try:
-            await self._events.record(
-                kind="alarm",
-                **person.author,
-                bus=definition.bus,
-                unit=definition.unit,
-                what=Message.of(what, name=definition.name),
-                message=reason,
-                also=JournalWriting(entries, alarms),
-            )
-        except StoreError:
-            of.give_back([entry for entry in entries if entry.who != person.name], alarms)
-            if alarm.facts is after:
-                facts, alarm.hidden_by, alarm.reason = before
-                of.restore(alarm, facts)
-            raise
-        return alarm
-
-
-def _written_together(taken: Iterable[tuple[AlarmList, list[JournalEntry], list[Alarm]]]) -> Also:
-    parts = [JournalWriting(entries, alarms) for _, entries, alarms in taken]
-
-    def write(connection: sqlite3.Connection) -> None:
-        for part in parts:
-            part(connection)
-
-    return write
+        silenced = [alarm.definition for alarm in transaction.alarms]
+        performed, bus, unit = SILENCE.by(person, name=silenced[0].name), silenced[0].bus, silenced[0].unit
+        if len(silenced) > 1:
+            performed, unit = SILENCE_SOUNDING.by(person, n=len(silenced)), None
+            bus = bus if len({each.bus for each in silenced}) == 1 else None
+        await transaction.record(partial(self._record, performed, bus, unit, ""))
 
 
 def _not_in_state(alarm: Alarm) -> Problem:

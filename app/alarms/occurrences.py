@@ -14,7 +14,7 @@ from bus.instants import UnixTime
 MAX_OCCURRENCES = 500
 _ACTIVE = ("unack_active", "ack_active")
 _LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY at DESC LIMIT 1000)"
-"""Of the transitions before a time. Those of several buses are in order but for moments."""
+"""The newest transition before a time. Transitions of several buses are in order but for moments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,13 @@ _NEXT = (
     f" WHERE alarm = ? AND id > ? AND {_EDGE} ORDER BY id LIMIT 1"
 )
 _FEW, _MANY = 2, 100
-"""Of most alarms of a long list only the newest occurrence is looked at."""
+"""Rows of a read, the first and each further one: of most alarms only the newest occurrence is needed."""
 
 
 async def occurrences(
     store: AlarmStore, alarms: Iterable[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
-    """Those of a span, also where they began before it; of more than MAX_OCCURRENCES the newest and one
+    """Occurrences of a span, also where they began before it; of more than MAX_OCCURRENCES the newest and one
     more, oldest first. ``alarms``: their keys."""
     keys = list(alarms)
     return await store.read_costly(lambda connection: _found(connection, keys, start, end))

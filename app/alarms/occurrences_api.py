@@ -10,9 +10,10 @@ from starlette.requests import Request
 from typing_extensions import TypedDict
 
 from app.alarms.api import Alarms
+from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.occurrences import MAX_OCCURRENCES, Occurrence, occurrences
-from app.alarms.shown import AlarmPriorityShown, BusName, UnitNumber, recorded_name
+from app.alarms.shown import AlarmPriorityShown, recorded_name
 from app.history.api.spans import SpanOf
 from app.history.service import seconds
 from app.web.access import Viewer
@@ -71,7 +72,7 @@ async def get_alarm_occurrences(
     language = templates_of(request).language_of(request)
 
     def shown(each: Occurrence) -> AlarmOccurrence:
-        name = recorded_name(each.alarm, each.code, each.name)
+        name = recorded_name(each)
         return {
             "alarm": f"{each.alarm}.{each.occurrence}",
             "name": each.name,

@@ -9,11 +9,13 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.alarm_settings import AlarmSettings, OwnValue
-from app.alarms.api import ActReason, Comment
-from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
+from app.alarms.definition import own_key
+from app.alarms.own_book import OwnAlarmBook
+from app.alarms.own_store import OwnAlarm
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
-from app.web.access import Engineer
+from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.services import service
 from app.web.shape import MaybeInstant, MessageShown, iso, message_shown
@@ -80,8 +82,7 @@ class OwnAlarmLeftAside(TypedDict):
     id: str
     name: str
     version: int
-    reason: Annotated[str, Field(description="Why, English.")]
-    reason_message: MessageShown
+    reason: Annotated[MessageShown, Field(description="Why.")]
 
 
 class OwnAlarmsShown(TypedDict):
@@ -94,17 +95,10 @@ class OwnAlarmsShown(TypedDict):
 @router.get("")
 async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
     """The alarms of the site, with their origin."""
-    configured = [_shown(key, settings, None) for key, settings in own.configured.items()]
     return {
-        "alarms": configured + [own_alarm_json(each) for each in own.added.values()],
+        "alarms": [own_alarm_json(*each) for each in own.every()],
         "left_aside": [
-            {
-                "id": each.key,
-                "name": each.name,
-                "version": each.version,
-                "reason": str(each.why),
-                "reason_message": message_shown(each.why),
-            }
+            {"id": each.key, "name": each.name, "version": each.version, "reason": message_shown(each.why)}
             for each in own.left_aside.values()
         ],
     }
@@ -112,23 +106,28 @@ async def get_own_alarms(_: Engineer, own: OwnBook) -> OwnAlarmsShown:
 
 @router.post("", status_code=201)
 async def add_own_alarm(
-    person: Engineer, own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
+    person: Annotated[Person, ADD_OWN.permitted], own: OwnBook, body: OwnAlarmRequest, key: RequestKey = None
 ) -> OwnAlarmShown:
     """Add an alarm. It is detected from the next reading on."""
-    return own_alarm_json(await own.add(person, _written(body), key))
+    added = await own.add(person, body.written(), key)
+    return own_alarm_json(added.settings, added)
 
 
 @router.put("/{own_id}")
 async def change_own_alarm(
-    person: Engineer, own: OwnBook, own_id: OwnAlarmKey, body: OwnAlarmChangeRequest
+    person: Annotated[Person, CHANGE_OWN.permitted],
+    own: OwnBook,
+    own_id: OwnAlarmKey,
+    body: OwnAlarmChangeRequest,
 ) -> OwnAlarmShown:
     """Change an alarm that was added. One that is active ends, and comes again by the next reading."""
-    return own_alarm_json(await own.change(person, own_id, body.version, _written(body), body.reason))
+    changed = await own.change(person, own_id, body.version, body.written(), body.reason)
+    return own_alarm_json(changed.settings, changed)
 
 
 @router.delete("/{own_id}", status_code=204)
 async def remove_own_alarm(
-    person: Engineer,
+    person: Annotated[Person, REMOVE_OWN.permitted],
     own: OwnBook,
     own_id: OwnAlarmKey,
     version: Annotated[int, Query(ge=1, le=2**62, description="That was seen.")],
@@ -138,19 +137,10 @@ async def remove_own_alarm(
     await own.remove(person, own_id, version, reason)
 
 
-def _written(body: OwnAlarmRequest) -> dict[str, Any]:
-    fields = body.model_dump(exclude_unset=True, exclude={"version", "reason"})
-    return {key: value for key, value in fields.items() if value is not None}
-
-
-def own_alarm_json(own: OwnAlarm) -> OwnAlarmShown:
-    """One that was added."""
-    return _shown(own.key, own.settings, own)
-
-
-def _shown(key: str, settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
+def own_alarm_json(settings: AlarmSettings, own: OwnAlarm | None) -> OwnAlarmShown:
+    """One of the site; ``own``: as it was added, None for one of the configuration."""
     shown: Any = {
-        "id": key,
+        "id": own_key(settings.bus, settings.unit, settings.name),
         "origin": "configuration" if own is None else "page",
         "version": None if own is None else own.version,
         "changed_by": None if own is None else own.who,

@@ -12,37 +12,27 @@ from typing import Any
 import structlog
 
 from app.alarm_settings import AlarmSettings
+from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.definition import own_key
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own import own_definition
-from app.alarms.own_store import OwnAlarmRow, OwnAlarmStore, OwnAlarmWriting
+from app.alarms.own_store import OwnAlarm, OwnAlarmStore, OwnAlarmWriting
 from app.alarms.rules import changes
 from app.alarms.simulation.proposal import in_toml, proposed
-from app.alarms.store import JournalWriting
+from app.alarms.transaction import ActTransaction, written_together
+from app.audit.act import Act
 from app.audit.log import Also, EventLog
 from app.errors import Problem, StoreError
 from app.settings import Settings
 from app.web.access import Person
-from bus.instants import Clock, UnixTime, unix_now
+from bus.instants import Clock, unix_now
 from bus.messages import Message
 
 MAX_OWN = 500
 """Alarms that are added on the page."""
 log = structlog.get_logger()
-
-
-@dataclass(frozen=True, slots=True)
-class OwnAlarm:
-    """One that was added on the page; ``request``: who added it, with the Idempotency-Key."""
-
-    key: str
-    settings: AlarmSettings
-    version: int
-    who: str
-    at: UnixTime
-    request: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +71,9 @@ class OwnAlarmBook:
     async def load(self) -> None:
         """Observe what is stored and fits; once at start."""
         for row in await self._store.load():
-            name = row.alarm
+            name = row["alarm"]
             try:
-                written = json.loads(row.settings)
+                written = json.loads(row["settings"])
                 name = str(written.get("name", name))
                 settings = self._fitting(written)
             except (ValueError, AttributeError):
@@ -92,22 +82,22 @@ class OwnAlarmBook:
                 self._leave_aside(row, name, problem.message)
             else:
                 self._bus(settings).add_own(settings, Alarm(own_definition(settings)))
-                self._keep(row, settings, row.version)
+                own = OwnAlarm(settings, row["who"], row["changed_at"], row["request"], row["version"])
+                self.added[own.key] = own
 
-    def _leave_aside(self, row: OwnAlarmRow, name: str, why: Message) -> None:
+    def _leave_aside(self, row: sqlite3.Row, name: str, why: Message) -> None:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))
-        self.left_aside[row.alarm] = LeftAside(row.alarm, name, row.version, why)
+        self.left_aside[row["alarm"]] = LeftAside(row["alarm"], name, row["version"], why)
 
-    def _keep(self, row: OwnAlarmRow, settings: AlarmSettings, version: int) -> OwnAlarm:
-        own = OwnAlarm(row.alarm, settings, version, row.who, row.changed_at, row.request)
-        self.added[row.alarm] = own
-        return own
+    def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
+        """All that are observed; those of the configuration without what was added."""
+        configured = [(settings, None) for settings in self.configured.values()]
+        return [*configured, *((own.settings, own) for own in self.added.values())]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
         """Raises Problem 422, or 409 where its name is taken."""
         settings = proposed(written, self._bus_settings)
-        every = [*self.configured.values(), *(own.settings for own in self.added.values())]
-        if (settings.bus, settings.name) in {(each.bus, each.name) for each in every}:
+        if (settings.bus, settings.name) in {(each.bus, each.name) for each, _ in self.every()}:
             raise Problem(409, "taken", Message.of("own_alarm_taken", name=settings.name, bus=settings.bus))
         return settings
 
@@ -115,26 +105,25 @@ class OwnAlarmBook:
         self, person: Person, written: Mapping[str, Any], key_of_request: str | None = None
     ) -> OwnAlarm:
         """Observe another alarm from the next reading on. The same request adds it once. Raises Problem."""
+        ADD_OWN.check(person)
         request = f"{person.account}:{key_of_request}" if key_of_request else ""
         async with self._acting:
             earlier = next((own for own in self.added.values() if request and own.request == request), None)
             if earlier is not None:
                 return self._repeated(earlier, written)
-            settings = self._fitting(written)
-            key = own_key(settings.bus, settings.unit, settings.name)
+            own = OwnAlarm(self._fitting(written), person.name, self._clock(), request)
             if len(self.added) + len(self.left_aside) >= MAX_OWN:
                 raise Problem(409, "too_many", Message.of("own_alarms_full", n=MAX_OWN))
-            bus, alarm = self._bus(settings), Alarm(own_definition(settings))
-            stored = await self._alarms.store.find(key)
-            row = self._row(person, settings, request)
-            writing = OwnAlarmWriting(key, row)
-            what = Message.of("event_own_alarm_added", name=settings.name)
-            await self._record(person, settings, what, None, in_words(settings), "", writing)
-            self.left_aside.pop(key, None)
-            bus.add_own(settings, alarm)
+            bus, settings = self._bus(own.settings), own.settings
+            stored = await self._alarms.store.find(own.key)
+            writing = OwnAlarmWriting(own.key, own)
+            await self._record(person, ADD_OWN, settings, writing, new=in_words(settings))
+            self.left_aside.pop(own.key, None)
+            bus.add_own(settings, Alarm(own_definition(settings)))
             if stored is not None:
-                bus.list.load({key: stored}, self._clock())
-            return self._keep(row, settings, writing.version)
+                bus.list.load({own.key: stored}, self._clock())
+            self.added[own.key] = own
+            return own
 
     def _repeated(self, earlier: OwnAlarm, written: Mapping[str, Any]) -> OwnAlarm:
         if proposed(written, self._bus_settings) != earlier.settings:
@@ -146,41 +135,35 @@ class OwnAlarmBook:
     ) -> OwnAlarm:
         """Another definition under the same name and unit. The alarm ends; it comes again by the next reading
         where that fulfills the new one. ``version``: of what was changed. Raises Problem."""
+        CHANGE_OWN.check(person)
         async with self._acting:
-            own = self._of_version(key, version)
+            former = self._of_version(key, version)
             settings = proposed(written, self._bus_settings)
-            if own_key(settings.bus, settings.unit, settings.name) != key:
-                raise Problem(422, "invalid", Message.of("own_alarm_other_place", name=own.settings.name))
-            row = self._row(person, settings, own.request)
-            writing = OwnAlarmWriting(key, row)
-            what = Message.of("event_own_alarm_changed", name=settings.name)
-            alarm = await self._end(person, own, what, in_words(settings), reason, writing)
-            after = Alarm(own_definition(settings), alarm.facts)
-            self._bus(settings).add_own(settings, after)
-            return self._keep(row, settings, writing.version)
+            own = OwnAlarm(settings, person.name, self._clock(), former.request)
+            if own.key != key:
+                raise Problem(422, "invalid", Message.of("own_alarm_other_place", name=former.settings.name))
+            alarm = await self._end(person, CHANGE_OWN, former, reason, own)
+            self._bus(settings).add_own(settings, Alarm(own_definition(settings), alarm.facts))
+            self.added[key] = own
+            return own
 
     async def remove(self, person: Person, key: str, version: int, reason: str) -> None:
         """End an alarm and its definition. Raises Problem."""
+        REMOVE_OWN.check(person)
         async with self._acting:
             aside = self.left_aside.get(key)
             if aside is not None and aside.version == version:
-                await self._remove_aside(person, aside, reason)
+                await self._events.record(
+                    **REMOVE_OWN.by(person, name=aside.name),
+                    message=reason,
+                    also=OwnAlarmWriting(key),
+                )
+                del self.left_aside[key]
                 return
             own = self._of_version(key, version)
-            what = Message.of("event_own_alarm_removed", name=own.settings.name)
-            await self._end(person, own, what, None, reason, OwnAlarmWriting(key, None))
+            await self._end(person, REMOVE_OWN, own, reason)
             self._bus(own.settings).list.take_out(key)
             del self.added[key]
-
-    async def _remove_aside(self, person: Person, aside: LeftAside, reason: str) -> None:
-        await self._events.record(
-            kind="alarm",
-            **person.author,
-            what=Message.of("event_own_alarm_removed", name=aside.name),
-            message=reason,
-            also=OwnAlarmWriting(aside.key, None),
-        )
-        del self.left_aside[aside.key]
 
     def _of_version(self, key: str, version: int) -> OwnAlarm:
         own = self.added.get(key)
@@ -194,36 +177,29 @@ class OwnAlarmBook:
         return own
 
     async def _end(
-        self,
-        person: Person,
-        own: OwnAlarm,
-        what: Message,
-        new: str | None,
-        reason: str,
-        writing: OwnAlarmWriting,
+        self, person: Person, act: Act, own: OwnAlarm, reason: str, following: OwnAlarm | None = None
     ) -> Alarm:
         bus = self._bus(own.settings)
         async with bus.list.writing:
-            alarm = bus.list.alarms[own.key]
-            now = self._clock()
+            alarm, now = bus.list.alarms[own.key], self._clock()
             bus.list.advance(now)
-            before = (alarm.facts, alarm.hidden_by, alarm.reason)
             bus.end_own(alarm)
-            changed = changes.withdraw(alarm.facts, alarm.definition.attributes, now)
-            bus.list.change(alarm, changed, person.name, reason)
-            entries, alarms = bus.list.take_unwritten()
-            journal = JournalWriting(entries, alarms)
-
-            def write(connection: sqlite3.Connection) -> None:
-                journal(connection)
-                writing(connection)
-
+            transaction = ActTransaction(person.name, [bus.list])
+            ended = changes.withdraw(alarm.facts, alarm.definition.attributes, now)
+            transaction.change(bus.list, alarm, ended, reason)
             try:
-                await self._record(person, own.settings, what, in_words(own.settings), new, reason, write)
+                await transaction.record(
+                    lambda journal: self._record(
+                        person,
+                        act,
+                        own.settings,
+                        written_together(journal, OwnAlarmWriting(own.key, following)),
+                        old=in_words(own.settings),
+                        new=in_words(following.settings) if following else None,
+                        message=reason,
+                    )
+                )
             except StoreError:
-                bus.list.give_back([entry for entry in entries if entry.who != person.name], alarms)
-                facts, alarm.hidden_by, alarm.reason = before
-                bus.list.restore(alarm, facts)
                 bus.add_own(own.settings, alarm)
                 raise
         return alarm
@@ -231,29 +207,18 @@ class OwnAlarmBook:
     async def _record(
         self,
         person: Person,
+        act: Act,
         settings: AlarmSettings,
-        what: Message,
-        old: str | None,
-        new: str | None,
-        reason: str,
         also: Also,
+        *,
+        old: str | None = None,
+        new: str | None = None,
+        message: str = "",
     ) -> None:
+        performed = act.by(person, name=settings.name)
         await self._events.record(
-            kind="alarm",
-            **person.author,
-            bus=settings.bus,
-            unit=settings.unit,
-            what=what,
-            old=old,
-            new=new,
-            message=reason,
-            also=also,
+            **performed, bus=settings.bus, unit=settings.unit, old=old, new=new, message=message, also=also
         )
-
-    def _row(self, person: Person, settings: AlarmSettings, request: str) -> OwnAlarmRow:
-        key = own_key(settings.bus, settings.unit, settings.name)
-        written = settings.model_dump_json(exclude_defaults=True)
-        return OwnAlarmRow(key, written, person.name, self._clock(), request)
 
     def _bus(self, settings: AlarmSettings) -> BusAlarms:
         return self._alarms.buses[settings.bus]

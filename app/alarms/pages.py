@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
-from pydantic import StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.api import MAX_MINUTES, Alarms
-from app.alarms.group import GROUPS
+from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
+from app.alarms.alarm import state_text
+from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
-from app.alarms.rules.performance import DAY_S, Figure
+from app.alarms.rules.performance import DAY_S, AlarmFigure
 from app.alarms.rules.states import PRESENT_STATES
 from app.alarms.shown import recorded_name
 from app.alarms.store import JournalEntry
-from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of, state_text
+from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
+from app.conditions.condition import GROUPS
 from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.screen.screen import ALARM_GROUP
-from app.web.access import Engineer, Operator, Viewer
+from app.web.access import Person, Viewer
 from app.web.formats import UNKNOWN, Formats
 from app.web.services import service_of
 from app.web.templating import render, templates_of
@@ -51,37 +52,23 @@ async def chosen_filters(
 ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
 
 
-@dataclass(frozen=True, slots=True)
-class TransitionRow:
+class TransitionRow(NamedTuple):
     """One transition as a page shows it."""
 
-    at: UnixTime
+    entry: JournalEntry
     name: str | Message
     place: str
-    priority: str
     before: Message
     after: Message
-    who: str
-    reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class FigureRow:
+class FigureRow(NamedTuple):
     """One figure as the page shows it."""
 
     name: Message
     value: str
     target: str
-    met: bool | None
-
-
-@dataclass(frozen=True, slots=True)
-class FrequentRow:
-    """One of the most frequent alarms."""
-
-    name: str | Message
-    place: str
-    times: int
+    is_met: bool | None
 
 
 @router.get("/alarms")
@@ -159,9 +146,7 @@ async def performance_page(
         csv=f"/api/v1/alarms/performance.csv?{span}",
         figures=[_figure(figure, formats) for figure in found.figures],
         frequent=[
-            FrequentRow(
-                recorded_name(each.alarm, each.code, each.name), alarms.place(each.bus, each.unit), each.times
-            )
+            (recorded_name(each), alarms.place(each.bus, each.unit), each.times)
             for each in found.most_frequent
         ],
     )
@@ -176,7 +161,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
         if problem.code != "superseded":
             raise
         return RedirectResponse(f"/alarms/{problem.extra['id']}", SEE_OTHER)
-    entries = await alarms.store.journal_of(alarm.definition.key, ON_A_PAGE)
+    entries = await alarms.store.journal(ON_A_PAGE, alarm=alarm.definition.key)
     return render(
         request,
         "alarms/one.html",
@@ -189,18 +174,18 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
 @router.post("/alarms/acknowledge")
 async def acknowledge_shown(
     request: Request,
-    person: Operator,
+    person: Annotated[Person, ACKNOWLEDGE.permitted],
     alarms: Alarms,
     chosen: ChosenFilters,
     id: Annotated[list[str], Form(max_length=MAX_ROWS)],
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
-    """Those that the person saw. One that has changed since is left as it is, and the page reports it. The
-    list that they are acknowledged in keeps the places of its rows."""
+    """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
+    reports it. The list that they are acknowledged in keeps the places of its rows."""
     left_out = 0
     for alarm_id in id:
         try:
-            await alarms.acknowledge(person, alarm_id)
+            await alarms.act(person, ACKNOWLEDGE, alarm_id)
         except Problem:
             left_out += 1
     if shown:
@@ -213,59 +198,38 @@ async def acknowledge_shown(
 
 @router.post("/alarms/silence")
 async def silence_sounding(
-    person: Operator, alarms: Alarms, until: Annotated[float, Form(allow_inf_nan=False)]
+    person: Annotated[Person, SILENCE_SOUNDING.permitted],
+    alarms: Alarms,
+    until: Annotated[float, Form(allow_inf_nan=False)],
 ) -> Response:
-    """Those that sounded at the press: not one that came since."""
+    """Silence the alarms that sounded at the press, and none that came since."""
     await alarms.silence_sounding(person, UnixTime(until))
     return Response(status_code=204)
 
 
-@router.post("/alarms/{alarm_id}/silence")
-async def silence(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """End its sound."""
-    await alarms.silence(person, alarm_id)
-    return _to(alarm_id)
+class WrittenAct(BaseModel):
+    """The form of an act as it was filled in."""
+
+    reason: Annotated[OneLine, Field(max_length=200)] = ""
+    minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES)] = 30
 
 
-@router.post("/alarms/{alarm_id}/reset")
-async def reset(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """End a latch."""
-    await alarms.reset(person, alarm_id)
-    return _to(alarm_id)
+def _add_form(act: AlarmAct) -> None:
+    async def perform(
+        alarms: Alarms, alarm_id: str, written: Annotated[WrittenAct, Form()], person: Person = act.permitted
+    ) -> Response:
+        fields = written.model_dump(include=set(act.body.model_fields))
+        if act.hides:
+            given_reason(written.reason)
+        await alarms.act(person, act, alarm_id, act.body.model_validate(fields))
+        return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
+
+    router.post(f"/alarms/{{alarm_id}}/{act.path}", name=act.name)(perform)
 
 
-@router.post("/alarms/{alarm_id}/shelve")
-async def shelve(
-    person: Operator,
-    alarms: Alarms,
-    alarm_id: str,
-    minutes: Annotated[int, Form(ge=1, le=MAX_MINUTES)],
-    reason: TypedReason = "",
-) -> Response:
-    """Hide it for a time."""
-    await alarms.shelve(person, alarm_id, given_reason(reason), minutes)
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/unshelve")
-async def unshelve(person: Operator, alarms: Alarms, alarm_id: str) -> Response:
-    """Annunciate it again."""
-    await alarms.unshelve(person, alarm_id)
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/out-of-service")
-async def remove(person: Engineer, alarms: Alarms, alarm_id: str, reason: TypedReason = "") -> Response:
-    """Take it out of service."""
-    await alarms.remove(person, alarm_id, given_reason(reason))
-    return _to(alarm_id)
-
-
-@router.post("/alarms/{alarm_id}/in-service")
-async def return_to_service(person: Engineer, alarms: Alarms, alarm_id: str) -> Response:
-    """Return it to service."""
-    await alarms.return_(person, alarm_id)
-    return _to(alarm_id)
+for alarm_act in ALARM_ACTS:
+    if alarm_act is not ACKNOWLEDGE:
+        _add_form(alarm_act)
 
 
 def given_reason(reason: str) -> str:
@@ -275,24 +239,13 @@ def given_reason(reason: str) -> str:
     return reason.strip()
 
 
-def _to(alarm_id: str) -> Response:
-    return RedirectResponse(f"/alarms/{alarm_id}", SEE_OTHER)
-
-
 def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
-    return TransitionRow(
-        at=entry.at,
-        name=recorded_name(entry.alarm, entry.code, entry.name),
-        place=alarms.place(entry.bus, entry.unit),
-        priority=entry.priority,
-        before=state_text(entry.before),
-        after=Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after),
-        who=entry.who,
-        reason=entry.reason,
-    )
+    after = Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after)
+    place = alarms.place(entry.bus, entry.unit)
+    return TransitionRow(entry, recorded_name(entry), place, state_text(entry.before), after)
 
 
-def _figure(figure: Figure, formats: Formats) -> FigureRow:
+def _figure(figure: AlarmFigure, formats: Formats) -> FigureRow:
     name = Message(f"alarm_figure_{figure.code}")
 
     def shown(value: float | None) -> str:
@@ -308,4 +261,4 @@ def _figure(figure: Figure, formats: Formats) -> FigureRow:
         target = f"≤ {shown(figure.at_most)}"
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
-    return FigureRow(name, shown(figure.value), target, figure.is_met)
+    return FigureRow(name, shown(figure.value), target, figure.met)

@@ -5,7 +5,11 @@ from __future__ import annotations
 import sqlite3
 from collections import Counter
 from dataclasses import dataclass
+from typing import Annotated
 
+from pydantic import Field
+
+from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.observed import ObservedSpan, observed_within
 from app.alarms.rules.performance import (
@@ -14,7 +18,7 @@ from app.alarms.rules.performance import (
     STALE_S,
     WINDOW_S,
     AlarmCounts,
-    Figure,
+    AlarmFigure,
     FigureCode,
     figures,
 )
@@ -57,14 +61,14 @@ _MEDIAN = (
 
 @dataclass(frozen=True, slots=True)
 class FrequentAlarm:
-    """One of the most frequent, with what it needs to be read without the configuration of its time."""
+    """One of the ten most frequent alarms."""
 
-    alarm: str
+    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
     code: str
     name: str
-    bus: str | None
-    unit: int | None
-    times: int
+    bus: BusName
+    unit: UnitNumber
+    times: Annotated[int, Field(description="How often it was annunciated.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +81,7 @@ class Performance:
     """How long the span is."""
     observed_s: float
     """In how much of it alarms were observed."""
-    figures: list[Figure]
+    figures: list[AlarmFigure]
     most_frequent: list[FrequentAlarm]
 
     @property

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import asdict
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
 from pydantic import AwareDatetime, Field
 from starlette.responses import Response
-from typing_extensions import TypeAliasType, TypedDict
+from typing_extensions import TypedDict
 
 from app.alarms.api import Alarms
 from app.alarms.performance import FrequentAlarm, Performance, measure
-from app.alarms.rules.performance import DAY_S, Figure, FigureCode
-from app.alarms.shown import BusName, UnitNumber
+from app.alarms.rules.performance import DAY_S, AlarmFigure
 from app.audit.api import CSV
 from app.errors import Problem
 from app.web.access import Viewer
@@ -28,32 +29,6 @@ router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRout
 MAX_DAYS = 31
 USUAL_DAYS = 7
 COLUMNS = ("code", "value", "at_most", "at_least", "met", "from", "to", "observed_s")
-AlarmFigureCode = TypeAliasType("AlarmFigureCode", FigureCode)
-FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
-
-
-class AlarmFigure(TypedDict):
-    """One figure and its target."""
-
-    code: AlarmFigureCode
-    value: Annotated[
-        float | None,
-        Field(description="Shares 0 to 1; null: nothing to measure, or under 10 minutes were observed."),
-    ]
-    at_most: FigureTarget
-    at_least: FigureTarget
-    met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
-
-
-class FrequentAlarmShown(TypedDict):
-    """One of the ten most frequent alarms."""
-
-    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
-    code: str
-    name: str
-    bus: BusName
-    unit: UnitNumber
-    times: Annotated[int, Field(description="How often it was annunciated.")]
 
 
 ObservedShown = TypedDict(
@@ -70,7 +45,18 @@ class AlarmPerformance(ObservedShown):
     """The figures of a time, and in how much of it alarms were observed."""
 
     figures: list[AlarmFigure]
-    most_frequent: list[FrequentAlarmShown]
+    most_frequent: list[FrequentAlarm]
+
+
+def month_at_most(since: datetime | None, until: datetime | None) -> tuple[UnixTime, UnixTime]:
+    """From ``since`` to ``until``; the last week by default. Raises Problem 422."""
+    end = unix_now() if until is None else UnixTime(until.timestamp())
+    start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
+    if start >= end:
+        raise Problem(422, "invalid", Message("span_reversed"))
+    if end - start > MAX_DAYS * DAY_S:
+        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
+    return start, end
 
 
 async def wanted_performance(
@@ -78,14 +64,8 @@ async def wanted_performance(
     since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
     until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
 ) -> Performance:
-    """The figures of a span, at most a month; the last week by default. Raises Problem 422."""
-    end = unix_now() if until is None else UnixTime(until.timestamp())
-    start = end - USUAL_DAYS * DAY_S if since is None else UnixTime(since.timestamp())
-    if start >= end:
-        raise Problem(422, "invalid", Message("span_reversed"))
-    if end - start > MAX_DAYS * DAY_S:
-        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
-    return await measure(alarms, start, end)
+    """The figures of a span."""
+    return await measure(alarms, *month_at_most(since, until))
 
 
 WantedPerformance = Annotated[Performance, Depends(wanted_performance)]
@@ -96,8 +76,8 @@ async def get_alarm_performance(_: Viewer, performance: WantedPerformance) -> Al
     """The figures of ISA-18.2, clause 16, each against its target."""
     return {
         **_observed(performance),
-        "figures": [_figure(figure) for figure in performance.figures],
-        "most_frequent": [_frequent(alarm) for alarm in performance.most_frequent],
+        "figures": performance.figures,
+        "most_frequent": performance.most_frequent,
     }
 
 
@@ -108,7 +88,7 @@ async def get_alarm_performance_csv(_: Viewer, performance: WantedPerformance) -
     rows = csv.DictWriter(text, COLUMNS)
     rows.writeheader()
     observed = _observed(performance)
-    rows.writerows({**_figure(figure), **observed} for figure in performance.figures)
+    rows.writerows({**asdict(figure), **observed} for figure in performance.figures)
     name = {"Content-Disposition": 'attachment; filename="alarm-performance.csv"'}
     return Response(text.getvalue(), media_type="text/csv", headers=name)
 
@@ -118,25 +98,4 @@ def _observed(performance: Performance) -> ObservedShown:
         "from": iso(performance.start),
         "to": iso(performance.end),
         "observed_s": round(performance.observed_s, 3),
-    }
-
-
-def _figure(figure: Figure) -> AlarmFigure:
-    return {
-        "code": figure.code,
-        "value": figure.value,
-        "at_most": figure.at_most,
-        "at_least": figure.at_least,
-        "met": figure.is_met,
-    }
-
-
-def _frequent(alarm: FrequentAlarm) -> FrequentAlarmShown:
-    return {
-        "alarm": alarm.alarm,
-        "code": alarm.code,
-        "name": alarm.name,
-        "bus": alarm.bus,
-        "unit": alarm.unit,
-        "times": alarm.times,
     }

@@ -8,11 +8,12 @@ from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.alarms.alarm import Alarm
-from app.alarms.definition import Rationalization
-from app.alarms.group import AlarmGroup, group_of
+from app.alarms.definition import BusName, Rationalization, UnitNumber
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.performance import FrequentAlarm
 from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry
+from app.alarms.store import JournalEntry, RecordedAlarm
+from app.conditions.condition import AlarmGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
 from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
@@ -29,8 +30,6 @@ WhenOrNull = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, millise
 CameAt = Annotated[MaybeInstant, Field(description="When its occurrence began; null: it never came.")]
 ClearedAt = Annotated[MaybeInstant, Field(description="When its condition ended; null: it did not.")]
 AcknowledgedAt = Annotated[MaybeInstant, Field(description="When a person acknowledged it; null: none has.")]
-BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
-UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
 
 
 class AlarmShown(TypedDict):
@@ -65,14 +64,11 @@ class AlarmShown(TypedDict):
 
 
 class AlarmRationalization(TypedDict):
-    """Why there is this alarm (ISA-18.2, clause 9). English."""
+    """Why there is this alarm (ISA-18.2, clause 9)."""
 
-    cause: str
-    cause_message: MessageShown
-    consequence: str
-    consequence_message: MessageShown
-    response: str
-    response_message: MessageShown
+    cause: MessageShown
+    consequence: MessageShown
+    response: MessageShown
     severity: AlarmConsequence
     time_to_respond: AlarmTimeToRespond
 
@@ -95,10 +91,10 @@ class AlarmTransition(TypedDict):
     reason: str | None
 
 
-def recorded_name(alarm: str, code: str, name: str) -> str | Message:
+def recorded_name(of: RecordedAlarm | FrequentAlarm) -> str | Message:
     """The name of an alarm of the journal; of a built-in one as a message, which each reader has in their
     language."""
-    return Message(f"alarm_{code}") if alarm.endswith(f".{code}") else name
+    return Message(f"alarm_{of.code}") if of.alarm.endswith(f".{of.code}") else of.name
 
 
 def alarm_message(alarm: Alarm, value: Message | None) -> Message:
@@ -122,12 +118,12 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
     definition, facts = alarm.definition, alarm.facts
     value = present_value(alarms, alarm)
     message = alarm_message(alarm, value)
-    by_person = facts.state in ("shelved", "out_of_service")
+    hidden_by, reason = alarm.hiding
     return {
         "id": alarm.id,
         "name": str(definition.name),
         "code": definition.code,
-        "group": group_of(definition),
+        "group": definition.about,
         "bus": definition.bus,
         "unit": definition.unit,
         "priority": definition.priority,
@@ -146,20 +142,17 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "alarm_message": message_shown(message),
         "first_out": alarm.first_out,
         "shelved_until": _time(facts.shelved_until),
-        "hidden_by": alarm.hidden_by if by_person else None,
-        "reason": alarm.reason if by_person else None,
+        "hidden_by": hidden_by or None,
+        "reason": reason or None,
     }
 
 
 def record_json(record: Rationalization) -> AlarmRationalization:
     """The record of an alarm."""
     return {
-        "cause": str(record.cause),
-        "cause_message": message_shown(record.cause),
-        "consequence": str(record.consequence),
-        "consequence_message": message_shown(record.consequence),
-        "response": str(record.response),
-        "response_message": message_shown(record.response),
+        "cause": message_shown(record.cause),
+        "consequence": message_shown(record.consequence),
+        "response": message_shown(record.response),
         "severity": record.severity,
         "time_to_respond": record.time_to_respond,
     }

@@ -114,22 +114,16 @@ class AlarmStore:
         """A read of many transitions. Raises TooCostlyError after a bounded time."""
         return await self._database.read_costly(work)
 
-    async def journal(self, limit: int, before: int | None) -> list[JournalEntry]:
-        """Transitions, newest first; ``before``: older than this entry."""
-        query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE id < ? ORDER BY id DESC LIMIT ?"
-        rows = await self._database.read(
-            lambda connection: connection.execute(query, (before or 2**62, limit)).fetchall()
-        )
-        return [JournalEntry(*row) for row in rows]
-
-    async def journal_of(self, alarm: str, limit: int) -> list[JournalEntry]:
-        """The newest transitions of one alarm."""
+    async def journal(
+        self, limit: int, before: int | None = None, alarm: str | None = None
+    ) -> list[JournalEntry]:
+        """Transitions, of all or of one alarm, newest first; ``before``: older than this entry."""
         query = (
-            f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE alarm = ? ORDER BY id DESC LIMIT ?"
+            f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE id < ?"
+            f"{'' if alarm is None else ' AND alarm = ?'} ORDER BY id DESC LIMIT ?"
         )
-        rows = await self._database.read(
-            lambda connection: connection.execute(query, (alarm, limit)).fetchall()
-        )
+        values = (before or 2**62, *(() if alarm is None else (alarm,)), limit)
+        rows = await self._database.read(lambda connection: connection.execute(query, values).fetchall())
         return [JournalEntry(*row) for row in rows]
 
 

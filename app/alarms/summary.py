@@ -2,49 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from app.alarms.alarm import Alarm
-from app.alarms.group import group_of
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import present_value
-from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ROWS = 100
 """In the summary: as many as are acknowledged together at most."""
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmRow:
-    """One alarm as a page shows it."""
+class AlarmRow(NamedTuple):
+    """An alarm as a page shows it: with where it is, and the present value of what it is about."""
 
-    key: str
-    id: str
-    name: str | Message
-    bus: str | None
-    unit: int | None
+    alarm: Alarm
     place: str
-    priority: str
-    mark: str
-    code_of_state: str
-    state: Message
-    waiting: bool
-    sounds: bool
-    silenced: bool
-    since: UnixTime | None
-    came: UnixTime | None
-    cleared: UnixTime | None
-    acknowledged_at: UnixTime | None
-    unknown_since: UnixTime | None
-    shelved_until: UnixTime | None
     value: Message | None
-    first_out: bool
-    hidden_by: str
-    reason: str
 
 
 def listed(alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str] = ()) -> dict[str, Any]:
@@ -56,7 +32,7 @@ def listed(alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str] = ()
     rows = [row_of(alarms, alarm) for alarm in found[:MAX_ROWS]]
     return {
         "rows": rows,
-        "waiting": [row.id for row in rows if row.waiting],
+        "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
         "more": max(0, len(found) - MAX_ROWS),
         "query": query_of(chosen),
         "is_filtered": any(chosen.values()),
@@ -71,14 +47,13 @@ def query_of(chosen: dict[str, str]) -> str:
 def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
     definition = alarm.definition
     bus, _, unit = chosen["place"].partition("/")
-    filters: tuple[tuple[str, Callable[[], object]], ...] = (
-        (chosen["state"], lambda: alarm.facts.state),
-        (chosen["priority"], lambda: definition.priority),
-        (chosen["group"], lambda: group_of(definition)),
-        (bus, lambda: definition.bus),
-        (unit, lambda: str(definition.unit)),
+    return (
+        chosen["state"] in ("", alarm.facts.state)
+        and chosen["priority"] in ("", definition.priority)
+        and chosen["group"] in ("", definition.about)
+        and bus in ("", definition.bus)
+        and unit in ("", str(definition.unit))
     )
-    return all(not wanted or wanted == value() for wanted, value in filters)
 
 
 def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
@@ -92,35 +67,5 @@ def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
 
 def row_of(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
     """An alarm as it is now."""
-    definition, facts = alarm.definition, alarm.facts
-    by_person = facts.state in ("shelved", "out_of_service")
-    return AlarmRow(
-        key=definition.key,
-        id=alarm.id,
-        name=definition.name,
-        bus=definition.bus,
-        unit=definition.unit,
-        place=alarms.place(definition.bus, definition.unit),
-        priority=definition.priority,
-        mark=alarm.mark,
-        code_of_state=facts.state,
-        state=state_text(facts.state),
-        waiting=alarm.is_unacknowledged,
-        sounds=facts.sounds,
-        silenced=facts.silenced,
-        since=facts.since,
-        came=facts.came,
-        cleared=facts.cleared,
-        acknowledged_at=facts.acknowledged_at,
-        unknown_since=facts.unknown_since,
-        shelved_until=facts.shelved_until,
-        value=present_value(alarms, alarm),
-        first_out=alarm.first_out,
-        hidden_by=alarm.hidden_by if by_person else "",
-        reason=alarm.reason if by_person else "",
-    )
-
-
-def state_text(state: str) -> Message:
-    """The words for a state."""
-    return Message(f"alarm_state_{state}")
+    place = alarms.place(alarm.definition.bus, alarm.definition.unit)
+    return AlarmRow(alarm, place, present_value(alarms, alarm))

@@ -25,8 +25,8 @@ _NEVER = UnixTime(0.0)
 
 
 class UnitMonitor:
-    """Of one unit. ``alarms``: the built-in ones by code, ``tuning`` their limits; ``own``: those of the
-    site, which may change while it runs."""
+    """Observes one unit. ``alarms``: the built-in ones by code, ``tuning`` their limits; ``own``: those of
+    the site, which may change while it runs."""
 
     def __init__(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from decimal import Decimal
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar, get_args
 
 from app.conditions.evidence import ReadingPredicate, StatusPredicate
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
@@ -12,10 +12,14 @@ from bus.messages import TEXTS, Message
 
 Predicate = TypeVar("Predicate")
 Rung = Literal["e-stop", "run", "mode", "link", "ramp"]
-"""Of the ladder: what a unit needs to be at speed, each of which needs the one before."""
+"""A rung of the ladder: what a unit needs to be at speed, each of which needs the one before."""
 SuppressionGroup = Literal["bus", "cable", "unit", "speed"]
-"""``bus``: follows from a lost worker; ``cable``: also from a lost port; ``unit``: also from a bus on which
-no unit responds; ``speed``: also from an e-stop of the unit, and means nothing on a line at rest."""
+"""What the rows that ``suppress`` it hide; ``speed``: also an e-stop of the unit, and a line at rest."""
+
+AlarmGroup = Literal["drive", "communication", "parameters", "system", "own"]
+"""What an alarm is about. ``drive``: what the machine does; ``communication``: units, cable, port, worker;
+``parameters``: what units are set to; ``system``: the server; ``own``: those of the site."""
+GROUPS: tuple[AlarmGroup, ...] = get_args(AlarmGroup)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +42,6 @@ class Tuning:
             return "setting_alarm_limits_reversed"
         room = above if below is None else (above - below) / 2
         return "setting_alarm_deadband_wide" if self.deadband_percent >= room else ""
-
-
-@dataclass(frozen=True, slots=True)
-class Tile:
-    """What the first line of a unit or bus names. ``check``: what a person does about it, empty where only
-    time or a decision helps; ``cause``: its code for programs, where that is not the one of the condition."""
-
-    text: str
-    check: str = ""
-    cause: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +72,15 @@ class Condition(Generic[Predicate]):
     tuning: Tuning = field(default_factory=Tuning)
     latching: bool = False
     group: SuppressionGroup | None = None
+    about: AlarmGroup | None = None
+    """Where that does not follow from its place."""
+    suppresses: tuple[SuppressionGroup, ...] = ()
+    """What follows from it, on all of its bus."""
     is_alarm: bool = True
     """False: a person caused it, it ends within seconds, or another condition has the alarm."""
-    tiles: tuple[Tile, ...] = ()
+    tiles: tuple[str, ...] = ()
+    """The causes that tiles name where it holds, by their codes for programs. Named after them are two
+    messages: what the tile names and, unless only time or a decision helps, what to check."""
     event: ConditionEvent | None = None
     rung: Rung | None = None
     broken: ReadingPredicate | None = None

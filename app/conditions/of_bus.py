@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from app.conditions.condition import Condition, ConditionEvent, Tile, Tuning
+from app.conditions.condition import Condition, ConditionEvent, Tuning
 from app.conditions.evidence import BusFacts, BusPredicate, CountPredicate
 from app.conditions.of_unit import MIN_FAULTS
 from bus.messages import term
 
 SCAN_BUDGET = 1.5
-"""Of the time in which every unit is polled once and takes its full turnaround."""
+"""Multiple of the time in which every unit is polled once and takes its full turnaround."""
 CONTROL_IDLE_S = 120.0
-_CHECK_WORKER = "Check that the bus worker runs and reaches this server"
 
 
 def _wire_overloaded(bus: BusFacts) -> bool | None:
@@ -29,7 +28,8 @@ PORT_LOST: Condition[BusPredicate] = Condition(
     holds=lambda bus: None if bus.worker_is_lost else bus.port_is_closed,
     means="the port of the bus is closed",
     group="bus",
-    tiles=(Tile("port closed", "Check the adapter and its cable"),),
+    suppresses=("cable", "unit", "speed"),
+    tiles=("port_lost",),
     event=ConditionEvent("bus", "event_port_closed", "event_port_opened", term("open"), term("closed")),
 )
 BY_BUS: tuple[Condition[BusPredicate], ...] = (
@@ -39,10 +39,8 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         holds=lambda bus: bus.worker_is_lost,
         means="no bus worker is connected, or it reports nothing",
         tuning=Tuning(on_delay_s=2),
-        tiles=(
-            Tile("bus worker not connected", _CHECK_WORKER),
-            Tile("bus worker does not respond", _CHECK_WORKER, "worker_silent"),
-        ),
+        suppresses=("bus", "cable", "unit", "speed"),
+        tiles=("worker_lost", "worker_silent"),
     ),
     PORT_LOST,
     Condition(
@@ -52,7 +50,8 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         means="no unit of several responds",
         tuning=Tuning(on_delay_s=3, off_delay_s=5),
         group="cable",
-        tiles=(Tile("no unit responds"),),
+        suppresses=("unit", "speed"),
+        tiles=("no_unit_responds",),
     ),
     Condition(
         "wire_overloaded",
@@ -64,7 +63,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         group="unit",
     ),
 )
-"""Those that time alone can change."""
+"""Conditions that time alone can change."""
 SECOND_MASTER: Condition[CountPredicate] = Condition(
     "second_master",
     ("severe", "half_hour"),
@@ -76,6 +75,7 @@ SECOND_MASTER: Condition[CountPredicate] = Condition(
 CONTROL_LEFT: Condition[Callable[[float, bool], bool]] = Condition(
     "control_left",
     ("minor", "half_hour"),
+    about="drive",
     holds=lambda idle_s, has_page: idle_s > CONTROL_IDLE_S and not has_page,
     means="the holder of control has no page open and has sent no command for two minutes",
     tuning=Tuning(off_delay_s=5),
@@ -85,8 +85,8 @@ NO_UNIT_YET: Condition[Callable[[int], bool]] = Condition(
     ("minor", "shift"),
     holds=lambda lost: lost == 0,
     is_alarm=False,
-    tiles=(Tile("no unit has responded yet"),),
+    tiles=("no_unit_yet",),
 )
-"""Of a bus on which no unit responds, by how many are overdue."""
+"""Holds for a bus on which no unit responds; judged by how many are overdue."""
 
 OF_BUS: tuple[Condition[Any], ...] = (*BY_BUS, SECOND_MASTER, CONTROL_LEFT, NO_UNIT_YET)

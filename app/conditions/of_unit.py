@@ -6,7 +6,7 @@ from collections.abc import Callable
 from decimal import Decimal
 from typing import Any
 
-from app.conditions.condition import Condition, ConditionEvent, Tile, Tuning
+from app.conditions.condition import Condition, ConditionEvent, Tuning
 from app.conditions.evidence import (
     BusValues,
     CountPredicate,
@@ -25,7 +25,7 @@ from bus.contract import Reading
 from bus.messages import Message, term
 
 DEGRADED_SHARE = 0.05
-"""Of the polls of a minute without a valid response: an operator cannot see it, and it only gets worse."""
+"""Share of polls without a valid response in a minute. An operator cannot see it, and it only gets worse."""
 MIN_FAULTS = 3
 SETTLED = frozenset(("at_speed", "off_speed"))
 RUNNING = SETTLED | {"ramping_up", "ramping_down"}
@@ -91,7 +91,7 @@ ESTOP_ACTIVE: Condition[ReadingPredicate] = Condition(
     holds=lambda unit: unit.bits.estop_active,
     means="the e-stop input is active",
     group="unit",
-    tiles=(Tile("emergency stop active", "Check the emergency stop chain of this unit"),),
+    tiles=("estop_active",),
     event=ConditionEvent("estop", "event_estop_input", "event_estop_input", term("healthy"), term("active")),
     rung="e-stop",
     names=("motion",),
@@ -106,7 +106,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the motor turns without run and does not slow down",
         tuning=Tuning(on_delay_s=2),
         group="unit",
-        tiles=(Tile("turning without run", "Check what drives this section, and keep clear of it"),),
+        tiles=("running_without_run",),
         rung="run",
         since=("run_off", "turning"),
     ),
@@ -115,7 +115,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         ("major", "minutes"),
         holds=lambda unit: not unit.bits.run and unit.commanded != 0,
         is_alarm=False,
-        tiles=(Tile("run input off", "Check the run contact at the drive"),),
+        tiles=("run_off",),
         event=ConditionEvent("run", "event_run_input", "event_run_input", term("on"), term("off")),
         rung="run",
         broken=lambda unit: not unit.bits.run and (unit.commanded != 0 or unit.actual != 0),
@@ -129,7 +129,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the unit is in LOCAL or KEYLOCK",
         tuning=Tuning(on_delay_s=5),
         group="unit",
-        tiles=(Tile("in {mode}", "The unit rejects commands from here; set it to REMOTE at its panel"),),
+        tiles=("not_in_remote",),
         event=ConditionEvent("mode", "event_mode", "event_mode", term("REMOTE"), term("LOCAL")),
         rung="mode",
         names=("motion", "mode"),
@@ -140,7 +140,7 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         ("minor", "half_hour"),
         holds=lambda unit: unit.is_late,
         is_alarm=False,
-        tiles=(Tile("response overdue", "Check its power and the cable"),),
+        tiles=("link_stale",),
         rung="link",
     ),
     Condition(
@@ -150,13 +150,13 @@ BY_READING: tuple[Condition[ReadingPredicate], ...] = (
         means="the unit runs, no longer comes nearer to its commanded speed, and does not report AT SPEED",
         tuning=Tuning(on_delay_s=10, off_delay_s=2),
         group="speed",
-        tiles=(Tile("", "Check the load and the speed feedback"),),
+        tiles=("not_at_speed",),
         rung="ramp",
         names=("motion",),
         status=lambda bits: not bits.at_speed,
     ),
 )
-"""Those of each reading, in the order of the ladder."""
+"""Conditions that are judged by each reading, in the order of the ladder."""
 
 BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
     Condition(
@@ -179,12 +179,13 @@ BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
         group="speed",
     ),
 )
-"""Those of each reading that have limits."""
+"""Conditions that are judged by each reading and have limits."""
 
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "ratio_out_of_limits",
         ("major", "half_hour"),
+        about="parameters",
         holds=_ratio_out_of_limits,
         means="the ratio (#37) of a follower is outside #38 and #31",
         group="unit",
@@ -192,31 +193,32 @@ BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "duplicate_address",
         ("severe", "half_hour"),
+        about="communication",
         holds=lambda bus, unit: suspicion(bus, unit) is not None,
         means="#17 reads as another address, or responses come twice; latched",
         latching=True,
-        tiles=(
-            Tile("address uncertain", "Check that every unit has a unique address (#17)", "address_suspect"),
-        ),
+        tiles=("address_suspect",),
     ),
     Condition(
         "staged_left",
         ("major", "half_hour"),
+        about="parameters",
         holds=lambda _, unit: unit.staged is not None,
         means="a setpoint was staged (82h) and neither executed nor withdrawn",
         tuning=Tuning(on_delay_s=60),
         group="unit",
     ),
 )
-"""Those of what is read or reported now and then."""
+"""Conditions that are judged by what is read or reported now and then."""
 
 UNIT_OFFLINE: Condition[LinkPredicate] = Condition(
     "unit_offline",
     ("major", "minutes"),
+    about="communication",
     holds=_unit_offline,
     means="the unit does not respond, and others of its bus do",
     group="unit",
-    tiles=(Tile("offline", "Check its power and the cable"),),
+    tiles=("unit_offline",),
     event=ConditionEvent("unit", "event_unit_lost", "event_unit_back", term("online"), term("offline")),
 )
 UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
@@ -224,12 +226,13 @@ UNIT_UNKNOWN: Condition[Callable[[bool], bool]] = Condition(
     ("minor", "shift"),
     holds=lambda is_overdue: not is_overdue,
     is_alarm=False,
-    tiles=(Tile("no response yet", "Check its power, its address and the cable"),),
+    tiles=("unit_unknown",),
 )
-"""Of a unit without a response since the start: unless that is overdue."""
+"""Holds for a unit without a response since the start, unless that is overdue."""
 LINK_DEGRADED: Condition[CountPredicate] = Condition(
     "link_degraded",
     ("minor", "shift"),
+    about="communication",
     holds=lambda polls, faults: faults >= MIN_FAULTS and faults >= DEGRADED_SHARE * polls,
     means="5 % of the polls of a minute, and three at least, had no valid response",
     tuning=Tuning(off_delay_s=60),
@@ -238,19 +241,20 @@ LINK_DEGRADED: Condition[CountPredicate] = Condition(
 PARAMETER_DRIFT: Condition[Callable[[object], bool]] = Condition(
     "parameter_drift",
     ("major", "shift"),
+    about="parameters",
     holds=bool,
     means="a parameter differs from the golden set",
-    tiles=(Tile("", "", "drift"),),
+    tiles=("drift",),
 )
-"""Of whether, or in what, a unit differs."""
+"""Judged by whether, or in what, a unit differs."""
 BLOCKED: Condition[Callable[[object], bool]] = Condition(
     "blocked",
     ("minor", "shift"),
     holds=bool,
     is_alarm=False,
-    tiles=(Tile("commands blocked"),),
+    tiles=("blocked",),
 )
-"""Of why commands are blocked."""
+"""Judged by why commands are blocked."""
 
 OF_UNIT: tuple[Condition[Any], ...] = (
     *BY_READING,

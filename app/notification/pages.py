@@ -8,6 +8,7 @@ from fastapi import APIRouter, Form, Query
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
+from app.alarms.acts import ACKNOWLEDGE
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.errors import Problem
@@ -130,7 +131,7 @@ async def acknowledge_by_link(
 ) -> Response:
     """Acknowledge the occurrence that the link names."""
     notification.check_link(alarm, until, signature)
-    await alarms.acknowledge(person, alarm)
+    await alarms.act(person, ACKNOWLEDGE, alarm)
     return _to_alarm(alarms, alarm)
 
 

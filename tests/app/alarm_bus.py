@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from app.alarm_settings import AlarmSettings
@@ -13,6 +13,7 @@ from app.built_in_settings import BuiltInAlarmSettings
 from app.database import Database
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
+from bus.messages import Message
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 
 REMOTE, AT_SPEED = 0b0100_0000, 0b1000_0000
@@ -33,6 +34,7 @@ class AlarmBus:
         self.now = 1000.0
         self.step_s = 0.0
         self.drifted: set[int] = set()
+        self.left_control: Callable[[], Message | None] = lambda: None
         self.store = AlarmStore(database)
         settings = [
             AlarmSettings(**{"name": f"Own {i}", "bus": BUS, "unit": 1, **o}) for i, o in enumerate(own)
@@ -51,6 +53,7 @@ class AlarmBus:
             settings,
             self.store,
             lambda unit: unit in self.drifted,
+            lambda: self.left_control(),
             clock=lambda: self.now + self.step_s,
             monotonic=lambda: self.now,
             tuned=tuned,

@@ -20,7 +20,6 @@ class ModelAlarm:
     off_delay: float
     realarm: float
     latching: bool
-    needs_ack: bool
     observed: list[tuple[float, bool | None]] = field(default_factory=list)
     acts: list[tuple[float, str, float, bool]] = field(default_factory=list)
 
@@ -72,8 +71,6 @@ class ModelAlarm:
 
     def is_acknowledged(self, at: float) -> bool:
         """By the newest of all reasons for and against."""
-        if not self.needs_ack:
-            return True
         reasons = [(t, False) for t, rises in self.detections(at) if rises]
         reasons += [(t, True) for t, word, *_ in self.acts if word == "acknowledge" and t <= at]
         for t in self.returns(at):

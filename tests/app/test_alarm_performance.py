@@ -44,8 +44,8 @@ async def test_rates_peak_and_priorities(journal: Journal) -> None:
 async def test_an_empty_journal_has_no_shares_and_meets_no_target_by_them(journal: Journal) -> None:
     performance = await performance_of(journal, 600)
     assert values(performance)["low_share"] is None
-    assert {figure.code: figure.is_met for figure in performance.figures}["low_share"] is None
-    assert {figure.code: figure.is_met for figure in performance.figures}["per_day"] is True
+    assert {figure.code: figure.met for figure in performance.figures}["low_share"] is None
+    assert {figure.code: figure.met for figure in performance.figures}["per_day"] is True
 
 
 async def test_three_times_in_a_minute_chatters(journal: Journal) -> None:
@@ -102,7 +102,7 @@ async def test_what_was_not_observed_meets_no_target(journal: Journal, observed_
     journal.spans = [ObservedSpan(UnixTime(T), UnixTime(T + observed_s))]
     performance = await performance_of(journal, 7 * 86_400)
     assert not performance.is_observed
-    judged = {figure.code for figure in performance.figures if figure.is_met is not None}
+    judged = {figure.code for figure in performance.figures if figure.met is not None}
     assert judged == {"stale"}, "which is of the present"
     assert [code for code, value in values(performance).items() if value is not None] == [
         *("stale", "standing", "shelved", "suppressed", "out_of_service")
@@ -122,7 +122,7 @@ def test_a_flood_lasts_until_a_window_with_fewer_than_five() -> None:
 
 def test_each_figure_has_at_most_one_target() -> None:
     found = figures(AlarmCounts(600, {1: 3}, 3, {"urgent": 3}, 0, 0, 700, {"stale": 5}))
-    assert {figure.code for figure in found if figure.is_met is False} == {
+    assert {figure.code for figure in found if figure.met is False} == {
         *("per_day", "per_10_minutes", "top_ten_share", "stale", "urgent_share", "low_share"),
         "acknowledge_median_s",
     }

@@ -12,7 +12,8 @@ from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.first_out import FirstOut
 from app.alarms.rules.limits import ChangeRate, LimitRule, limits_of
 from app.alarms.rules.suppression import Suppressors, is_at_rest
-from app.conditions.condition import Tuning
+from app.conditions.catalogue import CONDITIONS
+from app.conditions.condition import SuppressionGroup, Tuning
 from app.conditions.priority import MATRIX, PRIORITIES, Consequence, TimeToRespond
 from bus.instants import UnixTime
 
@@ -54,16 +55,16 @@ def test_counters_are_judged_by_the_minute_and_may_begin_again_at_zero() -> None
     ("suppressors", "suppressed"),
     [
         (Suppressors(), ""),
-        (Suppressors(worker_lost=True), "bus unit speed"),
-        (Suppressors(port_lost=True), "unit speed"),
-        (Suppressors(no_unit_responds=True), "unit speed"),
+        (Suppressors(CONDITIONS["worker_lost"].suppresses), "bus cable unit speed"),
+        (Suppressors(CONDITIONS["port_lost"].suppresses), "cable unit speed"),
+        (Suppressors(CONDITIONS["no_unit_responds"].suppresses), "unit speed"),
         (Suppressors(at_rest=True), "speed"),
         (Suppressors(estops={1}), "speed"),
         (Suppressors(estops={2}), ""),
     ],
 )
 def test_what_suppresses_which_group(suppressors: Suppressors, suppressed: str) -> None:
-    assert [group for group in ("bus", "unit", "speed") if suppressors.suppress(group, 1)] == (
+    assert [group for group in get_args(SuppressionGroup) if suppressors.suppress(group, 1)] == (
         suppressed.split()
     )
     assert not suppressors.suppress(None, 1)

@@ -15,7 +15,9 @@ from app.alarm_settings import AlarmSettings
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.simulator import Simulator
+from app.history.series.runs import micros
 from app.history.service import History
+from app.history.store import tables
 from app.settings import load
 from app.web.access import Role
 from bus.contract import ParameterValue, Reading
@@ -54,12 +56,7 @@ async def simulated(client: httpx.AsyncClient, **body: Any) -> dict[str, Any]:
 async def test_an_engineer_learns_how_often_it_would_have_come(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     found = await simulated(engineer)
-    assert (found["annunciated"], found["chattering"], found["exact"], found["complete"]) == (
-        3,
-        3,
-        True,
-        True,
-    )
+    assert (found["annunciated"], found["chattering"], found["complete"]) == (3, 3, True)
     assert (found["standing_s"], found["longest_s"], found["stands_at_end"]) == (6, 2, False)
     assert found["covered_from"] > found["from"]
     assert found["first"] < found["last"] < found["covered_to"]
@@ -72,6 +69,18 @@ async def test_an_engineer_learns_how_often_it_would_have_come(house: House) -> 
     unscaled = await simulated(engineer, value="analog")
     assert (unscaled["annunciated"], unscaled["unknown_s"]) == (0, pytest.approx(600, abs=70))
     assert not house.services[LineAlarms].buses[BUS].list.take_unwritten()[0]
+
+
+async def test_readings_that_are_stored_no_longer_are_not_judged(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engineer = await house.program(Role.ENGINEER)
+    before = await simulated(engineer)
+    given_up = micros(UnixTime(time.time() - 525))
+    monkeypatch.setattr(tables, "raw_from", lambda _: given_up)
+    after = await simulated(engineer)
+    assert (before["annunciated"], after["annunciated"]) == (3, 1)
+    assert before["covered_from"] < after["covered_from"] < after["first"]
 
 
 @pytest.mark.parametrize(

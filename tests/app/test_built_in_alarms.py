@@ -8,21 +8,21 @@ from random import Random
 
 import pytest
 
-from app.alarms.control_watch import ControlWatch
+from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
-from app.conditions.expiry import DAY_S, certificate_expires, token_expires
+from app.conditions.of_server import DAY_S, certificate_expires, token_expires
 from app.database import Database
 from app.history.status import Status
 from app.live.diagnosis.links import bus_facts
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
 from bus.instants import Monotonic, UnixTime
-from tests.app.alarm_bus import AT_SPEED, BUS, REMOTE, AlarmBus
+from tests.app.alarm_bus import AT_SPEED, REMOTE, AlarmBus
 from tests.app.alarm_model import FOREVER, ModelAlarm
 from tests.app.notification_servers import certificate
 
@@ -51,7 +51,7 @@ def test_every_code_that_programs_rely_on_is_in_the_catalogue() -> None:
 
 def model_of(code: str) -> ModelAlarm:
     row = CONDITIONS[code]
-    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching, True)
+    return ModelAlarm(row.tuning.on_delay_s, row.tuning.off_delay_s, FOREVER, row.latching)
 
 
 @pytest.mark.parametrize(
@@ -142,17 +142,14 @@ def replace_at(figures: BusFigures, at: float) -> BusFigures:
 
 def test_control_is_left_when_its_holder_has_no_page_and_sends_nothing(bus: AlarmBus) -> None:
     pages, used_at = {"anna"}, Monotonic(bus.now)
-    held = {BUS: lambda: ("anna", used_at)}
-    watch = ControlWatch({BUS: bus.alarms}, held, lambda: pages, lambda: Monotonic(bus.now))
+    bus.left_control = lambda: control_left_by("anna", used_at, pages, Monotonic(bus.now))
     bus.wait(200, 1, 2, 3)
-    watch.look()
     assert bus.state("control_left") == "normal"
     pages.clear()
-    watch.look()
+    bus.wait(1, 1, 2, 3)
     alarm = bus.alarm("control_left")
     assert (alarm.facts.state, str(bus.alarms.present(alarm))) == ("unack_active", "held by anna")
     used_at = Monotonic(bus.now)
-    watch.look()
     bus.wait(6, 1, 2, 3)
     assert alarm.facts.state == "rtn_unack"
 

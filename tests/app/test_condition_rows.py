@@ -7,7 +7,16 @@ from typing import Any
 
 import pytest
 
-from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, STATUS, TILES, UNIT_ALARMS
+from app.conditions.catalogue import (
+    BUS_ALARMS,
+    CONDITIONS,
+    SERVER_ALARMS,
+    STATUS,
+    TILES,
+    UNIT_ALARMS,
+    tile_check,
+    tile_text,
+)
 from app.conditions.condition import Condition, Tuning
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
 from app.conditions.of_unit import suspicion
@@ -216,6 +225,13 @@ def test_a_row_without_a_text_does_not_start(monkeypatch: pytest.MonkeyPatch) ->
     for code in ("alarm_flood", "alarm_flood_cause", "alarm_flood_consequence", "alarm_flood_response"):
         monkeypatch.setitem(TEXTS, code, "Flood")
     assert row("flood", means="water is in the cabinet").priority == "low"
+
+
+def test_a_tile_has_the_words_of_its_cause() -> None:
+    assert str(tile_text("not_in_remote", mode="LOCAL")) == "in LOCAL"
+    assert str(tile_check("worker_silent")) == "Check that the bus worker runs and reaches this server"
+    assert tile_text("drift") is None, "it names the parameters"
+    assert tile_check("blocked") is None, "a person has decided that"
 
 
 def test_a_condition_is_in_the_alarms_of_one_place() -> None:

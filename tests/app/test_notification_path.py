@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from app.alarms.acts import ACKNOWLEDGE
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import OwnAlarmBook
@@ -359,7 +360,7 @@ async def stand(folder: Path, *, settled: bool = False, **notified: NotifySettin
         alarms, live = house.services[LineAlarms], house.services[LiveState].buses[BUS]
         live.apply([Reading(unit, time.time(), 0, 0, 0, REMOTE, 0) for unit in (1, 2)])
         if settled:
-            await alarms.acknowledge(Person("anna", Role.OPERATOR, "session"), f"{BUS}.1.estop_active.1")
+            await alarms.act(Person("anna", Role.OPERATOR, "session"), ACKNOWLEDGE, f"{BUS}.1.estop_active.1")
             live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
         await alarms.write()
         await house.services.buses[BUS][AlarmNotifier].load()

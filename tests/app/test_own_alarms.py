@@ -18,9 +18,9 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import MAX_OWN, OwnAlarmBook
 from app.audit.log import EventLog
 from app.database import Database
-from app.errors import StoreError
+from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
-from app.web.access import Role
+from app.web.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -83,6 +83,22 @@ async def test_an_alarm_is_detected_as_soon_as_it_was_added(house: House) -> Non
     assert [each["id"] for each in (await engineer.get(PATH)).json()["alarms"]] == [own["id"]]
 
 
+@pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
+async def test_a_caller_without_a_route_needs_the_role_too(house: House, role: Role) -> None:
+    own = await added(await house.program(Role.ENGINEER))
+    book, person, key = house.services[OwnAlarmBook], Person("ben", role, "session"), own["id"]
+    for act in (
+        book.add(person, {**FAST, "name": "Other"}),
+        book.change(person, key, own["version"], {**FAST, "above": "103.0"}),
+        book.remove(person, key, own["version"], "no longer needed"),
+    ):
+        with pytest.raises(Problem, match="role engineer") as refused:
+            await act
+        assert (refused.value.status, refused.value.code) == (403, "forbidden")
+    assert {each.version for each in book.added.values()} == {own["version"]}
+    assert len(await house.events("alarm")) == 1
+
+
 async def test_a_changed_alarm_ends_and_comes_again_by_the_next_reading(house: House) -> None:
     engineer = await house.program(Role.ENGINEER)
     own = await added(engineer)
@@ -95,7 +111,7 @@ async def test_a_changed_alarm_ends_and_comes_again_by_the_next_reading(house: H
     alarm = alarm_of(house, own["id"])
     assert (alarm.facts.state, alarm.facts.occurrence) == ("unack_active", 2)
     await house.services[LineAlarms].write()
-    entries = await house.services[LineAlarms].store.journal_of(own["id"], 10)
+    entries = await house.services[LineAlarms].store.journal(10, alarm=own["id"])
     assert [each.trigger for each in reversed(entries)] == ["rise", "remove", "clear", "return", "rise"]
     event = (await house.events("alarm"))[0]
     assert event["what"] == "Alarm changed: Too fast"
@@ -219,7 +235,7 @@ async def test_a_restart_keeps_them_and_leaves_aside_what_no_longer_fits(tmp_pat
         found = (await engineer.get(PATH)).json()
         assert found["alarms"] == [own]
         (aside,) = found["left_aside"]
-        assert (aside["name"], "has no unit 9" in aside["reason"]) == ("Of a unit that goes", True)
+        assert (aside["name"], "has no unit 9" in aside["reason"]["detail"]) == ("Of a unit that goes", True)
         assert (await removed(engineer, aside)).status_code == 204
         assert (await engineer.get(PATH)).json()["left_aside"] == []
 

@@ -69,7 +69,7 @@ def _come_due(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> C
         return _detect(facts, attributes, at)
     if realarm_due(facts, attributes) == at:
         return _base(facts, attributes, "realarm", at)
-    return _unhide(facts, attributes, "unshelve", at)
+    return _unhide(facts, "unshelve", at)
 
 
 def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
@@ -77,7 +77,7 @@ def _detect(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Cha
     facts = replace(facts, changing_since=None)
     facts, done = _base(facts, attributes, "clear" if cleared else "rise", at)
     if cleared and facts.shelved_once:
-        facts, ended = _unhide(facts, attributes, "unshelve", at)
+        facts, ended = _unhide(facts, "unshelve", at)
         done += ended
     return facts, done
 
@@ -103,32 +103,34 @@ def silence(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     return _moved(facts, replace(facts, silenced=True), "silence", at)
 
 
-def shelve(facts: AlarmFacts, until: UnixTime, at: UnixTime, *, once: bool = False) -> Changed:
-    """Hide it until a time; ``once``: or until its condition ends. Raises NoTransitionError."""
+def shelve(
+    facts: AlarmFacts, _: AlarmAttributes, at: UnixTime, *, for_s: float, once: bool = False
+) -> Changed:
+    """Hide it for a time; ``once``: or until its condition ends. Raises NoTransitionError."""
     if facts.shelved_until is not None or facts.out_of_service:
         raise NoTransitionError
-    return _moved(facts, replace(facts, shelved_until=until, shelved_once=once), "shelve", at)
+    return _moved(facts, replace(facts, shelved_until=at + for_s, shelved_once=once), "shelve", at)
 
 
-def unshelve(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
+def unshelve(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     """End the shelving before its time. Raises NoTransitionError."""
     if facts.shelved_until is None:
         raise NoTransitionError
-    return _unhide(facts, attributes, "unshelve", at)
+    return _unhide(facts, "unshelve", at)
 
 
-def remove_from_service(facts: AlarmFacts, at: UnixTime) -> Changed:
+def remove_from_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     """Hide it until it is returned to service. Raises NoTransitionError."""
     if facts.out_of_service:
         raise NoTransitionError
     return _moved(facts, replace(facts, out_of_service=True), "remove", at)
 
 
-def return_to_service(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
+def return_to_service(facts: AlarmFacts, _: AlarmAttributes, at: UnixTime) -> Changed:
     """Annunciate it again. Raises NoTransitionError."""
     if not facts.out_of_service:
         raise NoTransitionError
-    return _unhide(facts, attributes, "return", at)
+    return _unhide(facts, "return", at)
 
 
 def withdraw(facts: AlarmFacts, attributes: AlarmAttributes, at: UnixTime) -> Changed:
@@ -148,7 +150,7 @@ def _next_withdrawal(facts: AlarmFacts) -> StateChange | None:
     if facts.state == "normal":
         return None
     if not facts.out_of_service:
-        return lambda facts, _, at: remove_from_service(facts, at)
+        return remove_from_service
     if facts.active:
         return lambda facts, attributes, at: _base(facts, attributes, "clear", at)
     if facts.latched:
@@ -157,17 +159,17 @@ def _next_withdrawal(facts: AlarmFacts) -> StateChange | None:
     if facts.shelved_until is not None:
         return unshelve
     if facts.suppressed:
-        return lambda facts, attributes, at: suppress(facts, attributes, False, at)
+        return lambda facts, _, at: suppress(facts, False, at)
     return return_to_service
 
 
-def suppress(facts: AlarmFacts, attributes: AlarmAttributes, suppressed: bool, at: UnixTime) -> Changed:
+def suppress(facts: AlarmFacts, suppressed: bool, at: UnixTime) -> Changed:
     """Suppression by design begins or ends; nothing where that is so already."""
     if facts.suppressed == suppressed:
         return facts, ()
     if suppressed:
         return _moved(facts, replace(facts, suppressed=True), "suppress", at)
-    return _unhide(facts, attributes, "unsuppress", at)
+    return _unhide(facts, "unsuppress", at)
 
 
 def _base(facts: AlarmFacts, attributes: AlarmAttributes, trigger: BaseTrigger, at: UnixTime) -> Changed:
@@ -175,23 +177,21 @@ def _base(facts: AlarmFacts, attributes: AlarmAttributes, trigger: BaseTrigger, 
     if target is None:
         raise NoTransitionError
     base = target.latching if attributes.latching else target.plain
-    after = _in_base(facts, attributes, base)
+    after = _in_base(facts, base)
     if trigger in _STAMPED:
         after = _STAMPED[trigger](after, at)
     return _moved(facts, after, trigger, at)
 
 
-def _unhide(facts: AlarmFacts, attributes: AlarmAttributes, trigger: Unhiding, at: UnixTime) -> Changed:
+def _unhide(facts: AlarmFacts, trigger: Unhiding, at: UnixTime) -> Changed:
     after = _ENDED[trigger](facts)
     if not after.is_hidden:
-        after = _in_base(after, attributes, ON_RETURN[after.base])
+        after = _in_base(after, ON_RETURN[after.base])
     return _moved(facts, after, trigger, at)
 
 
-def _in_base(facts: AlarmFacts, attributes: AlarmAttributes, base: BaseState) -> AlarmFacts:
+def _in_base(facts: AlarmFacts, base: BaseState) -> AlarmFacts:
     after = facts.with_base(base)
-    if not attributes.needs_acknowledgement:
-        after = replace(after, acknowledged=True)
     return after if after.acknowledged else replace(after, acknowledged_at=None)
 
 

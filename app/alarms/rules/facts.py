@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from app.alarms.rules.states import FACTS_OF, STATE_OF, AlarmState, AlarmTrigger, BaseFacts, BaseState
 from bus.instants import UnixTime
-
-LONGEST_SHELVING_S = 12 * 3600.0
-"""A shift: what is shelved longer belongs out of service."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +17,8 @@ class AlarmAttributes:
     off_delay_s: float = 0.0
     realarm_s: float | None = None
     """After which an acknowledged alarm that still holds is unacknowledged again; None: never."""
-    longest_shelving_s: float = LONGEST_SHELVING_S
     latching: bool = False
     """It stays after its condition has ended, until a person resets it."""
-    needs_acknowledgement: bool = True
-
-
-PLAIN = AlarmAttributes()
-"""No delay, no latch, to be acknowledged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +57,12 @@ class AlarmFacts:
     @property
     def is_hidden(self) -> bool:
         """Whether it is detected and recorded, and not annunciated."""
-        return self.suppressed or self.out_of_service or self.shelved_until is not None
+        return self.suppressed or self.is_hidden_by_person
+
+    @property
+    def is_hidden_by_person(self) -> bool:
+        """Whether a person hid it, and has to end that or wait."""
+        return self.out_of_service or self.shelved_until is not None
 
     @property
     def sounds(self) -> bool:
@@ -85,6 +82,9 @@ class AlarmFacts:
         """These facts in another base state."""
         facts = FACTS_OF[base]
         return replace(self, active=facts.active, acknowledged=facts.acknowledged, latched=facts.latched)
+
+
+_TIMES = ("shelved_until", "since", "came", "cleared", "acknowledged_at", "changing_since", "unknown_since")
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,22 +115,11 @@ def realarm_due(facts: AlarmFacts, attributes: AlarmAttributes) -> UnixTime | No
     """When an acknowledged alarm is annunciated again."""
     if attributes.realarm_s is None or facts.acknowledged_at is None or facts.is_hidden or not facts.active:
         return None
-    return facts.acknowledged_at + attributes.realarm_s if attributes.needs_acknowledgement else None
+    return facts.acknowledged_at + attributes.realarm_s
 
 
 def shifted(facts: AlarmFacts, step_s: float) -> AlarmFacts:
-    """The same after the clock was set by ``step_s``: every time keeps its distance from now."""
-
-    def moved(time: UnixTime | None) -> UnixTime | None:
-        return None if time is None else time + step_s
-
-    return replace(
-        facts,
-        shelved_until=moved(facts.shelved_until),
-        changing_since=moved(facts.changing_since),
-        since=moved(facts.since),
-        came=moved(facts.came),
-        cleared=moved(facts.cleared),
-        acknowledged_at=moved(facts.acknowledged_at),
-        unknown_since=moved(facts.unknown_since),
-    )
+    """The facts of an alarm after the clock was set by ``step_s``: every time keeps its distance from now."""
+    times = {name: getattr(facts, name) for name in _TIMES}
+    moved: dict[str, Any] = {name: time + step_s for name, time in times.items() if time is not None}
+    return replace(facts, **moved)

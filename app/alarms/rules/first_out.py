@@ -12,7 +12,7 @@ WINDOW_S = 5.0
 
 @dataclass(slots=True)
 class FirstOut:
-    """Of one bus. An alarm alone is not marked."""
+    """The first alarm of a disturbance of one bus. An alarm alone is not marked."""
 
     _first: str | None = None
     _at: UnixTime = UnixTime(0.0)

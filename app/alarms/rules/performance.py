@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
+from typing_extensions import TypeAliasType
 
 from app.conditions.priority import PRIORITIES, AlarmPriority
 
@@ -43,6 +46,8 @@ FigureCode = Literal[
     "low_share",
     "acknowledge_median_s",
 ]
+AlarmFigureCode = TypeAliasType("AlarmFigureCode", FigureCode)
+FigureTarget = Annotated[float | None, Field(description="Its target; null: none of this kind.")]
 AT_MOST: dict[FigureCode, float] = {
     "per_day": 144,
     "per_10_minutes": 1,
@@ -62,29 +67,26 @@ AT_LEAST: dict[FigureCode, float] = {"low_share": 0.8}
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
-    """One figure; None where there was nothing to measure. Shares are 0 to 1."""
+class AlarmFigure:
+    """One figure and its target."""
 
-    code: FigureCode
-    value: float | None
+    code: AlarmFigureCode
+    value: Annotated[
+        float | None,
+        Field(description="Shares 0 to 1; null: nothing to measure, or under 10 minutes were observed."),
+    ]
+    at_most: FigureTarget
+    at_least: FigureTarget
+    met: Annotated[bool | None, Field(description="Whether it keeps its target; null: it has none.")]
 
-    @property
-    def at_most(self) -> float | None:
-        """Its target, where less is better."""
-        return AT_MOST.get(self.code)
 
-    @property
-    def at_least(self) -> float | None:
-        """Its target, where more is better."""
-        return AT_LEAST.get(self.code)
-
-    @property
-    def is_met(self) -> bool | None:
-        """Whether it keeps its target; None where it has none, or there was nothing to measure."""
-        if self.value is None or (self.at_most is None and self.at_least is None):
-            return None
-        above = self.at_most is not None and self.value > self.at_most
-        return not above and not (self.at_least is not None and self.value < self.at_least)
+def judged(code: FigureCode, value: float | None) -> AlarmFigure:
+    """A figure against its target; ``value`` is None where there was nothing to measure."""
+    at_most, at_least = AT_MOST.get(code), AT_LEAST.get(code)
+    met = None
+    if value is not None and (at_most is not None or at_least is not None):
+        met = (at_most is None or value <= at_most) and (at_least is None or value >= at_least)
+    return AlarmFigure(code, value, at_most, at_least, met)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +105,13 @@ class AlarmCounts:
     now: Mapping[FigureCode, int]
 
 
-def figures(measured: AlarmCounts) -> list[Figure]:
+def figures(measured: AlarmCounts) -> list[AlarmFigure]:
     """Every figure, in the order in which they are shown. Before ten minutes were observed the journal gives
     none: that no alarm came while none was looked for meets no target."""
     found = _measured(measured)
     if measured.observed_s < WINDOW_S:
         found = {**dict.fromkeys(found), **measured.now}
-    return [Figure(code, value) for code, value in found.items()]
+    return [judged(code, value) for code, value in found.items()]
 
 
 def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:

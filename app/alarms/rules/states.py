@@ -2,45 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 BaseState = Literal["normal", "unack_active", "ack_active", "rtn_unack", "latched_unack", "latched_ack"]
-AlarmState = Literal[
-    "normal",
-    "unack_active",
-    "ack_active",
-    "rtn_unack",
-    "latched_unack",
-    "latched_ack",
-    "shelved",
-    "suppressed",
-    "out_of_service",
-]
-PRESENT_STATES: tuple[AlarmState, ...] = (
-    "unack_active",
-    "ack_active",
-    "rtn_unack",
-    "latched_unack",
-    "latched_ack",
-    "shelved",
-    "suppressed",
-    "out_of_service",
-)
+AlarmState = Literal[BaseState, "shelved", "suppressed", "out_of_service"]
+PRESENT_STATES: tuple[AlarmState, ...] = get_args(AlarmState)[1:]
 """All but normal."""
 BaseTrigger = Literal["rise", "clear", "acknowledge", "reset", "realarm"]
 AlarmTrigger = Literal[
-    "rise",
-    "clear",
-    "acknowledge",
-    "reset",
-    "realarm",
-    "shelve",
-    "unshelve",
-    "suppress",
-    "unsuppress",
-    "remove",
-    "return",
-    "silence",
+    BaseTrigger, "shelve", "unshelve", "suppress", "unsuppress", "remove", "return", "silence"
 ]
 
 
@@ -87,8 +57,7 @@ TRANSITIONS: dict[tuple[BaseState, BaseTrigger], Target] = {
     ("latched_ack", "reset"): _both("normal"),
     ("latched_ack", "rise"): _both("unack_active"),
 }
-"""Every transition between base states; what is not here does not happen. Where no acknowledgement is needed,
-a rise leads to ``ack_active``."""
+"""Every transition between base states; what is not here does not happen."""
 
 ON_RETURN: dict[BaseState, BaseState] = {
     "normal": "normal",

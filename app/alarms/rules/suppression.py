@@ -12,22 +12,15 @@ from app.conditions.condition import SuppressionGroup
 class Suppressors:
     """What holds on one bus now."""
 
-    worker_lost: bool = False
-    port_lost: bool = False
-    no_unit_responds: bool = False
+    groups: Collection[SuppressionGroup] = ()
+    """The groups that conditions of the bus suppress."""
     at_rest: bool = False
     estops: Collection[int] = ()
     """The units whose emergency stop is active."""
 
     def suppress(self, group: SuppressionGroup | None, unit: int | None) -> bool:
         """Whether an alarm of this group and unit is suppressed."""
-        if group is None:
-            return False
-        if self.worker_lost or (self.port_lost and group != "bus"):
-            return True
-        if self.no_unit_responds and group in ("unit", "speed"):
-            return True
-        return group == "speed" and (self.at_rest or unit in self.estops)
+        return group in self.groups or (group == "speed" and (self.at_rest or unit in self.estops))
 
 
 def is_at_rest(commanded: Iterable[int | None]) -> bool:

@@ -9,20 +9,17 @@ from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
 from app.alarm_settings import OwnValue
-from app.alarms.performance_api import MAX_DAYS, USUAL_DAYS
-from app.alarms.rules.performance import DAY_S
+from app.alarms.performance_api import month_at_most
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
-from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service
 from app.web.shape import Instant, MaybeInstant, StrictBody, iso
-from bus.instants import UnixTime, unix_now
-from bus.messages import Message
+from bus.instants import UnixTime
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
@@ -50,6 +47,11 @@ class WrittenAlarmBody(StrictBody):
     priority: AlarmPriority = "medium"
     latch: bool = False
 
+    def written(self) -> dict[str, Any]:
+        """The keys of ``[[alarm]]`` that were given."""
+        beside = {"since", "until", "version", "reason"}
+        return self.model_dump(exclude_unset=True, exclude_none=True, exclude=beside)
+
 
 class AlarmSimulationRequest(WrittenAlarmBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
@@ -68,7 +70,7 @@ class AlarmSimulation(SimulatedSpanShown):
     """What the alarm would have done. Durations in seconds."""
 
     covered_from: Annotated[
-        MaybeInstant, Field(description="From when on there is history; null: there is none of this time.")
+        MaybeInstant, Field(description="From when on readings are stored; null: none of this time are.")
     ]
     covered_to: SimulatedTime
     annunciated: Annotated[int, Field(description="How often it would have come.")]
@@ -79,9 +81,6 @@ class AlarmSimulation(SimulatedSpanShown):
     longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
     stands_at_end: bool
     unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
-    exact: Annotated[
-        bool, Field(description="false: of a part only minutes are stored; it came at least so often.")
-    ]
     complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
     toml: Annotated[str, Field(description="The entry for lineside.toml.")]
 
@@ -92,25 +91,10 @@ async def simulate_alarm(
 ) -> AlarmSimulation:
     """What an alarm of the site would have done over stored history. Nothing is changed."""
     buses = list(history.buses.values())
-    settings = proposed(_written(body), buses)
-    end = unix_now() if body.until is None else UnixTime(body.until.timestamp())
-    start = end - USUAL_DAYS * DAY_S if body.since is None else UnixTime(body.since.timestamp())
-    check_span(start, end)
-    found = await simulator.run(history.buses[settings.bus], settings, start, end, person.account)
+    settings = proposed({"name": body.name, **body.written()}, buses)
+    span = month_at_most(body.since, body.until)
+    found = await simulator.run(history.buses[settings.bus], settings, *span, person.account)
     return {**_shown(found), "toml": in_toml(settings)}  # type: ignore[typeddict-item]
-
-
-def check_span(start: UnixTime, end: UnixTime) -> None:
-    """Raises Problem 422 for a span that ends before it begins, or is too long."""
-    if start >= end:
-        raise Problem(422, "invalid", Message("span_reversed"))
-    if end - start > MAX_DAYS * DAY_S:
-        raise Problem(422, "invalid", Message.of("alarm_span_too_long", days=MAX_DAYS))
-
-
-def _written(body: AlarmSimulationRequest) -> dict[str, Any]:
-    fields = body.model_dump(exclude_unset=True, exclude={"since", "until"})
-    return {"name": body.name, **{key: value for key, value in fields.items() if value is not None}}
 
 
 def _shown(found: Simulated) -> dict[str, Any]:
@@ -127,7 +111,6 @@ def _shown(found: Simulated) -> dict[str, Any]:
         "longest_s": None if found.longest_s is None else round(found.longest_s, 3),
         "stands_at_end": found.stands_at_end,
         "unknown_s": round(found.unknown_s, 3),
-        "exact": found.is_exact,
         "complete": found.is_complete,
     }
 

@@ -11,29 +11,17 @@ from bus.instants import UnixTime
 def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
     """Two readings with the least and the greatest that ``value`` can have been; for a bit: with what was on
     in every reading, and what in any. Neither needs to have been sent."""
+    speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
     if value == "deviation":
-        speeds = _least_deviation(row), _greatest_deviation(row)
-    else:
-        speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
+        # Where the two ranges overlap, they may have been equal.
+        common = max(row.commanded_min, row.actual_min)
+        apart = (row.commanded_min, row.actual_max), (row.commanded_max, row.actual_min)
+        least = common, min(common, row.commanded_max, row.actual_max)
+        speeds = least, max(apart, key=lambda pair: abs(pair[0] - pair[1]))
     at = UnixTime(row.start / SECOND)
     rest = ((row.analog_min, row.word_and), (row.analog_max, row.word_or))
-    least, greatest = (
+    first, last = (
         Reading(unit, at, *speed, analog, word >> 8, word & 0xFF)
         for speed, (analog, word) in zip(speeds, rest, strict=True)
     )
-    return least, greatest
-
-
-def _least_deviation(row: Rollup) -> tuple[int, int]:
-    """Where the two ranges overlap, they may have been equal."""
-    common = max(row.commanded_min, row.actual_min)
-    if common <= min(row.commanded_max, row.actual_max):
-        return common, common
-    if row.commanded_min > row.actual_max:
-        return row.commanded_min, row.actual_max
-    return row.commanded_max, row.actual_min
-
-
-def _greatest_deviation(row: Rollup) -> tuple[int, int]:
-    upward, downward = (row.commanded_min, row.actual_max), (row.commanded_max, row.actual_min)
-    return upward if upward[1] - upward[0] > downward[0] - downward[1] else downward
+    return first, last

@@ -32,7 +32,7 @@ class Annunciations:
                 self.end(each.at)
 
     def end(self, at: UnixTime) -> None:
-        """It cleared, was hidden, or the time is over."""
+        """End the present annunciation: the alarm cleared, was hidden, or the time is over."""
         if self.stands_since is not None:
             self.lengths.append(at - self.stands_since)
             self.stands_since = None
@@ -50,7 +50,7 @@ class Annunciations:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: what is stored of it.
+    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: the readings of it.
     Durations in seconds."""
 
     start: UnixTime
@@ -65,8 +65,6 @@ class Simulated:
     longest_s: float | None = None
     stands_at_end: bool = False
     unknown_s: float = 0.0
-    """Of the covered time: no reading, or what its condition needs was not known."""
-    is_exact: bool = True
-    """Whether every reading was judged; where only minutes are stored the count is the least."""
+    """How long, of the covered time, there was no reading or its condition was not known."""
     is_complete: bool = True
     """Whether all that is stored was judged within the bounds of a simulation."""

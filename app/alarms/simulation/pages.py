@@ -10,19 +10,21 @@ from pydantic import BaseModel, Field
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from app.alarm_settings import AlarmSettings, OwnValue
+from app.alarm_settings import OwnValue
+from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_api import OwnBook
-from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.own_book import OwnAlarmBook
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.simulation.api import SimulatorOf
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
+from app.alarms.summary import places_of
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
 from app.settings import Settings
-from app.web.access import Engineer
+from app.web.access import Engineer, Person
 from app.web.services import service, service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
@@ -83,7 +85,10 @@ async def own_alarms_page(
 
 @router.post("/alarms/own")
 async def store_own_alarm(
-    request: Request, person: Engineer, own: OwnBook, form: Annotated[WrittenAlarm, Form()]
+    request: Request,
+    person: Annotated[Person, ADD_OWN.permitted],
+    own: OwnBook,
+    form: Annotated[WrittenAlarm, Form()],
 ) -> Response:
     """Add the alarm of the form, or change the one that it names."""
     written = _written(form)
@@ -101,7 +106,7 @@ async def store_own_alarm(
 
 @router.post("/alarms/own/remove")
 async def remove_own_alarm(
-    person: Engineer,
+    person: Annotated[Person, REMOVE_OWN.permitted],
     own: OwnBook,
     alarm: Annotated[str, Form(max_length=200)],
     version: Annotated[int, Form(ge=1, le=2**62)],
@@ -121,16 +126,12 @@ def _page(
     toml: str = "",
 ) -> Response:
     own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
-    rows: list[tuple[AlarmSettings, str, OwnAlarm | None]] = [
-        (each, _place(alarms, each), None) for each in own.configured.values()
-    ]
-    rows += [(each.settings, _place(alarms, each.settings), each) for each in own.added.values()]
     return render(
         request,
         "alarms/own.html",
-        configured=rows,
+        configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
-        places=_places(service_of(request, Settings)),
+        places=[place for place in places_of(alarms) if "/" in place[0]],
         values=get_args(OwnValue),
         spans=SPANS,
         written=written,
@@ -156,12 +157,6 @@ def _kept(own: OwnAlarmBook, key: str) -> dict[str, Any]:
     return {} if former is None else former.settings.model_dump(include=_WITHOUT_FIELD)
 
 
-def _places(configured: Settings) -> list[tuple[str, str]]:
-    return [
-        (f"{bus.name}/{unit.id}", f"{bus.name} · {unit.name}") for bus in configured.bus for unit in bus.unit
-    ]
-
-
 def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
     """The keys of ``[[alarm]]``; a number may have the decimal comma of the reader."""
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
@@ -182,7 +177,3 @@ def _delay(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
-
-
-def _place(alarms: LineAlarms, settings: AlarmSettings) -> str:
-    return f"{settings.bus} · {alarms.place(settings.bus, settings.unit)}"

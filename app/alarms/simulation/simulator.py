@@ -22,13 +22,13 @@ from bus.instants import UnixTime
 from bus.settings import BusSettings
 
 MAX_WAITING = 3
-"""Of one account."""
-WORK_S = 5.0
-"""Of a thread, for one simulation."""
+"""Simulations of one account that wait for their turn."""
+WORK_S = 10.0
+"""CPU time of a thread that one simulation may take."""
 
 
 class Simulator:
-    """Of all buses. ``work_s``: what one simulation may compute."""
+    """Simulates alarms of all buses. ``work_s``: CPU time that one simulation may take."""
 
     def __init__(self, history: History, work_s: float = WORK_S) -> None:
         self._history = history
@@ -74,7 +74,8 @@ class Simulator:
 def _extent(
     connection: tables.StoreConnection, tail: Tail, bus: str, unit: int
 ) -> tuple[int | None, Sequence[ParameterStep]]:
-    """From when on a unit has history (µs; None: it has none), and its parameters that scale."""
+    """From when on the readings of a unit are stored (µs; None: there are none), and its parameters that
+    scale."""
     key = tables.find_unit(connection, bus, unit)
     if key is None:
         return None, ()
@@ -83,7 +84,8 @@ def _extent(
     first = connection.execute("SELECT min(start) FROM minutes WHERE unit = ?", (key,)).fetchone()[0]
     if first is not None:
         starts += [min((row.start for row in minutes_of(source, first, first + HOUR)), default=first)]
-    return min(starts, default=None), tables.parameter_steps(connection, key)
+    begins = max(min(starts), tables.raw_from(connection)) if starts else None
+    return begins, tables.parameter_steps(connection, key)
 
 
 def _feed(hour: StoredHour, replay: Replay, settings: AlarmSettings) -> float:
@@ -111,6 +113,5 @@ def _outcome(
         longest_s=max(found.lengths, default=None),
         stands_at_end=stands_at_end,
         unknown_s=replay.unknown_s,
-        is_exact=replay.is_exact,
         is_complete=micros(reached) >= micros(span[1]),
     )

@@ -38,16 +38,11 @@ class StoredHour:
         if source is None:
             return
         rows = {row.start: row for row in minutes_of(source, self._start, self._end)}
-        raw_from = tables.raw_from(self._connection)
         for minute in range(self._start, self._end, MINUTE):
-            row = rows.get(minute)
-            if row is not None and replay.passes(row, rows.get(minute + MINUTE)):
+            if minute in rows and replay.passes(rows[minute]):
                 continue
-            if minute >= raw_from and (runs := self._runs_of(source).get(minute)):
-                for run in runs:
-                    replay.see_run(run, self._is_at_rest)
-            elif row is not None:
-                replay.see_minute(row, self._is_at_rest)
+            for run in self._runs_of(source).get(minute, ()):
+                replay.see_run(run, self._is_at_rest)
 
     def _source(self, unit: int) -> StoredUnit | None:
         key = tables.find_unit(self._connection, self._bus.name, unit)
@@ -75,7 +70,7 @@ class StoredHour:
             return []
         rows = list(minutes_of(source, self._start, self._end))
         is_mixed = any(row.commanded_min == 0 < row.commanded_max for row in rows)
-        if not source.tail and not (is_mixed and self._start >= tables.raw_from(self._connection)):
+        if not source.tail and not is_mixed:
             return [(row.start, row.commanded_max == 0) for row in rows]
         found = unit_history.readings(source, VALUES["commanded"], self._start, self._end)
         return [(at, value == 0) for at, value in zip(found.at, found.least, strict=True)]

@@ -58,7 +58,7 @@ class Cause:
 
 def abnormal(code: str, onset: Onset | None = None, params: Mapping[str, Any] | None = None) -> Cause:
     """A cause with the priority of its condition. Raises KeyError for a code without one."""
-    return Cause(code, TILES[code][0].priority, onset, params or {})
+    return Cause(code, TILES[code].priority, onset, params or {})
 
 
 def unit_cause(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:

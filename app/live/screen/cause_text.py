@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from app.conditions.catalogue import TILES
+from app.conditions.catalogue import tile_check, tile_text
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
 from bus.instants import UnixTime
@@ -48,8 +48,8 @@ def since_text(cause: Cause, translator: Translator, now: UnixTime) -> str:
 
 def check_text(cause: Cause | None, translator: Translator) -> str:
     """What to check; empty where nothing is to be done."""
-    text = TILES[cause.code][1].check if cause is not None and cause.code in TILES else ""
-    return translator.t(text) if text else ""
+    check = None if cause is None else tile_check(cause.code)
+    return "" if check is None else translator.t(check)
 
 
 def joined(*parts: str) -> str:
@@ -70,12 +70,9 @@ def _what(cause: Cause, translator: Translator) -> str:
         )
     if cause.code == "ramping":
         return _ramp(cause.params, translator)
-    text = TILES[cause.code][1].text
-    return translator.t(text, **_named(cause)) if text else ""
-
-
-def _named(cause: Cause) -> dict[str, Any]:
-    return {"mode": cause.params["mode"]} if "mode" in cause.params else {}
+    mode = cause.params.get("mode")
+    text = tile_text(cause.code, **{"mode": mode} if mode else {})
+    return "" if text is None else translator.t(text)
 
 
 def _why(cause: Cause, translator: Translator) -> str:

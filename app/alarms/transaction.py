@@ -1,0 +1,60 @@
+"""What a person changes is on disk with its event in one transaction, or it did not happen."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
+
+from app.alarms.alarm import Alarm
+from app.alarms.alarm_list import AlarmList
+from app.alarms.rules.changes import Changed
+from app.alarms.store import JournalWriting
+from app.audit.log import Also
+from app.errors import StoreError
+
+
+class ActTransaction:
+    """The changes of one act to alarms of ``lists``; ``who``: the name of the person. The caller holds
+    ``writing`` of each list until it is recorded."""
+
+    def __init__(self, who: str, lists: Iterable[AlarmList]) -> None:
+        self._who = who
+        self._lists = tuple(lists)
+        self._undo: list[Callable[[], None]] = []
+        self.alarms: list[Alarm] = []
+        """The alarms that were changed."""
+
+    def change(
+        self, of: AlarmList, alarm: Alarm, changed: Changed, reason: str = "", *, hides: bool = False
+    ) -> None:
+        """Change an alarm of a list; where that ``hides`` it, it keeps by whom and why."""
+        before = (alarm.facts, alarm.hidden_by, alarm.reason)
+        if hides:
+            alarm.hidden_by, alarm.reason = self._who, reason
+        of.change(alarm, changed, self._who, reason)
+        self._undo.append(partial(of.restore, alarm, *before, unless_changed_from=alarm.facts))
+        self.alarms.append(alarm)
+
+    async def record(self, record: Callable[[Also], Awaitable[object]]) -> None:
+        """Call ``record`` with what writes the journal in the transaction of its event. Raises StoreError;
+        every alarm is then as it was before, unless it has changed since."""
+        taken = [(each, *each.take_unwritten()) for each in self._lists]
+        try:
+            await record(written_together(*(JournalWriting(entries, alarms) for _, entries, alarms in taken)))
+        except StoreError:
+            for each, entries, alarms in taken:
+                each.give_back([entry for entry in entries if entry.who != self._who], alarms)
+            for undo in self._undo:
+                undo()
+            raise
+
+
+def written_together(*parts: Also) -> Also:
+    """What writes all ``parts`` in one transaction."""
+
+    def write(connection: sqlite3.Connection) -> None:
+        for part in parts:
+            part(connection)
+
+    return write
