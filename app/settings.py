@@ -19,10 +19,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from app.alarm_settings import AlarmSettings, refuse_misplaced
+from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.audit.settings import Audit
 from app.auth.settings import Sessions
-from app.built_in_settings import BuiltInAlarmSettings, refuse_built_in
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.api import ActReason, Comment
 from app.alarms.own_book import OwnAlarm, OwnAlarmBook
+from app.alarms.settings import AlarmSettings, OwnValue
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
 from app.web.access import Engineer

@@ -11,7 +11,6 @@ from typing import Any
 
 import structlog
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.definition import own_key
@@ -19,6 +18,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.own import own_definition
 from app.alarms.own_store import OwnAlarmRow, OwnAlarmStore, OwnAlarmWriting
 from app.alarms.rules import changes
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.store import JournalWriting
 from app.audit.log import Also, EventLog

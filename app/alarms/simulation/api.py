@@ -8,9 +8,9 @@ from fastapi import APIRouter
 from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
-from app.alarm_settings import OwnValue
 from app.alarms.performance_api import MAX_DAYS, USUAL_DAYS
 from app.alarms.rules.performance import DAY_S
+from app.alarms.settings import OwnValue
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator

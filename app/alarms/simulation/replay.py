@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 from msgspec.structs import replace
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.own import OwnCondition, known_decimals, own_definition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.limits import ChangeRate
 from app.alarms.rules.suppression import Suppressors
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.rest import AtRest
