@@ -62,14 +62,14 @@ def test_every_link_to_a_file_leads_to_one() -> None:
 
 
 def places_of_changes() -> dict[str, list[str]]:
-    """The table of CONTRIBUTING: what is changed often, and the paths to open for it."""
+    """The table of CONTRIBUTING: each frequent change, and the paths to open for it."""
     table = text_of(ROOT / "CONTRIBUTING.md").partition("| to change | see |")[2].partition("\n\n")[0]
     rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
     return {change: re.findall(r"`([\w./-]+/[\w./-]+)`", places) for change, places in rows}
 
 
 @pytest.mark.parametrize(("change", "paths"), places_of_changes().items())
-def test_what_is_changed_often_is_in_at_most_two_files(change: str, paths: list[str]) -> None:
+def test_each_frequent_change_takes_at_most_two_files(change: str, paths: list[str]) -> None:
     assert 1 <= len(paths) <= 2, change
     assert [path for path in paths if not (ROOT / path).is_file()] == []
 

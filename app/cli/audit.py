@@ -79,7 +79,7 @@ async def _rotate(database: Database, settings: Settings) -> Path | None:
 
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
-    """From the files as they are: nothing is brought up to date, nothing is written."""
+    """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
     store = settings.server.store
     if not store.exists():
@@ -95,7 +95,7 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]
 
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
-    """Those of the file that was named or configured; of its default place, where there is one."""
+    """Read the anchors of the file that was named or configured, or of the default place where it exists."""
     path = named or settings.anchor_file
     if path not in (named, settings.audit.anchor) and not path.exists():
         return Anchors()
@@ -118,7 +118,7 @@ def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
 
 
 def _remarks(verdict: Verdict, anchors: Anchors) -> list[Message]:
-    """What the proof does not cover."""
+    """List what the proof does not cover."""
     remarks = []
     if verdict.unsealed:
         remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))

@@ -34,7 +34,7 @@ TokenFile = Annotated[
 
 
 def bearer_token(token: str, file: Path | None, *more_variables: str) -> str:
-    """As :func:`token_if_given`. Raises CallerError for none, too."""
+    """Return the token of :func:`token_if_given`. Raises CallerError for none, too."""
     found = token_if_given(token, file, *more_variables)
     if not found:
         raise CallerError(Message.of("token_not_given", variable=TOKEN_VARIABLE))

@@ -50,7 +50,7 @@ class Dashboard:
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
     def check_unit(self, bus: str, unit: int) -> str:
-        """Its name; raises CallerError for a unit that is not configured."""
+        """Return the name of a unit. Raises CallerError for one that is not configured."""
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
@@ -58,7 +58,7 @@ class Dashboard:
         return units[unit]
 
     def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
-        """All parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
+        """Return all parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
         name = self.check_unit(bus, unit)
         query = {"refresh": "true", "gaps": str(gaps).lower()}
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]

@@ -39,7 +39,7 @@ def fault(code: str, /, **params: ParamValue) -> Finding:
 
 
 def user() -> Message:
-    """Who runs the check."""
+    """The user that runs the check."""
     try:
         return Message.of("machine_user", user=getpass.getuser())
     except (KeyError, OSError):
@@ -171,7 +171,7 @@ def _url_fault(bus: BusSettings) -> Message | None:
 
 
 def audit_findings(settings: Settings) -> Iterator[Finding]:
-    """Where its key and its anchor are or will be."""
+    """Find where the key and the anchor of the audit log are or will be."""
     yield _key(settings.key_files, settings.server.store)
     yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
 
@@ -198,7 +198,7 @@ def _new_key(paths: Sequence[Path]) -> Finding:
 
 
 def _anchor(path: Path, *, is_configured: bool) -> Finding:
-    """That of the default place is not missed where it cannot be written: the start reports it."""
+    """An anchor at the default place that cannot be written is no fault: the start reports it."""
     exists = is_visible(path)
     # Path.is_symlink raises for a name that is too long.
     if os.path.islink(path) or (exists and not path.is_file()):  # noqa: PTH114

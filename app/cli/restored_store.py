@@ -62,7 +62,7 @@ class InForce:
 
 
 def _standing(present: Path) -> InForce | None:
-    """None where there is no present store, or none that can be read: it may be why a backup is put back."""
+    """Read the present store; None where there is none that can be read, which may be why it is replaced."""
     if not present.exists():
         return None
     try:
@@ -98,7 +98,7 @@ def _of_replaced_log(head: Head) -> Message:
 
 
 def consequences(withheld: Withheld) -> list[Message]:
-    """What does not come back."""
+    """Name what a restore does not bring back."""
     found = [Message("withheld_sessions")]
     if withheld.tokens:
         found.append(Message.of("withheld_tokens", names=list(withheld.tokens)))

@@ -24,7 +24,7 @@ MB = 1_000_000
 
 
 def store_findings(settings: Settings) -> Iterator[Finding]:
-    """Each store of the data folder and its disk; nothing before the first start."""
+    """Examine each store of the data folder, and its disk."""
     folder, main = settings.server.data, settings.server.store
     existing = next(each for each in (folder, *folder.parents) if is_visible(each))
     yield from _disk(existing)
@@ -43,7 +43,7 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
-    """How much is left of it: a trial to write a byte succeeds where history has stopped already."""
+    """Judge the free space: a trial to write a byte succeeds where history has stopped already."""
     free = shutil.disk_usage(folder).free
     match space(free, DiskReserve()):
         case "paused":

@@ -45,8 +45,8 @@ class WorkerProcesses:
             self._begin(self._keep(bus), f"keep worker of {bus}")
 
     def watch(self, responds: Callable[[str], bool]) -> None:
-        """From now on, kill each that does not respond; another is started. ``responds``: whether the worker
-        of a bus did since the last call."""
+        """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
+        worker of a bus did since the last call."""
         for bus in self._tokens:
             self._begin(self._watch(bus, responds), f"watch worker of {bus}")
 

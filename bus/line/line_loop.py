@@ -138,7 +138,7 @@ class LineLoop:
         return NextExchange(turn, exchange)
 
     def _has_left(self, sent: NextExchange) -> None:
-        """What there is to do while a response is under way."""
+        """Settle, report and prepare the next turn while the response is under way."""
         self._settle()
         turn, run = sent.turn, sent.turn.run
         if sent is self._foreseen:
@@ -150,7 +150,7 @@ class LineLoop:
         self._foreseen = self._prepare(following) if following is not None else None
 
     def _settle(self) -> None:
-        """What the exchange that has ended led to."""
+        """Take the result of the exchange that has ended."""
         if self._ended is None:
             return
         self.link.account()
@@ -184,7 +184,7 @@ class LineLoop:
                 self.schedule.parameters.need(request.unit)
 
     async def _rest(self, now: Monotonic) -> None:
-        """Until something may be due that was not at ``now``, or the loop is woken."""
+        """Wait until something may be due that was not at ``now``, or the loop is woken."""
         self._report()
         self._resting = Completion()
         moments = [moment for moment in self._arbiter.moments() if now < moment < NEVER]
@@ -296,12 +296,12 @@ class LineLoop:
             self._report()
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
+        """Give up a command at a point where nothing is half done."""
         self.commands.cancel(command_id)
         self._report()
 
     def apply(self, command_id: str, effect: LineEffect) -> None:
-        """What a procedure does beside its requests."""
+        """Carry out what a procedure does beside its requests."""
         at = self.clock.epoch(self.clock.now())
         match effect:
             case ReportProgress():

@@ -38,7 +38,7 @@ class Opener:
         self.opening: _Opening | None = None
 
     async def run(self) -> None:
-        """Until cancelled, which closes the port."""
+        """Keep the port open until cancelled, which closes it."""
         try:
             while True:
                 pause_s = await self._open_until_lost()
@@ -52,7 +52,7 @@ class Opener:
             self._port = None
 
     async def _open_until_lost(self) -> float:
-        """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
+        """Open the port once and use it until it is lost; return in how many seconds to open it again."""
         clock = self._line.clock
         began = clock.now()
         self.opening = opening = _Opening(self, self._line)
@@ -75,7 +75,7 @@ class Opener:
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
-        """In how many seconds to try again; one that is absent is looked for twice a second."""
+        """Return in how many seconds to try again; a port that is absent is looked for twice a second."""
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)

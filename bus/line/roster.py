@@ -72,7 +72,7 @@ class UnitRecord:
 
     @property
     def commanded(self) -> int | None:
-        """As last read; None when it never was."""
+        """The commanded speed as last read; None when it never was."""
         return self.reading.commanded if self.reading is not None else None
 
     def raw(self, number: int) -> int | None:
@@ -164,11 +164,11 @@ class Roster:
         return []
 
     def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """No unit can be polled: units that were online are stale from now on."""
+        """Note that no unit can be polled: units that were online are stale from now on."""
         return self._all("online", "stale", at, cause)
 
     def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """It has lasted: units that were stale count as lost."""
+        """Note that the port has been closed for long: units that were stale count as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(

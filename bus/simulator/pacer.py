@@ -83,7 +83,7 @@ class ReplyLine:
         return bytes(arrived)
 
     def wake(self) -> Wake | None:
-        """When to look again: at the next first or last byte, or after ``WAKE_S`` between them."""
+        """Return when to look again: at the next first or last byte, or after ``WAKE_S`` between them."""
         if not self._slots:
             return None
         latest = self._slots[0].due + WAKE_S

@@ -43,7 +43,7 @@ class PtyPort:
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:
-        """What the host wrote, which may be nothing."""
+        """Return what the host wrote, which may be nothing."""
         try:
             return os.read(self._master, READ_BYTES)
         except OSError:
@@ -72,7 +72,7 @@ class PtyPort:
         self._master = self._slave = -1
 
     def plug(self) -> None:
-        """Put it back, under another device name than before: the old one is held back meanwhile."""
+        """Put the cable back, under another device name than before: the old one is held back meanwhile."""
         if self._master >= 0:
             return
         pairs = [os.openpty(), os.openpty()]

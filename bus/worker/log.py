@@ -28,7 +28,7 @@ class Unbreakable(io.TextIOBase):
 
 
 def configure_log() -> None:
-    """On standard error: for people on a terminal, one JSON object a line otherwise."""
+    """Log on standard error: for people on a terminal, one JSON object a line otherwise."""
     people = sys.stderr.isatty()
     structlog.configure(
         processors=[

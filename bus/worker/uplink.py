@@ -61,22 +61,22 @@ class Duty(Protocol):
     """The commands of the app to this side; every call returns at once."""
 
     def hello(self) -> Hello:
-        """Who speaks."""
+        """Return the first message, which names this worker."""
 
     def snapshot(self, seq: int) -> Snapshot:
-        """Everything that is known now."""
+        """Return everything that is known now."""
 
     def command(self, command: Command) -> None:
-        """Carry it out."""
+        """Carry out a command."""
 
     def reserve(self) -> None:
         """Keep the next turn of the wire free: a write is about to be requested."""
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
+        """Give up a command at a point where nothing is half done."""
 
     def watch(self, watch: Watch) -> None:
-        """What people look at."""
+        """Take the units that people look at."""
 
 
 class _Problem(msgspec.Struct):
@@ -223,7 +223,7 @@ class Uplink:
                 self._outbox.filled.set()
 
     async def _send(self, socket: ClientConnection) -> None:
-        """Each update at once; what piles up while the socket is slow goes together."""
+        """Send each update at once; what piles up while the socket is slow goes together."""
         while True:
             if self._snapshot_wanted:
                 self._snapshot_wanted = False

@@ -38,7 +38,7 @@ READ_ATTEMPTS = 2
 def change_baud(
     roster: Roster, old: int, new: int, context: CommandContext, *, own_rate: bool = True
 ) -> Procedure:
-    """From ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set from here."""
+    """Change from ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set here."""
     if not own_rate:
         return _result("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:

@@ -94,7 +94,7 @@ def _not_shown(member: Member, readback: Readback) -> Message:
 
 
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """It does not show its acknowledged stage: it may have missed the broadcast."""
+    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast."""
     sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return

@@ -145,7 +145,7 @@ async def scan_baud(
 async def scan_addresses(
     scan: BaudScan, line: ScanPort, addresses: Sequence[int], progress: Callable[[int], None]
 ) -> None:
-    """As ``scan_baud``, over an open port."""
+    """Scan ``addresses`` over an open port."""
     began = asyncio.get_running_loop().time()
     if (unrequested := await line.listen(LISTEN_S)) > MAX_UNREQUESTED_BYTES:
         raise WireError(Message.of("bytes_unrequested", count=unrequested, seconds=LISTEN_S))

@@ -67,7 +67,7 @@ class CommandQueue:
         self._all.append(run)
 
     def take_finished(self) -> list[CommandRun]:
-        """Those that have a result; they are forgotten here."""
+        """Return the commands that have a result, and forget them."""
         finished = [run for run in self._all if run.result is not None]
         if finished:
             self._all = [run for run in self._all if run.result is None]
