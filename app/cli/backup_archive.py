@@ -16,8 +16,10 @@ import tarfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BufferedReader
 from pathlib import Path
-from typing import Annotated, BinaryIO
+from typing import Annotated
 
 import msgspec
 
@@ -26,7 +28,6 @@ from app.errors import StoreError
 from app.handover.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY
 from app.settings import STORE_FILE
-from bus.instants import UnixTime
 from bus.messages import Message
 
 MANIFEST = "manifest.json"
@@ -72,29 +73,25 @@ class Extent:
 class BackupArchive:
     """An open backup whose members and manifest are as they should be; the stores are not read yet."""
 
-    file: BinaryIO
+    file: BufferedReader
     path: Path
     stores: Mapping[str, Extent]
     manifest: Manifest
 
     @property
-    def taken_at(self) -> UnixTime:
-        return UnixTime(self.manifest.time)
+    def message(self) -> Message:
+        """Its file, when it was taken and its SHA-256, hexadecimal."""
+        taken = datetime.fromtimestamp(self.manifest.time, UTC).isoformat(timespec="seconds")
+        self.file.seek(0)
+        digest = hashlib.file_digest(self.file, "sha256").hexdigest()
+        return Message.of("backup_of", file=self.path.name, time=taken, digest=digest)
 
     def unpack(self, folder: Path) -> list[Path]:
         """Write the stores into an empty folder; each is what was backed up. Raises StoreError."""
         needed, free = sum(extent.size for extent in self.stores.values()), free_bytes(folder)
         if needed > free:
-            full = Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free)
-            raise StoreError(full)
+            raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
         return [self._unpack_one(name, folder / name) for name in sorted(self.stores)]
-
-    def digest(self) -> str:
-        """SHA-256 of the archive, hexadecimal."""
-        digest = hashlib.sha256()
-        for chunk in _chunks(self.file, Extent(0, os.fstat(self.file.fileno()).st_size)):
-            digest.update(chunk)
-        return digest.hexdigest()
 
     def _unpack_one(self, name: str, place: Path) -> Path:
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -124,7 +121,7 @@ def free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _read(file: BinaryIO, path: Path) -> BackupArchive:
+def _read(file: BufferedReader, path: Path) -> BackupArchive:
     found = os.fstat(file.fileno())
     if not stat.S_ISREG(found.st_mode):
         raise ArchiveError("it is not a regular file")
@@ -137,7 +134,7 @@ def _read(file: BinaryIO, path: Path) -> BackupArchive:
     return BackupArchive(file, path, members, manifest)
 
 
-def _members(file: BinaryIO, size: int) -> dict[str, Extent]:
+def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
     """By name where each member is, none beyond the end of the file, which is ``size``."""
     members: dict[str, Extent] = {}
     at = 0
@@ -152,7 +149,7 @@ def _members(file: BinaryIO, size: int) -> dict[str, Extent]:
     return members
 
 
-def _member(file: BinaryIO, header: bytes, at: int, size: int) -> tuple[str, Extent]:
+def _member(file: BufferedReader, header: bytes, at: int, size: int) -> tuple[str, Extent]:
     """The member whose first header is at ``at``; it may have an extended one before its own."""
     info, stated_size = _parsed(header), None
     if info.type == tarfile.XHDTYPE:
@@ -192,7 +189,7 @@ def _stated_size(extended: bytes) -> int | None:
     return size
 
 
-def _manifest(file: BinaryIO, extent: Extent | None) -> Manifest:
+def _manifest(file: BufferedReader, extent: Extent | None) -> Manifest:
     if extent is None or extent.size > MAX_MANIFEST_BYTES:
         raise ArchiveError("it has no manifest")
     try:
@@ -205,13 +202,13 @@ def _next_block(extent: Extent) -> int:
     return extent.start + -(-extent.size // _BLOCK) * _BLOCK
 
 
-def _read_at(file: BinaryIO, at: int, count: int, size: int) -> bytes:
+def _read_at(file: BufferedReader, at: int, count: int, size: int) -> bytes:
     if at + count > size:
         raise ArchiveError(_CUT_OFF)
     return b"".join(_chunks(file, Extent(at, count)))
 
 
-def _chunks(file: BinaryIO, extent: Extent) -> Iterator[bytes]:
+def _chunks(file: BufferedReader, extent: Extent) -> Iterator[bytes]:
     """The content of a member, a piece at a time."""
     file.seek(extent.start)
     left = extent.size
