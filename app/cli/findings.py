@@ -95,7 +95,8 @@ def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
     yield _address(settings.server)
     yield _data(settings.server.data)
-    yield from audit_findings(settings)
+    yield _key(settings.key_files, settings.server.store)
+    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
     if not settings.bus:
         yield fault("check_no_bus")
     for bus in settings.bus:
@@ -168,12 +169,6 @@ def _url_fault(bus: BusSettings) -> Message | None:
     except (socket.gaierror, UnicodeError):
         return Message.of("check_port_host_unknown", bus=bus.name, port=bus.port)
     return None
-
-
-def audit_findings(settings: Settings) -> Iterator[Finding]:
-    """Find where the key and the anchor of the audit log are or will be."""
-    yield _key(settings.key_files, settings.server.store)
-    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
 
 
 def _key(paths: Sequence[Path], store: Path) -> Finding:

@@ -68,12 +68,12 @@ def _standing(present: Path) -> InForce | None:
 def consequences(withheld: Withheld) -> list[Message]:
     """Name what a restore does not bring back."""
     found = [Message("withheld_sessions")]
-    if withheld.tokens:
-        found.append(Message.of("withheld_tokens", names=list(withheld.tokens)))
-    if withheld.disabled:
-        found.append(Message.of("withheld_users", names=list(withheld.disabled)))
-    if withheld.lowered:
-        found.append(Message.of("withheld_roles", names=list(withheld.lowered)))
+    names = {
+        "withheld_tokens": withheld.tokens,
+        "withheld_users": withheld.disabled,
+        "withheld_roles": withheld.lowered,
+    }
+    found += [Message.of(code, names=list(those)) for code, those in names.items() if those]
     if not withheld.admins:
         found.append(Message("withheld_no_admin"))
     return found

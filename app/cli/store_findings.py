@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -59,7 +58,9 @@ def _store(store: Path) -> Finding:
         return fault("check_disk_read_only", path=str(store))
     try:
         with examining(store) as connection:
-            verdict = _verdict(connection)
+            end = monotonic_now() + MAX_EXAMINED_S
+            connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
+            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
         verdict = "ok"
     except (StoreError, OSError) as error:
@@ -67,13 +68,6 @@ def _store(store: Path) -> Finding:
     if verdict != "ok":
         return fault("check_store_damaged", path=str(store), verdict=verdict)
     return Finding(Message.of("check_store", path=str(store), size=store.stat().st_size // MB))
-
-
-def _verdict(connection: sqlite3.Connection) -> str:
-    """The first fault that SQLite finds, or ``ok``."""
-    end = monotonic_now() + MAX_EXAMINED_S
-    connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
-    return str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
 
 
 def _reason(error: StoreError | OSError) -> Message:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import sys
 from asyncio.subprocess import Process
 from collections.abc import Callable, Coroutine, Iterator, Mapping
@@ -15,14 +16,12 @@ import structlog
 
 from app.cli.watchdog import LOOK_S, Watchdog
 from bus.instants import monotonic_now
+from bus.reconnect_delay import ReconnectDelay
 from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
 
-FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0
-WELL_AFTER_S = 30.0
-"""A worker that lived so long was well; the next pause is short again."""
 GRACE_S = 2.3
 """A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
 
@@ -76,15 +75,13 @@ class WorkerProcesses:
                 await process.wait()
 
     async def _keep(self, bus: str) -> None:
-        pause = FIRST_PAUSE_S
+        delay = ReconnectDelay(random.random)
         while True:
             started = monotonic_now()
             code = await self._run(bus)
-            if monotonic_now() - started > WELL_AFTER_S:
-                pause = FIRST_PAUSE_S
-            log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=pause)
+            pause = min(delay.ended(monotonic_now() - started), LONGEST_PAUSE_S)
+            log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=round(pause, 1))
             await asyncio.sleep(pause)
-            pause = min(2 * pause, LONGEST_PAUSE_S)
 
     async def _run(self, bus: str) -> int:
         """Start one and wait for its end. In its own process group: Ctrl-C reaches it through the parent."""
