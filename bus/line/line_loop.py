@@ -97,7 +97,8 @@ class LineLoop:
     async def _take_turns(self, port: OpenPort) -> Message:
         self._port_opened(port)
         while self.link.open:
-            following = self._foreseen_exchange()
+            is_foreseen = self._ended is not None and self._ended[1].is_ordinary
+            following = self._foreseen if is_foreseen else None
             if following is None:
                 self._settle()
                 now = self.clock.now()
@@ -110,9 +111,6 @@ class LineLoop:
                 self._has_left(following)
                 self._ended = following.turn, await ending
         return self._port_lost()
-
-    def _foreseen_exchange(self) -> NextExchange | None:
-        return self._foreseen if self._ended is not None and self._ended[1].is_ordinary else None
 
     def _next_exchange(self, now: Monotonic) -> NextExchange | None:
         other = self._baud_search.turn(self.baud, responds=self._responds)

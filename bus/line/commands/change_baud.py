@@ -77,7 +77,8 @@ class _Change:
     # --- forth ---------------------------------------------------------------------------------
 
     def _write_all(self) -> Subprocedure[tuple[Outcome, Message] | None]:
-        for done, unit in enumerate(self._likely_refusals_first()):
+        likely_refusals_first = sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
+        for done, unit in enumerate(likely_refusals_first):
             yield ReportProgress("sent", unit, done, len(self._units))
             sent = yield from send(Send(WriteParameterRequest(unit, BAUD_RATE, self._new // HUNDREDS)))
             if sent.refusal is not None:
@@ -96,9 +97,6 @@ class _Change:
         found = yield from self._responding([unit])
         yield Retune(self._old)
         return unit in found
-
-    def _likely_refusals_first(self) -> list[int]:
-        return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
     def _responding(self, units: Sequence[int]) -> Subprocedure[set[int]]:
         """Return the ones of ``units`` that respond at the present rate."""

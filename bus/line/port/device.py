@@ -85,7 +85,9 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     if _is_claimed(instance.device, path):
         instance.close()
         raise PortUnavailable(in_use(path))
-    _prefer_low_latency(instance)
+    # An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it.
+    with suppress(ValueError, OSError, NotImplementedError, AttributeError):
+        instance.set_low_latency_mode(True)
     protocol = PortProtocol(receiver, Message.of("adapter_gone", port=path))
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
     try:
@@ -107,12 +109,6 @@ def _is_claimed(descriptor: int, path: str) -> bool:
     with suppress(OSError):
         fcntl.ioctl(descriptor, _TIOCGEXCL, claimed)
     return bool(claimed[0]) and (not is_played(path) or bool(users_of(path)))
-
-
-def _prefer_low_latency(instance: GatedSerial) -> None:
-    """An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it."""
-    with suppress(ValueError, OSError, NotImplementedError, AttributeError):
-        instance.set_low_latency_mode(True)
 
 
 class GatedSerial(serial.Serial):

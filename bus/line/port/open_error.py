@@ -70,7 +70,7 @@ def users_of(path: str) -> list[tuple[int, str]]:
     """Process id and name of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
     own = {os.getpid(), *_played_by(device)}
-    pids = _lockers(device) - own or _openers(device) - own
+    pids = _lockers(device) - own or {pid for pid in _pids() if _has_open(pid, device)} - own
     return [(pid, _name(pid)) for pid in sorted(pids)]
 
 
@@ -106,10 +106,6 @@ def _lockers(device: Path) -> set[int]:
         if len(words) >= 6 and words[1] == "FLOCK" and words[5].endswith(f":{inode}") and words[4].isdigit():
             found.add(int(words[4]))
     return {pid for pid in found if pid > 0 and _has_open(pid, device)}
-
-
-def _openers(device: Path) -> set[int]:
-    return {pid for pid in _pids() if _has_open(pid, device)}
 
 
 def _pids() -> Iterator[int]:

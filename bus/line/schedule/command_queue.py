@@ -57,14 +57,11 @@ class CommandQueue:
                 request = run.next_request(now, pending_of)
                 if request is not None:
                     if slow:
-                        self._take_turns(run)
+                        # In turn: reads of several units then follow each other without a fence between.
+                        self._all.remove(run)
+                        self._all.append(run)
                     return run, request
         return None
-
-    def _take_turns(self, run: CommandRun) -> None:
-        """Slow ones go in turn: reads of several units then follow each other without a fence between."""
-        self._all.remove(run)
-        self._all.append(run)
 
     def take_finished(self) -> list[CommandRun]:
         """Return the commands that have a result, and forget them."""
