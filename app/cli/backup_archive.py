@@ -28,7 +28,8 @@ from app.errors import StoreError
 from app.handover.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY
 from app.settings import STORE_FILE
-from bus.messages import Message
+from bus.errors import LinesideError
+from bus.messages import Message, ParamValue
 
 MANIFEST = "manifest.json"
 STORES = (HISTORY, STORE_FILE, PICTURES)
@@ -45,13 +46,14 @@ _EXTENDED = frozenset(("mtime", "atime", "ctime", "size", "uid", "gid", "uname",
 _RECORD = re.compile(rb"([0-9]{1,6}) ([a-z]+)=")
 _BLOCK = tarfile.BLOCKSIZE
 _CHUNK = 2**20
-_FOREIGN = "it holds something else than the stores"
-_CUT_OFF = "it is cut off"
 _Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
-class ArchiveError(ValueError):
-    """The archive is not one that backup-store writes; the text is the reason."""
+class ArchiveError(LinesideError):
+    """The archive is not one that backup-store writes, for a reason by its code."""
+
+    def __init__(self, code: str, **params: ParamValue) -> None:
+        super().__init__(Message(code, params))
 
 
 class Manifest(msgspec.Struct):
@@ -113,7 +115,7 @@ def open_archive(path: Path) -> Iterator[BackupArchive]:
         try:
             yield _read(file, path)
         except ArchiveError as error:
-            raise StoreError(Message.of("backup_malformed", file=str(path), error=str(error))) from error
+            raise StoreError(Message.of("backup_malformed", file=str(path), error=error.message)) from error
 
 
 def free_bytes(folder: Path) -> int:
@@ -124,13 +126,13 @@ def free_bytes(folder: Path) -> int:
 def _read(file: BufferedReader, path: Path) -> BackupArchive:
     found = os.fstat(file.fileno())
     if not stat.S_ISREG(found.st_mode):
-        raise ArchiveError("it is not a regular file")
+        raise ArchiveError("archive_not_regular")
     if found.st_size > MAX_ARCHIVE_BYTES:
-        raise ArchiveError(f"it has more than {MAX_ARCHIVE_BYTES} bytes")
+        raise ArchiveError("archive_too_large", most=MAX_ARCHIVE_BYTES)
     members = _members(file, found.st_size)
     manifest = _manifest(file, members.pop(MANIFEST, None))
     if manifest.stores.keys() != members.keys():
-        raise ArchiveError("its manifest names other stores than it holds")
+        raise ArchiveError("archive_manifest_differs")
     return BackupArchive(file, path, members, manifest)
 
 
@@ -141,11 +143,11 @@ def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
     while any(header := _read_at(file, at, _BLOCK, size)):
         name, extent = _member(file, header, at, size)
         if name in members:
-            raise ArchiveError(f"it holds {name} twice")
+            raise ArchiveError("archive_holds_twice", name=name)
         members[name] = extent
         at = _next_block(extent)
     if size - at > MAX_PADDING_BYTES:
-        raise ArchiveError("something follows its last store")
+        raise ArchiveError("archive_goes_on")
     return members
 
 
@@ -155,15 +157,15 @@ def _member(file: BufferedReader, header: bytes, at: int, size: int) -> tuple[st
     if info.type == tarfile.XHDTYPE:
         extended = Extent(at + _BLOCK, info.size)
         if not 0 <= info.size <= MAX_HEADER_BYTES:
-            raise ArchiveError("a header is too large")
+            raise ArchiveError("archive_header_too_large")
         stated_size = _stated_size(_read_at(file, extended.start, extended.size, size))
         at = _next_block(extended)
         info = _parsed(_read_at(file, at, _BLOCK, size))
     if info.type not in (tarfile.REGTYPE, tarfile.AREGTYPE) or info.name not in (MANIFEST, *STORES):
-        raise ArchiveError(_FOREIGN)
+        raise ArchiveError("archive_foreign")
     extent = Extent(at + _BLOCK, info.size if stated_size is None else stated_size)
     if not 0 <= extent.size <= size - extent.start:
-        raise ArchiveError(_CUT_OFF)
+        raise ArchiveError("archive_cut_off")
     return info.name, extent
 
 
@@ -171,7 +173,7 @@ def _parsed(header: bytes) -> tarfile.TarInfo:
     try:
         return tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
     except (tarfile.HeaderError, ValueError) as error:
-        raise ArchiveError("it is no tar archive") from error
+        raise ArchiveError("archive_not_tar") from error
 
 
 def _stated_size(extended: bytes) -> int | None:
@@ -182,7 +184,7 @@ def _stated_size(extended: bytes) -> int | None:
         found = _RECORD.match(extended)
         length = int(found[1]) if found else 0
         if not found or found[2].decode() not in _EXTENDED or not found.end() < length <= len(extended):
-            raise ArchiveError(_FOREIGN)
+            raise ArchiveError("archive_foreign")
         value, extended = extended[found.end() : length - 1], extended[length:]
         if found[2] == b"size":
             size = int(value) if re.fullmatch(rb"[0-9]{1,18}", value) else -1
@@ -191,11 +193,11 @@ def _stated_size(extended: bytes) -> int | None:
 
 def _manifest(file: BufferedReader, extent: Extent | None) -> Manifest:
     if extent is None or extent.size > MAX_MANIFEST_BYTES:
-        raise ArchiveError("it has no manifest")
+        raise ArchiveError("archive_without_manifest")
     try:
         return msgspec.json.decode(b"".join(_chunks(file, extent)), type=Manifest)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise ArchiveError("its manifest is damaged") from error
+        raise ArchiveError("archive_manifest_damaged") from error
 
 
 def _next_block(extent: Extent) -> int:
@@ -204,7 +206,7 @@ def _next_block(extent: Extent) -> int:
 
 def _read_at(file: BufferedReader, at: int, count: int, size: int) -> bytes:
     if at + count > size:
-        raise ArchiveError(_CUT_OFF)
+        raise ArchiveError("archive_cut_off")
     return b"".join(_chunks(file, Extent(at, count)))
 
 
@@ -215,6 +217,6 @@ def _chunks(file: BufferedReader, extent: Extent) -> Iterator[bytes]:
     while left:
         chunk = file.read(min(left, _CHUNK))
         if not chunk:
-            raise ArchiveError(_CUT_OFF)
+            raise ArchiveError("archive_cut_off")
         yield chunk
         left -= len(chunk)

@@ -165,18 +165,21 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
 def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
     key_file = find_key_file(key_files)
     anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
-    return tuple(aside for path in anchors if path is not None and (aside := put_aside(path)) is not None)
+    asides = [put_aside(path) for path in anchors if path is not None]
+    return tuple(aside for aside in asides if aside is not None)
 
 
 def _prove(store: Path, file: Path) -> None:
     """A store of a backup is sound, and one that Lineside made."""
     with in_words(store), closing(open_for_reading(store)) as connection:
-        fault = _fault_of(connection) or ("" if is_store(connection) else "no store of Lineside")
+        fault: str | Message = _fault_of(connection)
+        if not fault and not is_store(connection):
+            fault = Message("store_is_foreign")
     if fault:
         raise _unsound(file, store.name, fault)
 
 
-def _unsound(file: Path, store: str, verdict: str) -> StoreError:
+def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
     return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=verdict))
 
 
