@@ -11,7 +11,7 @@ from typing import TextIO, cast
 import structlog
 
 
-class Unbreakable(io.TextIOBase):
+class BestEffortStream(io.TextIOBase):
     """Drops log lines that cannot be written (disk full, pipe closed): the log never stops the line."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -39,6 +39,6 @@ def configure_log() -> None:
             structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, Unbreakable(sys.stderr))),
+        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, BestEffortStream(sys.stderr))),
         cache_logger_on_first_use=True,
     )

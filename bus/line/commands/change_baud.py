@@ -83,13 +83,13 @@ class _Change:
             sent = yield from send(Send(WriteParameterRequest(unit, BAUD_RATE, self._new // HUNDREDS)))
             if sent.refusal is not None:
                 return "refused", unit_refused(unit, sent.refusal)
-            if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
+            if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_anyway(unit, sent)):
                 return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
             if self._context.cancelled:
                 return "not_sent", Message("canceled")
         return None
 
-    def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
+    def _took_it_anyway(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
         """Return whether a unit has the new rate although its ACK was lost, maybe sent at the new rate."""
         if sent.attempts == 0:
             return False

@@ -15,7 +15,7 @@ import serial
 import serial_asyncio
 
 from bus.errors import WireError
-from bus.line.port.open_error import in_use, is_played, users_of, why_not
+from bus.line.port.open_error import in_use, is_pseudo_terminal, users_of, why_not
 from bus.line.port.port import OpenPort, PartlySent, PortProtocol, PortUnavailable, Receiver
 from bus.messages import Message
 
@@ -108,7 +108,7 @@ def _is_claimed(descriptor: int, path: str) -> bool:
     claimed = array("i", [0])
     with suppress(OSError):
         fcntl.ioctl(descriptor, _TIOCGEXCL, claimed)
-    return bool(claimed[0]) and (not is_played(path) or bool(users_of(path)))
+    return bool(claimed[0]) and (not is_pseudo_terminal(path) or bool(users_of(path)))
 
 
 class GatedSerial(serial.Serial):
