@@ -18,7 +18,7 @@ from benchmarks.witness import SHORTEST_POLL_RESPONSE
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from tests.e2e.site import eventually
 
@@ -89,7 +89,7 @@ def _play(seed: int, pipe: Connection) -> None:
     with LineServer(line, PtyPort(baud=BAUD)) as server, suppress(EOFError):
         pipe.send(server.port.name)
         while pipe.recv():
-            responses = line.record.since(0, Happened.RESPONDED)
+            responses = line.record.since(0, WireEventKind.RESPONDED)
             pipe.send(sum(len(entry.data) >= SHORTEST_POLL_RESPONSE for entry in responses))
 
 

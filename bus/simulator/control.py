@@ -18,7 +18,7 @@ from bus.catalogue import numbers
 from bus.simulator.faults import EVERY_UNIT, FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.plant import Plant
-from bus.simulator.record import Happened, WireEvent
+from bus.simulator.record import WireEvent, WireEventKind
 from bus.simulator.section import Section
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import FACTORY, Memory, Mode, Traits, Unit
@@ -73,7 +73,7 @@ def _change_line(line: SimulatedLine, request: ControlRequest) -> object:
         case "clear":
             line.faults.clear()
         case "record":
-            kinds = map(Happened, request.get("kinds", []))
+            kinds = map(WireEventKind, request.get("kinds", []))
             return [_entry(each) for each in line.record.since(request.get("since", 0), *kinds)]
         case "spare":
             # JSON has texts alone as keys.

@@ -15,7 +15,7 @@ from bus.settings import Dialect
 from bus.simulator.faults import EVERY_UNIT, FaultKind, Faults
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
-from bus.simulator.record import Happened, WireRecord
+from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.responding import ALL_UNITS, Turn, encode, respond
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
@@ -62,7 +62,7 @@ class SimulatedLine:
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
         """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
-        self.record.add(now, Happened.CAME, EVERY_UNIT, data)
+        self.record.add(now, WireEventKind.CAME, EVERY_UNIT, data)
         byte_s = byte_seconds(host_baud or self.baud, self.speedup)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(FaultKind.ECHO):
@@ -94,7 +94,7 @@ class SimulatedLine:
         """The cable is gone: nothing that is under way arrives."""
         self._arriving.clear()
         self._partial = None
-        self._replies.hush()
+        self._replies.clear()
         self._decoder = FrameDecoder(Dialect())
 
     def _frame_came(self, arriving: _Arriving, check: int) -> None:
@@ -125,7 +125,7 @@ class SimulatedLine:
                 received = True
                 self._respond(place, unit, arriving)
         if not received:
-            self.record.add(arriving.at, Happened.RECEIVED, EVERY_UNIT, arriving.body)
+            self.record.add(arriving.at, WireEventKind.RECEIVED, EVERY_UNIT, arriving.body)
 
     def _receives(self, unit: Unit, arriving: _Arriving) -> bool:
         if arriving.baud is not None and arriving.baud != unit.baud:
@@ -142,16 +142,16 @@ class SimulatedLine:
     def _respond(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
         byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
-        self.record.add(at, Happened.RECEIVED, address, arriving.body)
+        self.record.add(at, WireEventKind.RECEIVED, address, arriving.body)
         turn = self._turn(unit, arriving.body)
         if turn.acted:
-            self.record.add(at, Happened.ACTED, address, arriving.body)
+            self.record.add(at, WireEventKind.ACTED, address, arriving.body)
         frame = encode(unit, turn)
         if not frame:
             return
         body = _body_of(frame)
         begins = at + unit.turnaround() / self.speedup
-        self.record.add(begins, Happened.RESPONDED, address, body)
+        self.record.add(begins, WireEventKind.RESPONDED, address, body)
         for piece in self.faults.spoil(address, frame, body):
             self._send(place, begins + piece.delay, piece.data, byte_s)
 
@@ -162,7 +162,7 @@ class SimulatedLine:
 
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
         ends = self._replies.transmit(talker, at, data, byte_s)
-        self.record.add(ends, Happened.SENT, EVERY_UNIT, data)
+        self.record.add(ends, WireEventKind.SENT, EVERY_UNIT, data)
 
 
 def _body_of(frame: bytes) -> bytes:

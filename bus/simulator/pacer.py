@@ -94,7 +94,7 @@ class ReplyLine:
                 return Wake(slot.due, sharp=slot.last)
         return Wake(latest, sharp=False)
 
-    def hush(self) -> None:
+    def clear(self) -> None:
         """The cable is gone, and what was on it."""
         self._slots.clear()
 

@@ -33,7 +33,7 @@ from bus.line.schedule.arbiter import RESERVED_S
 from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
 from bus.messages import Message
 from bus.simulator.faults import FaultKind
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
@@ -77,7 +77,7 @@ def test_the_wire_is_never_idle() -> None:
         await settled(line)
         number, began = line.line.record.count, line.loop.time()
         await asyncio.sleep(10)
-        entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
+        entries = line.line.record.since(number, WireEventKind.CAME, WireEventKind.SENT)
         used = sum(len(entry.data) for entry in entries) * 10 / 9600
         assert used / (line.loop.time() - began) > 0.995
 

@@ -18,7 +18,7 @@ from bus.simulator.control import control_port
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
@@ -91,7 +91,7 @@ def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
             reply = exchange(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert reply.commanded == raw
-        written = line.call(lambda line: [entry.data for entry in line.record.since(0, Happened.CAME)])
+        written = line.call(lambda line: [entry.data for entry in line.record.since(0, WireEventKind.CAME)])
         assert b"".join(written) == encode_request(ReadStatusRequest(1), PLAIN) * 5
 
 
