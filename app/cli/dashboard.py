@@ -68,13 +68,10 @@ class Dashboard:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
         except (httpx.HTTPError, UnicodeError) as error:
-            advice = Message("is_dashboard_running")
-            if _is_untrusted(error):
-                advice = Message("name_authority")
+            url = str(self._client.base_url)
+            advice = Message("name_authority" if _is_untrusted(error) else "is_dashboard_running")
             raise DashboardError(
-                Message.of(
-                    "dashboard_unreachable", url=str(self._client.base_url), error=str(error), advice=advice
-                )
+                Message.of("dashboard_unreachable", url=url, error=str(error), advice=advice)
             ) from error
         if response.is_success:
             return response.json()
@@ -133,7 +130,5 @@ def _problem_message(response: httpx.Response) -> Message:
         problem = {}
     if problem.get("detail"):
         return Message.of("dashboard_refused", detail=str(problem["detail"]))
-    request = response.request
-    return Message.of(
-        "dashboard_failed", method=request.method, path=request.url.path, status=response.status_code
-    )
+    method, path = response.request.method, response.request.url.path
+    return Message.of("dashboard_failed", method=method, path=path, status=response.status_code)

@@ -42,8 +42,8 @@ class LineClock(Protocol):
 class RealClock:
     """The machine's clocks, a fixed offset apart: frames stay in order when the wall clock is set."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
-        self._loop = loop or asyncio.get_running_loop()
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
         self._offset = time.time() - time.monotonic()
 
     def now(self) -> Monotonic:

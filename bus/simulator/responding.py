@@ -83,7 +83,7 @@ def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
 
 
 def _read(unit: Unit, request: ReadParameterRequest) -> Reply:
-    if not unit.memory.has(request.number):
+    if not unit.has(request.number):
         return Nak(request.unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER)
     width = unit.traits.dialect.parameter_reply_bytes or width_by_type(request.number)
     return ParameterReply(request.unit, unit.memory[request.number] & (1 << 8 * width) - 1, width)
@@ -129,7 +129,7 @@ def _enter(unit: Unit, raw: int) -> Rejection:
 
 
 def _write_parameter(unit: Unit, number: int, raw: int) -> Rejection:
-    if not unit.memory.has(number):
+    if not unit.has(number):
         return UnitErrorCode.ILLEGAL_PARAMETER_NUMBER
     if number == numbers.OWN_ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
         return UnitErrorCode.ILLEGAL_PARAMETER_VALUE

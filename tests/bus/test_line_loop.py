@@ -415,7 +415,7 @@ def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth() -> None
 
 def test_reading_what_a_short_list_does_not_have() -> None:
     async def scene(line: VirtualLine) -> None:
-        line.plant.unit(1).memory.last = 20
+        line.plant.unit(1).traits = dataclasses.replace(line.plant.unit(1).traits, last_parameter=20)
         await settled(line)
         result = await line.perform(ReadParameters(1, [19, 20, 21, 22]))
         assert result.outcome == "verified"
