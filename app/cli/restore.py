@@ -88,8 +88,7 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
         shown += len(fresh)
         if not quiet:
             for row in fresh:
-                suffix = f": {row['message']}" if row["message"] else ""
-                typer.echo(_row_line(row, f"{row['outcome']}{suffix}"))
+                typer.echo(_row_text(row))
         if now["state"] in _ENDED:
             return now
         time.sleep(_LOOK_AGAIN_S)
@@ -107,30 +106,32 @@ def _results(ended: Any) -> list[Any]:
 
 def _plan_text(planned: Any) -> str:
     rows = _selected(planned)
-    lines = [str(Message.of("restore_note", remark=remark)) for remark in planned["remarks"]]
-    lines.append(str(Message.of("rows_to_write", n=len(rows), equal=planned["equal"])))
-    for row in rows:
-        warning = f"  ({row['warning']})" if row["warning"] else ""
-        change = f"{row['present']:>14} → {row['wanted']}  {row['meaning']}{warning}"
-        lines.append(_row_line(row, change))
-    return "\n".join([*lines, *map(_left_out_line, planned["left_out"])])
+    head = str(Message.of("rows_to_write", n=len(rows), equal=planned["equal"]))
+    notes = [str(Message.of("restore_note", remark=remark)) for remark in planned["remarks"]]
+    return "\n".join([*notes, head, *map(_planned_text, rows), *map(_left_out_text, planned["left_out"])])
+
+
+def _planned_text(row: Any) -> str:
+    change = f"{row['present']:>14} → {row['wanted']}  {row['meaning']}"
+    warning = f"  ({row['warning']})" if row["warning"] else ""
+    return f"#{row['number']:<3}{row['name']:<32}{change}{warning}"
+
+
+def _left_out_text(left: Any) -> str:
+    values = {name: left[name] for name in ("present", "wanted", "reason")}
+    text = Message("row_left_out_differs" if left["differs"] else "row_left_out", values)
+    return f"#{left['number']:<3}{left['name']:<32}{text}"
+
+
+def _row_text(row: Any) -> str:
+    suffix = f": {row['message']}" if row["message"] else ""
+    return f"#{row['number']:<3}{row['name']:<32}{row['outcome']}{suffix}"
 
 
 def _ending_text(ended: Any) -> str:
     verified = sum(row["outcome"] == "verified" for row in ended["rows"])
     end = str(Message.of("rows_verified", verified=verified, n=len(ended["rows"]), state=ended["state"]))
-    return "\n".join([end, *(_left_out_line(left) for left in ended["left_out"] if left["differs"])])
-
-
-def _left_out_line(left: Any) -> str:
-    values = {name: left[name] for name in ("present", "wanted", "reason")}
-    return _row_line(
-        left, str(Message("row_left_out_differs" if left["differs"] else "row_left_out", values))
-    )
-
-
-def _row_line(row: Any, text: str) -> str:
-    return f"#{row['number']:<3}{row['name']:<32}{text}"
+    return "\n".join([end, *(_left_out_text(left) for left in ended["left_out"] if left["differs"])])
 
 
 def _why(ended: Any) -> str | Message:

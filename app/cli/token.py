@@ -12,6 +12,7 @@ from app.cli.accounts import ORIGIN, who_calls, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
+from bus.instants import UnixTime
 from bus.messages import Message
 
 token = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
@@ -47,10 +48,8 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with ending():
         for each in with_accounts(config, lambda accounts: accounts.tokens()):
-            expires = ""
-            if each.expires_at is not None:
-                day = datetime.fromtimestamp(float(each.expires_at), UTC).date()
-                expires = str(Message.of("token_expires", day=day.isoformat()))
+            day = each.expires_at
+            expires = "" if day is None else str(Message.of("token_expires", day=_day(day)))
             columns = (each.name, each.role, each.created_by, each.bus or "", expires)
             typer.echo("\t".join(columns).rstrip())
 
@@ -60,3 +59,7 @@ def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
     with ending():
         with_accounts(config, lambda accounts: accounts.revoke_token(name, by=who_calls(), origin=ORIGIN))
+
+
+def _day(at: UnixTime) -> str:
+    return datetime.fromtimestamp(float(at), UTC).date().isoformat()

@@ -13,7 +13,6 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.web.access import Viewer
-from app.web.arrival import DEFAULT_TIMEOUT_S
 from app.web.assets import Asset
 from app.web.bounds import parse_apart
 from app.web.schema_names import with_published_names
@@ -48,8 +47,7 @@ DESCRIPTIONS = {
     "series": "bus/unit/value, such as dry-end/1/actual; several times.",
     "set_id": "Id of a parameter set.",
     "state": "Only alarms in this state; when left out, all that are not normal.",
-    "timeout_s": "Time that the command may wait for the wire, 0.05 to 30 s; "
-    f"{DEFAULT_TIMEOUT_S:g} s when left out.",
+    "timeout_s": "Time that the command may wait for the wire, 0.05 to 30 s; 2 s when left out.",
     "to": "End of the span, ISO 8601 with zone; now when left out.",
     "tolerance": "Raw counts that still pass as equal.",
     "unit": "Address of the unit (#17), 1 to 255.",
