@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from app.audit.keys import find_key_file
-from app.cli.findings import Finding, fault, is_read_only, is_visible
+from app.cli.findings import Finding, existing_part, fault, is_read_only, is_visible
 from app.database.presence import examining, presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
@@ -25,7 +25,7 @@ MB = 1_000_000
 def store_findings(settings: Settings) -> Iterator[Finding]:
     """Examine each store of the data folder, and its disk."""
     folder, main = settings.server.data, settings.server.store
-    existing = next(each for each in (folder, *folder.parents) if is_visible(each))
+    existing = existing_part(folder)
     yield from _disk(existing)
     try:
         stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
