@@ -171,7 +171,8 @@ class Settings(StrictModel):
             if bus.name in names:
                 message = Message.of("setting_bus_twice", name=bus.name)
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
-            port = _same_device(bus.port)
+            # Two names may be of one device: /dev/serial/by-id/… are links.
+            port = bus.port if "://" in bus.port else os.path.realpath(bus.port)
             if port in ports:
                 message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
@@ -185,11 +186,6 @@ class Settings(StrictModel):
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
         return self
-
-
-def _same_device(port: str) -> str:
-    """A name that is equal for two names of one device (/dev/serial/by-id/… are links)."""
-    return port if "://" in port else os.path.realpath(port)
 
 
 def load(path: Path) -> Settings:

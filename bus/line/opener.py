@@ -67,7 +67,11 @@ class Opener:
             self._log_open()
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
-        cause = await self._use(self._port)
+        checking = asyncio.create_task(self._check(self._port))
+        try:
+            cause = await self._line.run(self._port)
+        finally:
+            checking.cancel()
         stable.cancel()
         self.close()
         pause_s = self._backoff.ended(clock.now() - opened, useful=self._line.link.has_responses)
@@ -82,13 +86,6 @@ class Opener:
         self._log_closed(failure.message)
         self._line.still_closed(failure.message)
         return pause_s
-
-    async def _use(self, port: OpenPort) -> Message:
-        checking = asyncio.create_task(self._check(port))
-        try:
-            return await self._line.run(port)
-        finally:
-            checking.cancel()
 
     async def _check(self, port: OpenPort) -> None:
         while True:

@@ -123,7 +123,8 @@ class Roster:
         that the unit responds, but its parameter number and value are not certain.
         """
         record = self[request.unit]
-        updates = self._responded(record, at)
+        record.misses, record.responded_at = 0, at
+        updates = self._link(record, "online", at, None)
         match request, reply:
             case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
@@ -176,10 +177,6 @@ class Roster:
     ) -> list[UnitUpdate]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
-
-    def _responded(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
-        record.misses, record.responded_at = 0, at
-        return self._link(record, "online", at, None) if record.link.link != "online" else []
 
     def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
         if record.staged == raw:
