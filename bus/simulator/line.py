@@ -70,7 +70,10 @@ class SimulatedLine:
             self._receive_second_10h(at, value, byte_s)
             for event in self._decoder.feed(bytes((value,))):
                 if isinstance(event, ReceivedFrame):
-                    self._frame_came(_Arriving(at, event.body, host_baud), event.wire[-1])
+                    arriving = _Arriving(at, event.body, host_baud)
+                    if event.wire[-1] == DLE:
+                        self._partial = arriving = arriving._replace(checksum_10h="once")
+                    self._arriving.append(arriving)
 
     def advance(self, now: float) -> bytes:
         """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
@@ -96,11 +99,6 @@ class SimulatedLine:
         self._partial = None
         self._replies.clear()
         self._decoder = FrameDecoder(Dialect())
-
-    def _frame_came(self, arriving: _Arriving, check: int) -> None:
-        if check == DLE:
-            self._partial = arriving = arriving._replace(checksum_10h="once")
-        self._arriving.append(arriving)
 
     def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
         """A unit that waits for a second 10h has its frame when that follows at once."""
@@ -143,29 +141,24 @@ class SimulatedLine:
         address, at = unit.address, arriving.at
         byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
         self.record.add(at, WireEventKind.RECEIVED, address, arriving.body)
-        turn = self._turn(unit, arriving.body)
+        if arriving.body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, address):
+            refusal = self.faults.refusal(arriving.body[1])
+            turn = Turn(Nak(arriving.body[0], refusal), acted=False)
+        else:
+            turn = respond(unit, arriving.body)
         if turn.acted:
             self.record.add(at, WireEventKind.ACTED, address, arriving.body)
         frame = encode(unit, turn)
         if not frame:
             return
-        body = _body_of(frame)
+        [event] = FrameDecoder(Dialect()).feed(frame)[:1]
+        assert isinstance(event, ReceivedFrame)
+        body = event.body
         begins = at + unit.turnaround() / self.speedup
         self.record.add(begins, WireEventKind.RESPONDED, address, body)
         for piece in self.faults.spoil(address, frame, body):
             self._send(place, begins + piece.delay, piece.data, byte_s)
 
-    def _turn(self, unit: Unit, body: bytes) -> Turn:
-        if body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, unit.address):
-            return Turn(Nak(body[0], self.faults.refusal(body[1])), acted=False)
-        return respond(unit, body)
-
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
         ends = self._replies.transmit(talker, at, data, byte_s)
         self.record.add(ends, WireEventKind.SENT, EVERY_UNIT, data)
-
-
-def _body_of(frame: bytes) -> bytes:
-    [event] = FrameDecoder(Dialect()).feed(frame)[:1]
-    assert isinstance(event, ReceivedFrame)
-    return event.body

@@ -111,7 +111,10 @@ class TcpLinePort:
         return [end.fileno() for end in (self._listener, self._host) if end is not None]
 
     def read(self) -> bytes:
-        self._accept()
+        if self._listener is not None:
+            with suppress(BlockingIOError):
+                host, _ = self._listener.accept()
+                self._take(host)
         if self._host is None:
             return b""
         try:
@@ -146,13 +149,7 @@ class TcpLinePort:
         self._listener.setblocking(False)
         self._number = self._listener.getsockname()[1]
 
-    def _accept(self) -> None:
-        if self._listener is None:
-            return
-        try:
-            host, _ = self._listener.accept()
-        except BlockingIOError:
-            return
+    def _take(self, host: socket.socket) -> None:
         if self._host is not None:
             host.close()
             return

@@ -64,8 +64,12 @@ def respond(unit: Unit, body: bytes) -> Turn:
         case ReadParameterRequest():
             return Turn(_read(unit, request), acted=False)
     refusal = _write(unit, request)
-    reply = _written(unit, request) if refusal is None else Nak(request.unit, refusal)
-    return Turn(reply, acted=refusal is None)
+    if refusal is not None:
+        return Turn(Nak(request.unit, refusal), acted=False)
+    written = b""
+    if isinstance(request, WriteParameterRequest) and unit.traits.responds_with_written_value:
+        written = request.raw.to_bytes(4, "big")
+    return Turn(Ack(request.unit, written), acted=True)
 
 
 def encode(unit: Unit, turn: Turn) -> bytes:
@@ -87,12 +91,6 @@ def _read(unit: Unit, request: ReadParameterRequest) -> Reply:
         return Nak(request.unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER)
     width = unit.traits.dialect.parameter_reply_bytes or width_by_type(request.number)
     return ParameterReply(request.unit, unit.memory[request.number] & (1 << 8 * width) - 1, width)
-
-
-def _written(unit: Unit, request: Request) -> Reply:
-    if isinstance(request, WriteParameterRequest) and unit.traits.responds_with_written_value:
-        return Ack(request.unit, request.raw.to_bytes(4, "big"))
-    return Ack(request.unit)
 
 
 def _write(unit: Unit, request: Request) -> Rejection:

@@ -6,7 +6,7 @@ What a request does to it is in ``responding``; what its motor does is in ``sect
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
@@ -216,14 +216,13 @@ class Unit:
             commanded = self.measured.following
         elif self.follows:
             actual = self.measured.ratio
-        return StatusReply(uid, commanded, actual, self.measured.analog, self._st2(), self._st1())
-
-    def _st2(self) -> int:
-        outputs = sum(on << bit for bit, on in enumerate(self.outputs))
-        return self.at_speed << 7 | (self.mode is Mode.REMOTE) << 6 | outputs
-
-    def _st1(self) -> int:
+        st2 = (*self.outputs, self.mode is Mode.REMOTE, self.at_speed)
         inputs = self.inputs
         estop = self.traits.dialect.estop_healthy ^ inputs.estop
-        bits = (inputs.run, estop, inputs.preset, inputs.reverse, inputs.up, inputs.down, self.follows)
-        return sum(bool(on) << bit for bit, on in enumerate(bits))
+        st1 = (inputs.run, estop, inputs.preset, inputs.reverse, inputs.up, inputs.down, self.follows)
+        return StatusReply(uid, commanded, actual, self.measured.analog, _byte_of(st2), _byte_of(st1))
+
+
+def _byte_of(bits: Sequence[bool | int]) -> int:
+    """The byte with these bits, the lowest first."""
+    return sum(bool(on) << place for place, on in enumerate(bits))
