@@ -19,10 +19,9 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from app.alarm_settings import AlarmSettings, refuse_misplaced
+from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.audit.settings import Audit
 from app.auth.settings import Sessions
-from app.built_in_settings import BuiltInAlarmSettings, refuse_built_in
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
@@ -172,7 +171,8 @@ class Settings(StrictModel):
             if bus.name in names:
                 message = Message.of("setting_bus_twice", name=bus.name)
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "name")})
-            port = _same_device(bus.port)
+            # Two names may be of one device: /dev/serial/by-id/… are links.
+            port = bus.port if "://" in bus.port else os.path.realpath(bus.port)
             if port in ports:
                 message = Message.of("setting_port_twice", port=bus.port, other=ports[port])
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "port")})
@@ -186,11 +186,6 @@ class Settings(StrictModel):
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
         return self
-
-
-def _same_device(port: str) -> str:
-    """A name that is equal for two names of one device (/dev/serial/by-id/… are links)."""
-    return port if "://" in port else os.path.realpath(port)
 
 
 def load(path: Path) -> Settings:

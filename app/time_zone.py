@@ -23,7 +23,11 @@ def machine_zone() -> str:
     """The IANA name of the zone that the machine is set to (TZ, /etc/localtime, /etc/timezone); UTC where it
     has none that is in the list, such as a TZ of POSIX rules. Read once: a server keeps its zone."""
     try:
-        name = getattr(get_localzone(), "key", None) or _name_of(_file())
+        name = getattr(get_localzone(), "key", None)
+        if name is None:
+            # The name of a zone by where its file is: …/zoneinfo/Europe/Berlin.
+            file = Path(os.environ.get("TZ", "").removeprefix(":") or LOCALTIME)
+            name = str(file.resolve()).partition(_FOLDER)[2]
     except (LookupError, ValueError, OSError):
         return UTC
     name = name.removeprefix(_SAME_ZONES)
@@ -36,13 +40,3 @@ def is_zone(name: str) -> bool:
         return name not in _NOT_IANA and ZoneInfo(name).key == name
     except (LookupError, ValueError, OSError):
         return False
-
-
-def _file() -> Path:
-    named = os.environ.get("TZ", "").removeprefix(":")
-    return Path(named) if named else LOCALTIME
-
-
-def _name_of(file: Path) -> str:
-    """The name of a zone by where its file is: …/zoneinfo/Europe/Berlin."""
-    return str(file.resolve()).partition(_FOLDER)[2]

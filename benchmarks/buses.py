@@ -11,7 +11,6 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from app.cli.demo import ended
 from benchmarks.processes import cpu_seconds, family, memory_mib
 from benchmarks.served import served_lines
 from benchmarks.tables import microseconds, show
@@ -19,7 +18,7 @@ from benchmarks.witness import SHORTEST_POLL_RESPONSE
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from tests.e2e.site import eventually
 
@@ -90,7 +89,7 @@ def _play(seed: int, pipe: Connection) -> None:
     with LineServer(line, PtyPort(baud=BAUD)) as server, suppress(EOFError):
         pipe.send(server.port.name)
         while pipe.recv():
-            responses = line.record.since(0, Happened.RESPONDED)
+            responses = line.record.since(0, WireEventKind.RESPONDED)
             pipe.send(sum(len(entry.data) >= SHORTEST_POLL_RESPONSE for entry in responses))
 
 
@@ -101,10 +100,24 @@ def _lines(count: int) -> Iterator[list[_Line]]:
 
 
 @contextmanager
+def _ended(process: subprocess.Popen[bytes], within_s: float) -> Iterator[None]:
+    """End ``process`` after the block: by SIGTERM; by SIGKILL where that takes longer than ``within_s``."""
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(within_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
 def _served(folder: Path, lines: Sequence[_Line]) -> Iterator[subprocess.Popen[bytes]]:
     command = served_lines(folder, [line.port for line in lines], UNITS)
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    with ended(process, ENDED_WITHIN_S):
+    with _ended(process, ENDED_WITHIN_S):
         yield process
 
 

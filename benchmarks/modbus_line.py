@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
-from bus.simulator.record import Happened, WireRecord
+from bus.simulator.record import WireEventKind, WireRecord
 
 REGISTERS = 6
 _REQUEST_BYTES = 8
@@ -31,7 +31,7 @@ class ModbusLine:
         self._woken = 0.0
 
     def receive(self, now: float, data: bytes, _host_baud: int | None = None) -> None:
-        self.record.add(now, Happened.CAME, 0, data)
+        self.record.add(now, WireEventKind.CAME, 0, data)
         byte_s = byte_seconds(self.baud)
         arrivals = self._requests.carry(now, len(data), byte_s)
         self._pending += data
@@ -39,9 +39,9 @@ class ModbusLine:
             request = bytes(self._pending[:_REQUEST_BYTES])
             del self._pending[:_REQUEST_BYTES]
             response = with_crc(bytes((request[0], 3, 2 * REGISTERS)) + bytes(2 * REGISTERS))
-            self.record.add(arrivals[-1], Happened.RESPONDED, request[0], response)
+            self.record.add(arrivals[-1], WireEventKind.RESPONDED, request[0], response)
             ends = self._replies.transmit(request[0], arrivals[-1], response, byte_s)
-            self.record.add(ends, Happened.SENT, 0, response)
+            self.record.add(ends, WireEventKind.SENT, 0, response)
 
     def advance(self, now: float) -> bytes:
         self._woken = now

@@ -25,7 +25,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Happened, WireEvent
+from bus.simulator.record import WireEvent, WireEventKind
 from bus.simulator.serve import LineServer
 from tests.e2e.limits import START_S
 from tests.e2e.site import end, eventually
@@ -135,7 +135,7 @@ def _settle(server: LineServer) -> None:
     for _ in range(LONGEST_SETTLING):
         number = _last_number(server)
         time.sleep(SETTLING_S)
-        requests = [entry for entry in _record(server, number) if entry.what is Happened.RECEIVED]
+        requests = [entry for entry in _record(server, number) if entry.what is WireEventKind.RECEIVED]
         reads = sum(entry.data[1] == READ_PARAMETER for entry in requests)
         if _last_number(server) > number and reads <= READS_OF_A_SETTLED_HOST:
             return

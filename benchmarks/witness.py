@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from benchmarks.tables import median, quantile
-from bus.simulator.record import Happened, WireEvent
+from bus.simulator.record import WireEvent, WireEventKind
 
 SHORTEST_POLL_RESPONSE = 10
 """Bytes; the response to a parameter read or a write has fewer."""
@@ -39,13 +39,13 @@ def look(entries: Iterable[WireEvent], seconds: float) -> Seen:
     responded_at: float | None = None
     requested = octets = 0
     for entry in entries:
-        if entry.what is Happened.SENT:
+        if entry.what is WireEventKind.SENT:
             responded_at = entry.at
             octets += requested + len(entry.data)
             requested = 0
-        elif entry.what is Happened.RESPONDED and len(entry.data) >= SHORTEST_POLL_RESPONSE:
+        elif entry.what is WireEventKind.RESPONDED and len(entry.data) >= SHORTEST_POLL_RESPONSE:
             responses[entry.unit] = responses.get(entry.unit, 0) + 1
-        elif entry.what is Happened.CAME:
+        elif entry.what is WireEventKind.CAME:
             requested = len(entry.data)
             if responded_at is not None:
                 gaps.append(entry.at - responded_at)

@@ -39,7 +39,7 @@ class Bucket:
         return max(0.0, self._level - self.capacity) / self.per_s
 
     def wait_s(self, now: Monotonic, amount: float = 1.0) -> float:
-        """In how many seconds so much more fits; 0.0: now."""
+        """Return in how many seconds ``amount`` more fits; 0.0: now."""
         return max(0.0, self.level(now) + amount - self.capacity) / self.per_s
 
     def fill(self, now: Monotonic) -> None:

@@ -28,7 +28,7 @@ class ReconnectDelay:
     """How often in a row it ended too soon."""
 
     def ended(self, lasted_s: float, *, useful: bool = False) -> float:
-        """It began and ended after ``lasted_s``; ``useful``: something came of it. Seconds to wait."""
+        """Note an end after ``lasted_s``, ``useful`` where something came of it; return seconds to wait."""
         if lasted_s >= STABLE_S:
             self.count = 0
             return 0.0

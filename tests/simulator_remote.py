@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Remote:
-    """The other end of ``SimulatorControl``, in another process."""
+    """The other end of ``control_port``, in another process."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port))

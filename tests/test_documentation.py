@@ -61,6 +61,23 @@ def test_every_link_to_a_file_leads_to_one() -> None:
     assert [f"{page.name}: {link}" for page, link in links if not (page.parent / link).exists()] == []
 
 
+def places_of_changes() -> dict[str, list[str]]:
+    """The table of CONTRIBUTING: each frequent change, and the paths to open for it."""
+    table = text_of(ROOT / "CONTRIBUTING.md").partition("| to change | see |")[2].partition("\n\n")[0]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
+    return {change: re.findall(r"`([\w./-]+/[\w./-]+)`", places) for change, places in rows}
+
+
+@pytest.mark.parametrize(("change", "paths"), places_of_changes().items())
+def test_each_frequent_change_takes_at_most_two_files(change: str, paths: list[str]) -> None:
+    assert 1 <= len(paths) <= 2, change
+    assert [path for path in paths if not (ROOT / path).is_file()] == []
+
+
+def test_ten_changes_have_their_place_in_the_table() -> None:
+    assert len(places_of_changes()) >= 10
+
+
 def documented_calls() -> Iterator[tuple[str, list[str]]]:
     """Each ``lineside`` command line of the documentation: the file, and its words."""
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
@@ -12,9 +11,9 @@ from app.alarms.definition import AlarmDefinition, key_of, own_key
 from app.alarms.own import OwnCondition, own_definition
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest
+from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
-from app.built_in_settings import BuiltInAlarmSettings, tuning_of
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
 from app.conditions.of_bus import BY_BUS, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal
 
-from app.alarm_settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
 from app.alarms.definition import AlarmDefinition, Rationalization, own_key
 from app.alarms.rules.facts import AlarmAttributes
 from app.alarms.rules.limits import ChangeRate, LimitRule
+from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
 from app.conditions.priority import MATRIX, AlarmPriority, Consequence, TimeToRespond
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
 from app.live.state.conditions import bits_of

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Path, Query
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.alarm_settings import AlarmSettings, OwnValue
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
 from app.alarms.definition import own_key
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.own_store import OwnAlarm
+from app.alarms.settings import AlarmSettings, OwnValue
 from app.alarms.shown import AlarmPriorityShown
 from app.alarms.simulation.api import WrittenAlarmBody, WrittenDelay
 from app.web.access import Engineer, Person

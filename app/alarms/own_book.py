@@ -11,7 +11,6 @@ from typing import Any
 
 import structlog
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
@@ -20,6 +19,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.own import own_definition
 from app.alarms.own_store import OwnAlarm, OwnAlarmStore, OwnAlarmWriting
 from app.alarms.rules import changes
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.transaction import ActTransaction, written_together
 from app.audit.act import Act

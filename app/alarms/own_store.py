@@ -5,8 +5,8 @@ from __future__ import annotations
 import sqlite3
 from dataclasses import dataclass
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.definition import own_key
+from app.alarms.settings import AlarmSettings
 from app.database import Database
 from bus.instants import UnixTime
 

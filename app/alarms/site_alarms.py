@@ -10,9 +10,9 @@ from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
 from app.alarms.definition import key_of
 from app.alarms.expiry_watch import ExpiryWatch
+from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.audit.anchoring import AnchorStatus
-from app.built_in_settings import BuiltInAlarmSettings, tuning_of
 from app.conditions import of_server
 from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_group
-
-from app.cli.loading import loading
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "init": ("init", "Write a commented lineside.toml to start from."),
@@ -33,6 +34,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a
 ``typer.Typer`` for a command with subcommands."""
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Hold the garbage collector back while code is imported, and keep what was loaded out of every later
+    collection: that takes a fourteenth of the start, and later pauses of 50 ms."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 class Lazy(TyperGroup):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import getpass
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,7 +17,7 @@ from app.auth.passwords import Passwords
 from app.cli.check_store import check_store
 from app.database import Database
 from app.database.private import make_private
-from app.settings import load
+from app.settings import Settings, load
 from app.web.access import Person, Role
 from bus.messages import Message
 
@@ -38,22 +39,27 @@ def console() -> Person:
     return Person("" if isinstance(who, Message) else who, Role.ADMIN, "console")
 
 
+def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
+    """The event log of a store, with its keys. Raises KeyFileError."""
+    return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(head_of)))
+
+
+@contextmanager
+def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
+    """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
+    check_store(settings)
+    make_private(settings.server.data)
+    with closing(Database(settings.server.store, checkpoints=False)) as database:
+        yield database, open_log(database, settings.key_files)
+
+
 def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
     settings = load(config)
-    check_store(settings)
-    make_private(settings.server.data)
-    database = Database(settings.server.store, checkpoints=False)
-    passwords = Passwords()
+    buses = [bus.name for bus in settings.bus]
+    with site_log(settings) as (database, events), closing(Passwords()) as passwords:
 
-    async def run() -> T:
-        keys = open_keys(settings.key_files, database.path, await database.read(head_of))
-        buses = [bus.name for bus in settings.bus]
-        events = EventLog(database, keys=keys)
-        return await work(Accounts(database, passwords, events, buses=buses, site=settings.site.name))
+        async def run() -> T:
+            return await work(Accounts(database, passwords, events, buses=buses, site=settings.site.name))
 
-    try:
         return asyncio.run(run())
-    finally:
-        passwords.close()
-        database.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -14,17 +13,14 @@ import typer
 from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
 from app.audit.chain import Head
 from app.audit.keyring import KeyOrigin, KeyRing
-from app.audit.keys import find_key_file, open_keys, owners_of, read_key_file
-from app.audit.log import EventLog
+from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
-from app.cli.accounts import ORIGIN, who_calls
+from app.cli.accounts import ORIGIN, site_log, who_calls
 from app.cli.check_store import check_store
 from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
-from app.database import Database
 from app.database.connection import open_for_reading
-from app.database.private import make_private
 from app.database.words import in_words
 from app.errors import StoreError
 from app.handover.signatures import missing_signatures
@@ -56,30 +52,16 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""
-    with ending():
-        settings = load(config)
-        check_store(settings)
-        make_private(settings.server.data)
-        database = Database(settings.server.store, checkpoints=False)
-        try:
-            path = asyncio.run(_rotate(database, settings))
-        finally:
-            database.close()
-    report(Message.of("key_rotated", file=str(path)))
-
-
-async def _rotate(database: Database, settings: Settings) -> Path | None:
-    keys = open_keys(settings.key_files, database.path, await database.read(head_of))
-    keys.rotate()
-    # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
-    await EventLog(database, keys=keys).record(
-        kind="audit", what=Message("event_audit_key_rotated"), who=who_calls(), origin=ORIGIN
-    )
-    return keys.path
+    with ending(), site_log(load(config)) as (_, events):
+        events.keys.rotate()
+        # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
+        what = Message("event_audit_key_rotated")
+        asyncio.run(events.record(kind="audit", what=what, who=who_calls(), origin=ORIGIN))
+    report(Message.of("key_rotated", file=str(events.keys.path)))
 
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
-    """From the files as they are: nothing is brought up to date, nothing is written."""
+    """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
     store = settings.server.store
     if not store.exists():
@@ -90,23 +72,19 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]
         beside_key = read_key_anchor(find_key_file(settings.key_files), ring)
         verdict = prove(connection, ring, joined_heads(anchors, beside_key))
         if verdict.broken is None:
-            _check_signatures(connection)
+            for each in missing_signatures(connection):
+                raise StoreError(
+                    Message.of("audit_signature_missing", entry=each.event, who=each.who, start=each.start)
+                )
         return verdict, anchors
 
 
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
-    """Those of the file that was named or configured; of its default place, where there is one."""
+    """Read the anchors of the file that was named or configured, or of the default place where it exists."""
     path = named or settings.anchor_file
     if path not in (named, settings.audit.anchor) and not path.exists():
         return Anchors()
     return refuse_forged(path, read_anchor_file(path, ring))
-
-
-def _check_signatures(connection: sqlite3.Connection) -> None:
-    for each in missing_signatures(connection):
-        raise StoreError(
-            Message.of("audit_signature_missing", entry=each.event, who=each.who, start=each.start)
-        )
 
 
 def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
@@ -118,7 +96,7 @@ def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
 
 
 def _remarks(verdict: Verdict, anchors: Anchors) -> list[Message]:
-    """What the proof does not cover."""
+    """List what the proof does not cover."""
     remarks = []
     if verdict.unsealed:
         remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))

@@ -16,8 +16,10 @@ import tarfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BufferedReader
 from pathlib import Path
-from typing import Annotated, BinaryIO
+from typing import Annotated
 
 import msgspec
 
@@ -26,8 +28,8 @@ from app.errors import StoreError
 from app.handover.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY
 from app.settings import STORE_FILE
-from bus.instants import UnixTime
-from bus.messages import Message
+from bus.errors import LinesideError
+from bus.messages import Message, ParamValue
 
 MANIFEST = "manifest.json"
 STORES = (HISTORY, STORE_FILE, PICTURES)
@@ -44,13 +46,14 @@ _EXTENDED = frozenset(("mtime", "atime", "ctime", "size", "uid", "gid", "uname",
 _RECORD = re.compile(rb"([0-9]{1,6}) ([a-z]+)=")
 _BLOCK = tarfile.BLOCKSIZE
 _CHUNK = 2**20
-_FOREIGN = "it holds something else than the stores"
-_CUT_OFF = "it is cut off"
 _Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
 
-class ArchiveError(ValueError):
-    """The archive is not one that backup-store writes; the text is the reason."""
+class ArchiveError(LinesideError):
+    """The archive is not one that backup-store writes, for a reason by its code."""
+
+    def __init__(self, code: str, **params: ParamValue) -> None:
+        super().__init__(Message(code, params))
 
 
 class Manifest(msgspec.Struct):
@@ -72,29 +75,25 @@ class Extent:
 class BackupArchive:
     """An open backup whose members and manifest are as they should be; the stores are not read yet."""
 
-    file: BinaryIO
+    file: BufferedReader
     path: Path
     stores: Mapping[str, Extent]
     manifest: Manifest
 
     @property
-    def taken_at(self) -> UnixTime:
-        return UnixTime(self.manifest.time)
+    def message(self) -> Message:
+        """Its file, when it was taken and its SHA-256, hexadecimal."""
+        taken = datetime.fromtimestamp(self.manifest.time, UTC).isoformat(timespec="seconds")
+        self.file.seek(0)
+        digest = hashlib.file_digest(self.file, "sha256").hexdigest()
+        return Message.of("backup_of", file=self.path.name, time=taken, digest=digest)
 
     def unpack(self, folder: Path) -> list[Path]:
         """Write the stores into an empty folder; each is what was backed up. Raises StoreError."""
         needed, free = sum(extent.size for extent in self.stores.values()), free_bytes(folder)
         if needed > free:
-            full = Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free)
-            raise StoreError(full)
+            raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
         return [self._unpack_one(name, folder / name) for name in sorted(self.stores)]
-
-    def digest(self) -> str:
-        """SHA-256 of the archive, hexadecimal."""
-        digest = hashlib.sha256()
-        for chunk in _chunks(self.file, Extent(0, os.fstat(self.file.fileno()).st_size)):
-            digest.update(chunk)
-        return digest.hexdigest()
 
     def _unpack_one(self, name: str, place: Path) -> Path:
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -116,7 +115,7 @@ def open_archive(path: Path) -> Iterator[BackupArchive]:
         try:
             yield _read(file, path)
         except ArchiveError as error:
-            raise StoreError(Message.of("backup_malformed", file=str(path), error=str(error))) from error
+            raise StoreError(Message.of("backup_malformed", file=str(path), error=error.message)) from error
 
 
 def free_bytes(folder: Path) -> int:
@@ -124,49 +123,49 @@ def free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
-def _read(file: BinaryIO, path: Path) -> BackupArchive:
+def _read(file: BufferedReader, path: Path) -> BackupArchive:
     found = os.fstat(file.fileno())
     if not stat.S_ISREG(found.st_mode):
-        raise ArchiveError("it is not a regular file")
+        raise ArchiveError("archive_not_regular")
     if found.st_size > MAX_ARCHIVE_BYTES:
-        raise ArchiveError(f"it has more than {MAX_ARCHIVE_BYTES} bytes")
+        raise ArchiveError("archive_too_large", most=MAX_ARCHIVE_BYTES)
     members = _members(file, found.st_size)
     manifest = _manifest(file, members.pop(MANIFEST, None))
     if manifest.stores.keys() != members.keys():
-        raise ArchiveError("its manifest names other stores than it holds")
+        raise ArchiveError("archive_manifest_differs")
     return BackupArchive(file, path, members, manifest)
 
 
-def _members(file: BinaryIO, size: int) -> dict[str, Extent]:
+def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
     """By name where each member is, none beyond the end of the file, which is ``size``."""
     members: dict[str, Extent] = {}
     at = 0
     while any(header := _read_at(file, at, _BLOCK, size)):
         name, extent = _member(file, header, at, size)
         if name in members:
-            raise ArchiveError(f"it holds {name} twice")
+            raise ArchiveError("archive_holds_twice", name=name)
         members[name] = extent
         at = _next_block(extent)
     if size - at > MAX_PADDING_BYTES:
-        raise ArchiveError("something follows its last store")
+        raise ArchiveError("archive_goes_on")
     return members
 
 
-def _member(file: BinaryIO, header: bytes, at: int, size: int) -> tuple[str, Extent]:
+def _member(file: BufferedReader, header: bytes, at: int, size: int) -> tuple[str, Extent]:
     """The member whose first header is at ``at``; it may have an extended one before its own."""
     info, stated_size = _parsed(header), None
     if info.type == tarfile.XHDTYPE:
         extended = Extent(at + _BLOCK, info.size)
         if not 0 <= info.size <= MAX_HEADER_BYTES:
-            raise ArchiveError("a header is too large")
+            raise ArchiveError("archive_header_too_large")
         stated_size = _stated_size(_read_at(file, extended.start, extended.size, size))
         at = _next_block(extended)
         info = _parsed(_read_at(file, at, _BLOCK, size))
     if info.type not in (tarfile.REGTYPE, tarfile.AREGTYPE) or info.name not in (MANIFEST, *STORES):
-        raise ArchiveError(_FOREIGN)
+        raise ArchiveError("archive_foreign")
     extent = Extent(at + _BLOCK, info.size if stated_size is None else stated_size)
     if not 0 <= extent.size <= size - extent.start:
-        raise ArchiveError(_CUT_OFF)
+        raise ArchiveError("archive_cut_off")
     return info.name, extent
 
 
@@ -174,7 +173,7 @@ def _parsed(header: bytes) -> tarfile.TarInfo:
     try:
         return tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
     except (tarfile.HeaderError, ValueError) as error:
-        raise ArchiveError("it is no tar archive") from error
+        raise ArchiveError("archive_not_tar") from error
 
 
 def _stated_size(extended: bytes) -> int | None:
@@ -185,39 +184,39 @@ def _stated_size(extended: bytes) -> int | None:
         found = _RECORD.match(extended)
         length = int(found[1]) if found else 0
         if not found or found[2].decode() not in _EXTENDED or not found.end() < length <= len(extended):
-            raise ArchiveError(_FOREIGN)
+            raise ArchiveError("archive_foreign")
         value, extended = extended[found.end() : length - 1], extended[length:]
         if found[2] == b"size":
             size = int(value) if re.fullmatch(rb"[0-9]{1,18}", value) else -1
     return size
 
 
-def _manifest(file: BinaryIO, extent: Extent | None) -> Manifest:
+def _manifest(file: BufferedReader, extent: Extent | None) -> Manifest:
     if extent is None or extent.size > MAX_MANIFEST_BYTES:
-        raise ArchiveError("it has no manifest")
+        raise ArchiveError("archive_without_manifest")
     try:
         return msgspec.json.decode(b"".join(_chunks(file, extent)), type=Manifest)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise ArchiveError("its manifest is damaged") from error
+        raise ArchiveError("archive_manifest_damaged") from error
 
 
 def _next_block(extent: Extent) -> int:
     return extent.start + -(-extent.size // _BLOCK) * _BLOCK
 
 
-def _read_at(file: BinaryIO, at: int, count: int, size: int) -> bytes:
+def _read_at(file: BufferedReader, at: int, count: int, size: int) -> bytes:
     if at + count > size:
-        raise ArchiveError(_CUT_OFF)
+        raise ArchiveError("archive_cut_off")
     return b"".join(_chunks(file, Extent(at, count)))
 
 
-def _chunks(file: BinaryIO, extent: Extent) -> Iterator[bytes]:
+def _chunks(file: BufferedReader, extent: Extent) -> Iterator[bytes]:
     """The content of a member, a piece at a time."""
     file.seek(extent.start)
     left = extent.size
     while left:
         chunk = file.read(min(left, _CHUNK))
         if not chunk:
-            raise ArchiveError(_CUT_OFF)
+            raise ArchiveError("archive_cut_off")
         yield chunk
         left -= len(chunk)

@@ -23,9 +23,9 @@ import typer
 from app.audit.anchor import key_anchor_of, put_aside
 from app.audit.keys import find_key_file
 from app.auth.withheld import Withheld
-from app.cli.backup_archive import MANIFEST, STORES, BackupArchive, open_archive
+from app.cli.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.ending import ending, report
-from app.cli.restored_store import Backup, consequences, make_ready
+from app.cli.restored_store import consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
@@ -79,21 +79,25 @@ def restore_store(
 def write_backup(data: Path, file: Path) -> list[str]:
     """Copy the stores of a data folder; gives their names. Raises StoreError, also where a store is damaged:
     it could not be put back; then there is no file."""
-    stores = [store for name in STORES if (store := data / name).exists()]
-    if not stores:
+    present = [store for name in STORES if (store := data / name).exists()]
+    if not present:
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
         raise StoreError(Message.of("backup_exists", file=str(file)))
     with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
-        copies = [_copy(store, Path(folder)) for store in stores]
-        tar_file = Path(folder) / "whole.tar"
+        copies = [_copy(store, Path(folder)) for store in present]
+        about = {"lineside": version("lineside"), "time": unix_now(), "stores": dict(map(_digest, copies))}
+        manifest = json.dumps(about, indent=1).encode()
+        tar_file = Path(folder) / "complete.tar"
         make_file(tar_file)
         with tarfile.open(tar_file, "w") as archive:
-            _add_text(archive, MANIFEST, _manifest(copies))
+            entry = tarfile.TarInfo(MANIFEST)
+            entry.size = len(manifest)
+            archive.addfile(entry, io.BytesIO(manifest))
             for copy in copies:
                 archive.add(copy, copy.name)
         tar_file.rename(file)
-    return [store.name for store in stores]
+    return [store.name for store in present]
 
 
 def _copy(store: Path, folder: Path) -> Path:
@@ -113,21 +117,10 @@ def _fault_of(store: sqlite3.Connection) -> str:
     return "" if verdict == "ok" else str(verdict)
 
 
-def _manifest(copies: list[Path]) -> str:
-    stores = {copy.name: _digest(copy) for copy in copies}
-    return json.dumps({"lineside": version("lineside"), "time": unix_now(), "stores": stores}, indent=1)
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _add_text(archive: tarfile.TarFile, name: str, text: str) -> None:
-    data = text.encode("utf-8")
-    entry = tarfile.TarInfo(name)
-    entry.size = len(data)
-    archive.addfile(entry, io.BytesIO(data))
+def _digest(copy: Path) -> tuple[str, str]:
+    """The name and the SHA-256 of a store."""
+    with copy.open("rb") as file:
+        return copy.name, hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +151,10 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
                 _refuse_while_open(store)
             done = Restored([fresh.name for fresh in proved])
             if (fresh := Path(folder) / STORE_FILE) in proved:
-                withheld = _ready(fresh, data / STORE_FILE, archive, key_files)
+                try:
+                    withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
+                except (sqlite3.Error, ValueError) as error:
+                    raise _unsound(file, STORE_FILE, str(error)) from error
                 # Before the stores: a log without an anchor is not taken for one that was cut off.
                 done = replace(done, withheld=withheld, anchors=_anchors_put_aside(key_files, anchor))
             for fresh in proved:
@@ -169,32 +165,30 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
 def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
     key_file = find_key_file(key_files)
     anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
-    return tuple(aside for path in anchors if path is not None and (aside := put_aside(path)) is not None)
+    asides = [put_aside(path) for path in anchors if path is not None]
+    return tuple(aside for aside in asides if aside is not None)
 
 
 def _prove(store: Path, file: Path) -> None:
     """A store of a backup is sound, and one that Lineside made."""
     with in_words(store), closing(open_for_reading(store)) as connection:
-        fault = _fault_of(connection) or ("" if is_store(connection) else "no store of Lineside")
+        fault: str | Message = _fault_of(connection)
+        if not fault and not is_store(connection):
+            fault = Message("store_is_foreign")
     if fault:
-        raise StoreError(_unsound(file, store.name, fault))
+        raise _unsound(file, store.name, fault)
 
 
-def _ready(fresh: Path, present: Path, archive: BackupArchive, key_files: Sequence[Path]) -> Withheld:
-    backup = Backup(archive.path.name, archive.taken_at, archive.digest())
-    try:
-        return make_ready(fresh, present, backup, key_files)
-    except (sqlite3.Error, ValueError) as error:
-        raise StoreError(_unsound(archive.path, present.name, str(error))) from error
-
-
-def _unsound(file: Path, store: str, verdict: str) -> Message:
-    return Message.of("backup_unsound", file=str(file), store=store, verdict=verdict)
+def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
+    return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=verdict))
 
 
 def _refuse_while_open(store: Path) -> None:
-    """A store in WAL mode gives the exclusive lock only to a sole user. A damaged one has no
-    users: a backup is to take its place. Raises StoreError for a link, which may lead anywhere."""
+    """Raises StoreError for a store that another program uses, and for a link, which may lead anywhere.
+
+    A store in WAL mode gives the exclusive lock to a sole user only. A damaged one has no users: a backup is
+    to take its place.
+    """
     refuse_link(store)
     if not store.exists():
         return

@@ -33,28 +33,22 @@ TokenFile = Annotated[
 ]
 
 
-def bearer_token(token: str, file: Path | None, *more_variables: str) -> str:
-    """As :func:`token_if_given`. Raises CallerError for none, too."""
-    found = token_if_given(token, file, *more_variables)
-    if not found:
-        raise CallerError(Message.of("token_not_given", variable=TOKEN_VARIABLE))
-    return found
-
-
-def token_if_given(token: str, file: Path | None, *more_variables: str) -> str:
+def bearer_token(token: str, file: Path | None, *more_variables: str, required: bool = True) -> str:
     """The token by ``--token``, else ``--token-file``, else the environment: ``LINESIDE_TOKEN`` or one of
-    ``more_variables``; empty for none. Raises CallerError for both options and for a file without a token."""
+    ``more_variables``; empty for none. Raises CallerError for both options, for a file without a token, and
+    for none where one is ``required``."""
     if token and file is not None:
         raise CallerError(Message("token_given_twice"))
-    found = token or (_token_in(file) if file is not None else _from_environment(more_variables))
+    if file is not None:
+        found = _token_in(file)
+    else:
+        values = [os.environ.get(name, "").strip() for name in (TOKEN_VARIABLE, *more_variables)]
+        found = next(filter(None, (token, *values)), "")
     if not (found.isascii() and found.isprintable()) or " " in found:
         raise CallerError(Message("token_malformed"))
+    if required and not found:
+        raise CallerError(Message.of("token_not_given", variable=TOKEN_VARIABLE))
     return found
-
-
-def _from_environment(more_variables: tuple[str, ...]) -> str:
-    names = (TOKEN_VARIABLE, *more_variables)
-    return next((value.strip() for name in names if (value := os.environ.get(name, ""))), "")
 
 
 def _token_in(file: Path) -> str:

@@ -50,7 +50,7 @@ class Dashboard:
         return {unit["id"]: unit["name"] for unit in buses[bus]["units"]}
 
     def check_unit(self, bus: str, unit: int) -> str:
-        """Its name; raises CallerError for a unit that is not configured."""
+        """Return the name of a unit. Raises CallerError for one that is not configured."""
         units = self.units(bus)
         if unit not in units:
             known = ", ".join(str(number) for number in units)
@@ -58,7 +58,7 @@ class Dashboard:
         return units[unit]
 
     def read_unit(self, bus: str, unit: int, *, gaps: bool = False) -> UnitRows:
-        """All parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
+        """Return all parameters of a unit, read from it now; with ``gaps`` only in the gaps of the scan."""
         name = self.check_unit(bus, unit)
         query = {"refresh": "true", "gaps": str(gaps).lower()}
         rows = [_row(given) for given in self.get(f"/buses/{bus}/units/{unit}/parameters", **query)]
@@ -68,13 +68,10 @@ class Dashboard:
         try:
             response = self._client.request(method, f"/api/v1{path}", **request)
         except (httpx.HTTPError, UnicodeError) as error:
-            advice = Message("is_dashboard_running")
-            if _is_untrusted(error):
-                advice = Message("name_authority")
+            url = str(self._client.base_url)
+            advice = Message("name_authority" if _is_untrusted(error) else "is_dashboard_running")
             raise DashboardError(
-                Message.of(
-                    "dashboard_unreachable", url=str(self._client.base_url), error=str(error), advice=advice
-                )
+                Message.of("dashboard_unreachable", url=url, error=str(error), advice=advice)
             ) from error
         if response.is_success:
             return response.json()
@@ -133,7 +130,5 @@ def _problem_message(response: httpx.Response) -> Message:
         problem = {}
     if problem.get("detail"):
         return Message.of("dashboard_refused", detail=str(problem["detail"]))
-    request = response.request
-    return Message.of(
-        "dashboard_failed", method=request.method, path=request.url.path, status=response.status_code
-    )
+    method, path = response.request.method, response.request.url.path
+    return Message.of("dashboard_failed", method=method, path=path, status=response.status_code)

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -21,7 +21,6 @@ from bus.messages import Message
 from bus.settings import UnitSettings
 from bus.worker.parent import tied_environment
 
-END_WITHIN_S = 2.0
 CHOOSE = Message("choose_port_demo")
 
 
@@ -63,8 +62,12 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
         if output is None or not output.readline():
             raise StoreError(Message("simulator_not_started"))
 
-    with ended(process, END_WITHIN_S):
-        yield begun
+    with process:
+        try:
+            yield begun
+        finally:
+            # It keeps nothing: its port is in the folder that is deleted.
+            process.kill()
 
 
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
@@ -92,17 +95,3 @@ def _labels(unit: UnitSettings) -> Iterator[str]:
             yield from (f"{name}.{key} = {json.dumps(word)}" for key, word in value.items())
         else:
             yield f"{name} = {json.dumps(value)}"
-
-
-@contextmanager
-def ended(process: subprocess.Popen[Any], within_s: float) -> Iterator[None]:
-    """End ``process`` after the block: by SIGTERM; by SIGKILL where that takes longer than ``within_s``."""
-    try:
-        yield
-    finally:
-        process.terminate()
-        try:
-            process.wait(within_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()

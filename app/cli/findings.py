@@ -11,14 +11,12 @@ import socket
 import stat
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from app.audit.keys import KeyFileError, find_key_file, owners_of, read_key_file
 from app.cli.listening import ListenError, listen
-from app.database.private import FOLDER_MODE
 from app.settings import ServerSettings, Settings
 from bus.line.port.open_error import why_not
 from bus.messages import Message, ParamValue
@@ -39,7 +37,7 @@ def fault(code: str, /, **params: ParamValue) -> Finding:
 
 
 def user() -> Message:
-    """Who runs the check."""
+    """The user that runs the check."""
     try:
         return Message.of("machine_user", user=getpass.getuser())
     except (KeyError, OSError):
@@ -72,30 +70,17 @@ def may_make_files_in(folder: Path) -> bool:
     return True
 
 
-def can_make_folder(folder: Path) -> bool:
-    """Whether it and its parents can be made where they are not there; they are removed at once."""
-    absent = [each for each in (folder, *folder.parents) if not is_visible(each)]
-    if absent and not may_make_files_in(absent[-1].parent):
-        return False
-    made: list[Path] = []
-    try:
-        for each in reversed(absent):
-            each.mkdir(FOLDER_MODE)
-            made.append(each)
-        return may_make_files_in(folder)
-    except OSError:
-        return False
-    finally:
-        for each in reversed(made):
-            with suppress(OSError):
-                each.rmdir()
+def existing_part(folder: Path) -> Path:
+    """The folder, or the nearest of its parents that is there."""
+    return next(each for each in (folder, *folder.parents) if is_visible(each))
 
 
 def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
     yield _address(settings.server)
     yield _data(settings.server.data)
-    yield from audit_findings(settings)
+    yield _key(settings.key_files, settings.server.store)
+    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
     if not settings.bus:
         yield fault("check_no_bus")
     for bus in settings.bus:
@@ -113,12 +98,14 @@ def _address(server: ServerSettings) -> Finding:
 
 
 def _data(folder: Path) -> Finding:
-    existing = next(each for each in (folder, *folder.parents) if is_visible(each))
+    existing = existing_part(folder)
     if not existing.is_dir():
         return fault("check_data_is_file", folder=str(existing))
     if is_read_only(existing):
         return fault("check_disk_read_only", path=str(existing))
-    if not can_make_folder(folder):
+    longest = os.pathconf(existing, "PC_NAME_MAX")
+    is_too_long = any(len(os.fsencode(name)) > longest for name in folder.parts)
+    if is_too_long or not may_make_files_in(existing):
         code = "check_data_not_writable" if existing == folder else "check_data_not_creatable"
         return fault(code, user=user(), folder=str(folder))
     return Finding(Message.of("check_data" if existing == folder else "check_data_later", folder=str(folder)))
@@ -170,12 +157,6 @@ def _url_fault(bus: BusSettings) -> Message | None:
     return None
 
 
-def audit_findings(settings: Settings) -> Iterator[Finding]:
-    """Where its key and its anchor are or will be."""
-    yield _key(settings.key_files, settings.server.store)
-    yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
-
-
 def _key(paths: Sequence[Path], store: Path) -> Finding:
     found = find_key_file(paths)
     if found is None:
@@ -198,7 +179,7 @@ def _new_key(paths: Sequence[Path]) -> Finding:
 
 
 def _anchor(path: Path, *, is_configured: bool) -> Finding:
-    """That of the default place is not missed where it cannot be written: the start reports it."""
+    """An anchor at the default place that cannot be written is no fault: the start reports it."""
     exists = is_visible(path)
     # Path.is_symlink raises for a name that is too long.
     if os.path.islink(path) or (exists and not path.is_file()):  # noqa: PTH114

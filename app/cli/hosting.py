@@ -17,9 +17,9 @@ from typing import Any
 import uvloop
 
 from app.auth.rules import new_secret
+from app.cli import loading
 from app.cli.ending import report
 from app.cli.listening import url_of
-from app.cli.loading import loading
 from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
 from app.errors import system_error
@@ -41,7 +41,12 @@ class HostingError(LinesideError):
 @contextmanager
 def only_one(data: Path) -> Iterator[None]:
     """Two servers on one folder of data would write the same store. Raises HostingError."""
-    lock = _lock_file(data)
+    try:
+        make_folder(data)
+        lock = os.open(data / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        reason = system_error(error)
+        raise HostingError(Message.of("data_not_writable", folder=str(data), error=reason)) from error
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
@@ -49,16 +54,6 @@ def only_one(data: Path) -> Iterator[None]:
         raise HostingError(Message.of("data_in_use", folder=str(data))) from error
     finally:
         os.close(lock)
-
-
-def _lock_file(data: Path) -> int:
-    try:
-        make_folder(data)
-        return os.open(data / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-    except OSError as error:
-        raise HostingError(
-            Message.of("data_not_writable", folder=str(data), error=system_error(error))
-        ) from error
 
 
 def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool = False) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import closing
-from pathlib import Path
 
-from app.audit.keys import find_key_file, open_keys
-from app.audit.log import EventLog
-from app.audit.store import head_of
-from app.cli.accounts import ORIGIN, who_calls
+from app.audit.keys import find_key_file
+from app.cli.accounts import ORIGIN, open_log, who_calls
 from app.cli.check_store import check_store
 from app.database import Database
 from app.database.copies import put_aside
@@ -41,20 +38,10 @@ def begin_new_site(settings: Settings) -> None:
         if presence == "damaged":
             put_aside(store)
         if key is not None:
-            _put_key_aside(key)
+            # Two stores cannot share a key file: it states how far the log of its store was.
+            stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+            key.rename(key.with_name(f"{key.name}.before-{stamp}"))
     with closing(Database(store)) as database:
-        keys = open_keys(settings.key_files, store, database.read_now(head_of))
-        asyncio.run(
-            EventLog(database, keys=keys).record(
-                kind="server",
-                what=Message.of("event_site_begun", store=_WAS[presence]),
-                who=who_calls(),
-                origin=ORIGIN,
-            )
-        )
-
-
-def _put_key_aside(key: Path) -> None:
-    """Two stores cannot share a key file: it states how far the log of its store was."""
-    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    key.rename(key.with_name(f"{key.name}.before-{stamp}"))
+        what = Message.of("event_site_begun", store=_WAS[presence])
+        log = open_log(database, settings.key_files)
+        asyncio.run(log.record(kind="server", what=what, who=who_calls(), origin=ORIGIN))

@@ -69,12 +69,11 @@ def scan(
         failure, code = Message("scan_port_lost"), 1
     except KeyboardInterrupt:
         failure, code = Message("scan_interrupted"), INTERRUPTED
-    found = [one for done in scans for one in done.found]
-    _report(port, scans, found, as_json, turnaround_ms, complete=failure is None)
+    _report(port, scans, as_json, turnaround_ms, complete=failure is None)
     if failure is not None:
         complain(failure)
         raise typer.Exit(code)
-    if not found:
+    if not any(done.found for done in scans):
         complain(Message.of("scan_no_response", bauds=[done.baud for done in scans]))
         raise typer.Exit(1)
 
@@ -129,14 +128,9 @@ async def _scan(
 
 
 def _report(
-    port: str,
-    scans: Sequence[BaudScan],
-    found: Sequence[Found],
-    as_json: bool,
-    turnaround_ms: float,
-    *,
-    complete: bool,
+    port: str, scans: Sequence[BaudScan], as_json: bool, turnaround_ms: float, *, complete: bool
 ) -> None:
+    found = [one for done in scans for one in done.found]
     remarks = conclude(found)
     if any(done.echoes for done in scans):
         remarks.append(Message("scan_echo"))
@@ -144,9 +138,15 @@ def _report(
     if allowed_ms > turnaround_ms:
         remarks.append(Message.of("scan_turnaround", value=allowed_ms))
     if as_json:
-        settings = {**settings_seen(found), "turnaround_ms": allowed_ms}
-        document = _json(port, scans, found, remarks)
-        typer.echo(json.dumps({**document, "settings": settings, "complete": complete}))
+        document = {
+            "port": port,
+            "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
+            "units": [_unit_json(one) for one in found],
+            **_remarks(remarks),
+            "settings": {**settings_seen(found), "turnaround_ms": allowed_ms},
+            "complete": complete,
+        }
+        typer.echo(json.dumps(document))
         return
     for one in found:
         report(_line(one))
@@ -165,17 +165,6 @@ def _line(one: Found) -> Message:
     if one.responds_within_s is not None:
         traits.append(Message.of("found_responds_within", time=number(f"{1000 * one.responds_within_s:.1f}")))
     return Message.of("unit_found", unit=one.unit, baud=one.baud, traits=listed(traits))
-
-
-def _json(
-    port: str, scans: Sequence[BaudScan], found: Sequence[Found], remarks: list[Message]
-) -> dict[str, Any]:
-    return {
-        "port": port,
-        "bauds": [{"baud": done.baud, "seconds": round(done.seconds, 3)} for done in scans],
-        "units": [_unit_json(one) for one in found],
-        **_remarks(remarks),
-    }
 
 
 def _unit_json(one: Found) -> dict[str, Any]:

@@ -66,7 +66,7 @@ class Server(uvicorn.Server):
             await super().serve(sockets)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """As it is, then the word that it serves."""
+        """Start as uvicorn does, then accept connections and report that the dashboard serves."""
         self._watch.start()
         await super().startup([])
         if self.started:
@@ -76,7 +76,7 @@ class Server(uvicorn.Server):
             self._serving()
 
     async def main_loop(self) -> None:
-        """Once a second, for the header ``Date`` and for clients that take too long."""
+        """Set the header ``Date`` once a second, and close connections of clients that take too long."""
         while not await self.on_tick(0):
             now = asyncio.get_running_loop().time()
             for connection in tuple(self.server_state.connections):
@@ -88,7 +88,7 @@ class Server(uvicorn.Server):
                     await self._ended.wait()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """As it is; nothing more is accepted, and the loop is watched no more."""
+        """Stop watching the loop and accepting connections, then shut down as uvicorn does."""
         self._watch.stop()
         for task in self._accepting:
             task.cancel()
@@ -96,7 +96,7 @@ class Server(uvicorn.Server):
         await super().shutdown(sockets)
 
     def _make_protocol(self) -> asyncio.Protocol:
-        """As uvicorn does for a server of asyncio's."""
+        """Make the protocol of a connection, as uvicorn does for a server of asyncio's."""
         make = cast(Callable[..., asyncio.Protocol], self.config.http_protocol_class)
         return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -13,7 +14,7 @@ from app.cli.ending import complain, wrong_option
 from bus.catalogue import numbers
 from bus.messages import Message
 from bus.settings import BAUDS, Baud, Dialect
-from bus.simulator.control import SimulatorControl
+from bus.simulator.control import control_port
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
@@ -79,14 +80,11 @@ def simulate(
         unit.memory[numbers.BAUD_RATE] = baud // 100
         unit.power_up()
     line = SimulatedLine(plant, Faults(seed), baud, speedup)
-    with LineServer(line, _open(tcp, link, baud)) as server:
+    with LineServer(line, _open(tcp, link, baud)) as server, ExitStack() as opened:
         typer.echo(server.port.name)
-        controller = None if control is None else SimulatorControl(server, control)
-        if controller is not None:
-            typer.echo(f"control 127.0.0.1:{controller.port}")
+        if control is not None:
+            typer.echo(f"control 127.0.0.1:{opened.enter_context(control_port(server, control))}")
         signal.sigwait(_ENDINGS)
-        if controller is not None:
-            controller.close()
 
 
 def _dialect(**options: str | int) -> Dialect:

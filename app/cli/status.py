@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import httpx
 import typer
 
-from app.cli.credentials import TokenFile, TokenOption, token_if_given
+from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import ending, report
 from app.cli.listening import url_of
@@ -36,7 +36,7 @@ def status(
     Exit 0 when it serves, else 1.
     """
     with ending():
-        settings, bearer = load(config), token_if_given(token, token_file)
+        settings, bearer = load(config), bearer_token(token, token_file, required=False)
         url = url_of(settings.server.host, settings.server.port)
         serves = is_serving(url)
         buses, degraded = _state(url, bearer) if serves and bearer else (None, None)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
 from app.audit.keys import find_key_file
-from app.cli.findings import Finding, fault, is_read_only, is_visible
+from app.cli.findings import Finding, existing_part, fault, is_read_only, is_visible
 from app.database.presence import examining, presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
@@ -24,9 +23,9 @@ MB = 1_000_000
 
 
 def store_findings(settings: Settings) -> Iterator[Finding]:
-    """Each store of the data folder and its disk; nothing before the first start."""
+    """Examine each store of the data folder, and its disk."""
     folder, main = settings.server.data, settings.server.store
-    existing = next(each for each in (folder, *folder.parents) if is_visible(each))
+    existing = existing_part(folder)
     yield from _disk(existing)
     try:
         stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
@@ -43,7 +42,7 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
-    """How much is left of it: a trial to write a byte succeeds where history has stopped already."""
+    """Judge the free space: a trial to write a byte succeeds where history has stopped already."""
     free = shutil.disk_usage(folder).free
     match space(free, DiskReserve()):
         case "paused":
@@ -59,7 +58,9 @@ def _store(store: Path) -> Finding:
         return fault("check_disk_read_only", path=str(store))
     try:
         with examining(store) as connection:
-            verdict = _verdict(connection)
+            end = monotonic_now() + MAX_EXAMINED_S
+            connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
+            (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
         verdict = "ok"
     except (StoreError, OSError) as error:
@@ -67,13 +68,6 @@ def _store(store: Path) -> Finding:
     if verdict != "ok":
         return fault("check_store_damaged", path=str(store), verdict=verdict)
     return Finding(Message.of("check_store", path=str(store), size=store.stat().st_size // MB))
-
-
-def _verdict(connection: sqlite3.Connection) -> str:
-    """The first fault that SQLite finds, or ``ok``."""
-    end = monotonic_now() + MAX_EXAMINED_S
-    connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
-    return str(connection.execute("PRAGMA quick_check(1)").fetchone()[0])
 
 
 def _reason(error: StoreError | OSError) -> Message:

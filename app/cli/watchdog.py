@@ -15,17 +15,17 @@ MAX_MISSED_AT_START = 120
 
 @dataclass(slots=True)
 class Watchdog:
-    """Watches one process after the other, each by its id."""
+    """Watches one process."""
 
-    process: int = 0
     missed: int = 0
     limit: int = MAX_MISSED_AT_START
+    has_looked: bool = False
 
-    def expires(self, process: int, *, responds: bool) -> bool:
+    def expires(self, *, responds: bool) -> bool:
         """Look once; True where the process has been without a response for too long."""
-        if process != self.process:
+        if not self.has_looked:
             # What responded may have been the process before.
-            self.process, self.missed, self.limit = process, 0, MAX_MISSED_AT_START
+            self.has_looked = True
         elif responds:
             self.missed, self.limit = 0, MAX_MISSED
         else:

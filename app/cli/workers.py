@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import sys
 from asyncio.subprocess import Process
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import structlog
 
 from app.cli.watchdog import LOOK_S, Watchdog
 from bus.instants import monotonic_now
+from bus.reconnect_delay import ReconnectDelay
 from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
 
-FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0
-WELL_AFTER_S = 30.0
-"""A worker that lived so long was well; the next pause is short again."""
 GRACE_S = 2.3
 """A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
 
@@ -38,17 +36,19 @@ class WorkerProcesses:
         self._environment = tied_environment()
         self._processes: dict[str, Process] = {}
         self._tasks: list[asyncio.Task[None]] = []
+        self._responds: Callable[[str], bool] | None = None
 
     def start(self) -> None:
         """Start them all, and keep them."""
         for bus in self._tokens:
-            self._begin(self._keep(bus), f"keep worker of {bus}")
+            task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
+            task.add_done_callback(_log_failure)
+            self._tasks.append(task)
 
     def watch(self, responds: Callable[[str], bool]) -> None:
-        """From now on, kill each that does not respond; another is started. ``responds``: whether the worker
-        of a bus did since the last call."""
-        for bus in self._tokens:
-            self._begin(self._watch(bus, responds), f"watch worker of {bus}")
+        """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
+        worker of a bus did since the last call."""
+        self._responds = responds
 
     async def stop(self) -> None:
         """End them all: by SIGTERM, and by SIGKILL after the grace."""
@@ -57,44 +57,33 @@ class WorkerProcesses:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await asyncio.gather(*(end(process, GRACE_S) for process in self._processes.values()))
 
-    def _begin(self, work: Coroutine[Any, Any, None], name: str) -> None:
-        task = asyncio.create_task(work, name=name)
-        task.add_done_callback(_log_failure)
-        self._tasks.append(task)
-
-    async def _watch(self, bus: str, responds: Callable[[str], bool]) -> None:
-        watchdog = Watchdog()
-        while True:
-            await asyncio.sleep(LOOK_S)
-            process = self._processes.get(bus)
-            if process is None or process.returncode is not None:
-                continue
-            if watchdog.expires(process.pid, responds=responds(bus)):
-                log.error("bus worker does not respond, killed", bus=bus, after_looks=watchdog.missed)
-                # A stopped process acts on no other signal. Its end frees the port.
-                process.kill()
-                await process.wait()
-
     async def _keep(self, bus: str) -> None:
-        pause = FIRST_PAUSE_S
+        delay = ReconnectDelay(random.random)
         while True:
             started = monotonic_now()
             code = await self._run(bus)
-            if monotonic_now() - started > WELL_AFTER_S:
-                pause = FIRST_PAUSE_S
-            log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=pause)
+            pause = min(delay.ended(monotonic_now() - started), LONGEST_PAUSE_S)
+            log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=round(pause, 1))
             await asyncio.sleep(pause)
-            pause = min(2 * pause, LONGEST_PAUSE_S)
 
     async def _run(self, bus: str) -> int:
-        """Start one and wait for its end. In its own process group: Ctrl-C reaches it through the parent."""
+        """Start one, watch it and wait for its end; return its exit code."""
         called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
+        # In its own process group: Ctrl-C reaches it through the parent.
         with _readable(self._tokens[bus]) as token:
             process = await asyncio.create_subprocess_exec(
                 sys.executable, *called, "--child", stdin=token, env=self._environment, preexec_fn=os.setpgrp
             )
         self._processes[bus] = process
-        return await process.wait()
+        watchdog = Watchdog()
+        while True:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    return await process.wait()
+            if self._responds is not None and watchdog.expires(responds=self._responds(bus)):
+                log.error("bus worker does not respond, killed", bus=bus, after_looks=watchdog.missed)
+                # A stopped process acts on no other signal. Its end frees the port.
+                process.kill()
 
 
 @contextmanager
@@ -112,7 +101,7 @@ def _readable(secret: str) -> Iterator[int]:
 
 def _log_failure(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and task.exception():
-        log.error("a bus worker is watched no longer", task=task.get_name(), exc_info=task.exception())
+        log.error("a bus worker is kept no longer", task=task.get_name(), exc_info=task.exception())
 
 
 async def end(process: Process, grace_s: float) -> None:

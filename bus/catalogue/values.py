@@ -58,7 +58,7 @@ def speed_raw(text: str, decimals: int) -> int:
 
 
 def speed_message(raw: int, decimals: int | None) -> Message:
-    """The same for people; marked as raw also while the decimals are not known (None)."""
+    """Return ``raw`` display units for people, marked as raw while the decimals are not known (None)."""
     if decimals is None or decimals > MAX_DECIMALS:
         return bare(raw)
     return number(speed_text(raw, decimals))

@@ -20,7 +20,8 @@ def stage_s(baud: int) -> float:
 
 
 def longest_stage_s(baud: int, turnaround_s: float) -> float:
-    """The same at worst, no retry counted. ``turnaround_s``: what a unit may take to begin its response."""
+    """82h to one unit and its acknowledgement at worst, without a retry, seconds. ``turnaround_s``: what a
+    unit may take to begin its response."""
     return wire_seconds(_STAGE_BYTES + _DOUBLED_BYTES + _ACK_BYTES, baud) + turnaround_s
 
 

@@ -20,17 +20,17 @@ class Timer(Protocol):
     """A call to come."""
 
     def cancel(self) -> None:
-        """It will not come."""
+        """Withdraw the call."""
 
 
 class LineClock(Protocol):
     """``now`` never goes back; ``epoch`` is what other machines understand. Both in seconds."""
 
     def now(self) -> Monotonic:
-        """The line's own time."""
+        """Return the line's own time."""
 
     def epoch(self, now: Monotonic) -> UnixTime:
-        """The same moment in seconds since 1970."""
+        """Return the moment ``now`` in seconds since 1970."""
 
     def settle(self) -> None:
         """Follow the wall clock a little; called about once a second."""
@@ -42,8 +42,8 @@ class LineClock(Protocol):
 class RealClock:
     """The machine's clocks, a fixed offset apart: frames stay in order when the wall clock is set."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop | None = None) -> None:
-        self._loop = loop or asyncio.get_running_loop()
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
         self._offset = time.time() - time.monotonic()
 
     def now(self) -> Monotonic:

@@ -97,7 +97,8 @@ class LineLoop:
     async def _take_turns(self, port: OpenPort) -> Message:
         self._port_opened(port)
         while self.link.open:
-            following = self._foreseen_exchange()
+            is_foreseen = self._ended is not None and self._ended[1].is_ordinary
+            following = self._foreseen if is_foreseen else None
             if following is None:
                 self._settle()
                 now = self.clock.now()
@@ -110,9 +111,6 @@ class LineLoop:
                 self._has_left(following)
                 self._ended = following.turn, await ending
         return self._port_lost()
-
-    def _foreseen_exchange(self) -> NextExchange | None:
-        return self._foreseen if self._ended is not None and self._ended[1].is_ordinary else None
 
     def _next_exchange(self, now: Monotonic) -> NextExchange | None:
         other = self._baud_search.turn(self.baud, responds=self._responds)
@@ -138,7 +136,7 @@ class LineLoop:
         return NextExchange(turn, exchange)
 
     def _has_left(self, sent: NextExchange) -> None:
-        """What there is to do while a response is under way."""
+        """Settle, report and prepare the next turn while the response is under way."""
         self._settle()
         turn, run = sent.turn, sent.turn.run
         if sent is self._foreseen:
@@ -150,7 +148,7 @@ class LineLoop:
         self._foreseen = self._prepare(following) if following is not None else None
 
     def _settle(self) -> None:
-        """What the exchange that has ended led to."""
+        """Take the result of the exchange that has ended."""
         if self._ended is None:
             return
         self.link.account()
@@ -184,7 +182,7 @@ class LineLoop:
                 self.schedule.parameters.need(request.unit)
 
     async def _rest(self, now: Monotonic) -> None:
-        """Until something may be due that was not at ``now``, or the loop is woken."""
+        """Wait until something may be due that was not at ``now``, or the loop is woken."""
         self._report()
         self._resting = Completion()
         moments = [moment for moment in self._arbiter.moments() if now < moment < NEVER]
@@ -296,12 +294,12 @@ class LineLoop:
             self._report()
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
+        """Give up a command at a point where nothing is half done."""
         self.commands.cancel(command_id)
         self._report()
 
     def apply(self, command_id: str, effect: LineEffect) -> None:
-        """What a procedure does beside its requests."""
+        """Carry out what a procedure does beside its requests."""
         at = self.clock.epoch(self.clock.now())
         match effect:
             case ReportProgress():

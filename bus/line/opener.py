@@ -38,7 +38,7 @@ class Opener:
         self.opening: _Opening | None = None
 
     async def run(self) -> None:
-        """Until cancelled, which closes the port."""
+        """Keep the port open until cancelled, which closes it."""
         try:
             while True:
                 pause_s = await self._open_until_lost()
@@ -52,7 +52,7 @@ class Opener:
             self._port = None
 
     async def _open_until_lost(self) -> float:
-        """One opening of the port, from its beginning to its end; in how many seconds to try the next."""
+        """Open the port once and use it until it is lost; return in how many seconds to open it again."""
         clock = self._line.clock
         began = clock.now()
         self.opening = opening = _Opening(self, self._line)
@@ -67,7 +67,11 @@ class Opener:
             self._log_open()
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
-        cause = await self._use(self._port)
+        checking = asyncio.create_task(self._check(self._port))
+        try:
+            cause = await self._line.run(self._port)
+        finally:
+            checking.cancel()
         stable.cancel()
         self.close()
         pause_s = self._backoff.ended(clock.now() - opened, useful=self._line.link.has_responses)
@@ -75,20 +79,13 @@ class Opener:
         return pause_s
 
     def _failed(self, failure: WireError, took_s: float) -> float:
-        """In how many seconds to try again; one that is absent is looked for twice a second."""
+        """Return in how many seconds to try again; a port that is absent is looked for twice a second."""
         pause_s = RETRY_S if took_s < RETRY_S else 0.0
         if isinstance(failure, EndedWhileOpening):
             pause_s = self._backoff.ended(0.0)
         self._log_closed(failure.message)
         self._line.still_closed(failure.message)
         return pause_s
-
-    async def _use(self, port: OpenPort) -> Message:
-        checking = asyncio.create_task(self._check(port))
-        try:
-            return await self._line.run(port)
-        finally:
-            checking.cancel()
 
     async def _check(self, port: OpenPort) -> None:
         while True:

@@ -72,7 +72,7 @@ class UnitRecord:
 
     @property
     def commanded(self) -> int | None:
-        """As last read; None when it never was."""
+        """The commanded speed as last read; None when it never was."""
         return self.reading.commanded if self.reading is not None else None
 
     def raw(self, number: int) -> int | None:
@@ -123,7 +123,8 @@ class Roster:
         that the unit responds, but its parameter number and value are not certain.
         """
         record = self[request.unit]
-        updates = self._responded(record, at)
+        record.misses, record.responded_at = 0, at
+        updates = self._link(record, "online", at, None)
         match request, reply:
             case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
@@ -164,11 +165,11 @@ class Roster:
         return []
 
     def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """No unit can be polled: units that were online are stale from now on."""
+        """Note that no unit can be polled: units that were online are stale from now on."""
         return self._all("online", "stale", at, cause)
 
     def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """It has lasted: units that were stale count as lost."""
+        """Note that the port has been closed for long: units that were stale count as lost."""
         return self._all("stale", "offline", at, cause)
 
     def _all(
@@ -176,10 +177,6 @@ class Roster:
     ) -> list[UnitUpdate]:
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
-
-    def _responded(self, record: UnitRecord, at: UnixTime) -> list[UnitUpdate]:
-        record.misses, record.responded_at = 0, at
-        return self._link(record, "online", at, None) if record.link.link != "online" else []
 
     def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
         if record.staged == raw:

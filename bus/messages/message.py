@@ -66,7 +66,7 @@ class Message(msgspec.Struct, frozen=True):
         return self.render(ENGLISH)
 
     def render(self, catalog: Catalog) -> str:
-        """Its text in the language of ``catalog``, at most 4,000 characters.
+        """Return the text in the language of ``catalog``, at most 4,000 characters.
 
         A message may come from another process, so its text is never a format string: that could reach into
         objects (``{a.__class__}``) and pad without bound (``{a:>999999999}``).
@@ -89,7 +89,7 @@ class Message(msgspec.Struct, frozen=True):
 
 
 def in_english(message: Message | None) -> str:
-    """Its text in English; empty where there is none."""
+    """Return the text of a message in English; empty for none."""
     return "" if message is None else str(message)
 
 

@@ -12,7 +12,6 @@ from bus.simulator.unit import ORDINARY, Memory, Traits, Unit
 
 LINE_SPEED = 1200
 """120.0 m/min, in the display units of every section."""
-_DRIVE_EVERY = 8
 
 
 class _Machine(NamedTuple):
@@ -62,10 +61,6 @@ def _machine(address: int) -> _Machine:
     return _MACHINES[(address - 1) % len(_MACHINES)]
 
 
-def _follows(address: int) -> bool:
-    return address > len(_MACHINES) and address % _DRIVE_EVERY == 0
-
-
 def _settings(address: int) -> UnitSettings:
     machine = _machine(address)
     bank = (address - 1) // len(_MACHINES)
@@ -83,7 +78,7 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
         numbers.DECIMALS: 1,
         numbers.ACCELERATION: machine.ramp_s * 10,
         numbers.DECELERATION: machine.ramp_s * 10,
-        numbers.FOLLOWER_MODE: int(_follows(address)),
+        numbers.FOLLOWER_MODE: int(address > len(_MACHINES) and machine is _MACHINES[-1]),
         numbers.PRESET_SPEED: 300,
         numbers.OWN_ADDRESS: address,
         numbers.SPEED_SETPOINT: round(LINE_SPEED * draw),

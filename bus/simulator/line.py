@@ -15,7 +15,7 @@ from bus.settings import Dialect
 from bus.simulator.faults import EVERY_UNIT, FaultKind, Faults
 from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
 from bus.simulator.plant import STEP_S, Plant
-from bus.simulator.record import Happened, WireRecord
+from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.responding import ALL_UNITS, Turn, encode, respond
 from bus.simulator.unit import Unit
 from bus.wire.commands import Nak
@@ -62,7 +62,7 @@ class SimulatedLine:
 
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
         """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
-        self.record.add(now, Happened.CAME, EVERY_UNIT, data)
+        self.record.add(now, WireEventKind.CAME, EVERY_UNIT, data)
         byte_s = byte_seconds(host_baud or self.baud, self.speedup)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(FaultKind.ECHO):
@@ -70,7 +70,10 @@ class SimulatedLine:
             self._receive_second_10h(at, value, byte_s)
             for event in self._decoder.feed(bytes((value,))):
                 if isinstance(event, ReceivedFrame):
-                    self._frame_came(_Arriving(at, event.body, host_baud), event.wire[-1])
+                    arriving = _Arriving(at, event.body, host_baud)
+                    if event.wire[-1] == DLE:
+                        self._partial = arriving = arriving._replace(checksum_10h="once")
+                    self._arriving.append(arriving)
 
     def advance(self, now: float) -> bytes:
         """Let everything happen that is due by ``now``; the bytes that reach the host with it."""
@@ -94,13 +97,8 @@ class SimulatedLine:
         """The cable is gone: nothing that is under way arrives."""
         self._arriving.clear()
         self._partial = None
-        self._replies.hush()
+        self._replies.clear()
         self._decoder = FrameDecoder(Dialect())
-
-    def _frame_came(self, arriving: _Arriving, check: int) -> None:
-        if check == DLE:
-            self._partial = arriving = arriving._replace(checksum_10h="once")
-        self._arriving.append(arriving)
 
     def _receive_second_10h(self, at: float, value: int, byte_s: float) -> None:
         """A unit that waits for a second 10h has its frame when that follows at once."""
@@ -125,7 +123,7 @@ class SimulatedLine:
                 received = True
                 self._respond(place, unit, arriving)
         if not received:
-            self.record.add(arriving.at, Happened.RECEIVED, EVERY_UNIT, arriving.body)
+            self.record.add(arriving.at, WireEventKind.RECEIVED, EVERY_UNIT, arriving.body)
 
     def _receives(self, unit: Unit, arriving: _Arriving) -> bool:
         if arriving.baud is not None and arriving.baud != unit.baud:
@@ -142,30 +140,25 @@ class SimulatedLine:
     def _respond(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
         byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
-        self.record.add(at, Happened.RECEIVED, address, arriving.body)
-        turn = self._turn(unit, arriving.body)
+        self.record.add(at, WireEventKind.RECEIVED, address, arriving.body)
+        if arriving.body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, address):
+            refusal = self.faults.refusal(arriving.body[1])
+            turn = Turn(Nak(arriving.body[0], refusal), acted=False)
+        else:
+            turn = respond(unit, arriving.body)
         if turn.acted:
-            self.record.add(at, Happened.ACTED, address, arriving.body)
+            self.record.add(at, WireEventKind.ACTED, address, arriving.body)
         frame = encode(unit, turn)
         if not frame:
             return
-        body = _body_of(frame)
+        [event] = FrameDecoder(Dialect()).feed(frame)[:1]
+        assert isinstance(event, ReceivedFrame)
+        body = event.body
         begins = at + unit.turnaround() / self.speedup
-        self.record.add(begins, Happened.RESPONDED, address, body)
+        self.record.add(begins, WireEventKind.RESPONDED, address, body)
         for piece in self.faults.spoil(address, frame, body):
             self._send(place, begins + piece.delay, piece.data, byte_s)
 
-    def _turn(self, unit: Unit, body: bytes) -> Turn:
-        if body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, unit.address):
-            return Turn(Nak(body[0], self.faults.refusal(body[1])), acted=False)
-        return respond(unit, body)
-
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
         ends = self._replies.transmit(talker, at, data, byte_s)
-        self.record.add(ends, Happened.SENT, EVERY_UNIT, data)
-
-
-def _body_of(frame: bytes) -> bytes:
-    [event] = FrameDecoder(Dialect()).feed(frame)[:1]
-    assert isinstance(event, ReceivedFrame)
-    return event.body
+        self.record.add(ends, WireEventKind.SENT, EVERY_UNIT, data)

@@ -83,7 +83,7 @@ class ReplyLine:
         return bytes(arrived)
 
     def wake(self) -> Wake | None:
-        """When to look again: at the next first or last byte, or after ``WAKE_S`` between them."""
+        """Return when to look again: at the next first or last byte, or after ``WAKE_S`` between them."""
         if not self._slots:
             return None
         latest = self._slots[0].due + WAKE_S
@@ -94,7 +94,7 @@ class ReplyLine:
                 return Wake(slot.due, sharp=slot.last)
         return Wake(latest, sharp=False)
 
-    def hush(self) -> None:
+    def clear(self) -> None:
         """The cable is gone, and what was on it."""
         self._slots.clear()
 

@@ -78,7 +78,7 @@ class Plant:
 
     @property
     def units(self) -> list[Unit]:
-        """In floor order."""
+        """The units in floor order."""
         return [section.unit for section in self.sections]
 
     def unit(self, address: int) -> Unit:

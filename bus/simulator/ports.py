@@ -43,7 +43,7 @@ class PtyPort:
         return [self._master] if self._master >= 0 else []
 
     def read(self) -> bytes:
-        """What the host wrote, which may be nothing."""
+        """Return what the host wrote, which may be nothing."""
         try:
             return os.read(self._master, READ_BYTES)
         except OSError:
@@ -72,7 +72,7 @@ class PtyPort:
         self._master = self._slave = -1
 
     def plug(self) -> None:
-        """Put it back, under another device name than before: the old one is held back meanwhile."""
+        """Put the cable back, under another device name than before: the old one is held back meanwhile."""
         if self._master >= 0:
             return
         pairs = [os.openpty(), os.openpty()]
@@ -111,7 +111,10 @@ class TcpLinePort:
         return [end.fileno() for end in (self._listener, self._host) if end is not None]
 
     def read(self) -> bytes:
-        self._accept()
+        if self._listener is not None:
+            with suppress(BlockingIOError):
+                host, _ = self._listener.accept()
+                self._take(host)
         if self._host is None:
             return b""
         try:
@@ -146,13 +149,7 @@ class TcpLinePort:
         self._listener.setblocking(False)
         self._number = self._listener.getsockname()[1]
 
-    def _accept(self) -> None:
-        if self._listener is None:
-            return
-        try:
-            host, _ = self._listener.accept()
-        except BlockingIOError:
-            return
+    def _take(self, host: socket.socket) -> None:
         if self._host is not None:
             host.close()
             return

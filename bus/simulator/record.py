@@ -11,7 +11,7 @@ LONGEST_RECORD = 200_000
 """Entries kept; the oldest go first."""
 
 
-class Happened(StrEnum):
+class WireEventKind(StrEnum):
     """The kinds of entry."""
 
     CAME = "came"
@@ -34,7 +34,7 @@ class WireEvent:
 
     number: int
     at: float
-    what: Happened
+    what: WireEventKind
     unit: int
     data: bytes
 
@@ -46,11 +46,11 @@ class WireRecord:
     _entries: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=LONGEST_RECORD))
     count: int = 0
 
-    def add(self, at: float, what: Happened, unit: int, data: bytes) -> None:
+    def add(self, at: float, what: WireEventKind, unit: int, data: bytes) -> None:
         self.count += 1
         self._entries.append(WireEvent(self.count, at, what, unit, data))
 
-    def since(self, number: int = 0, *what: Happened) -> Iterator[WireEvent]:
+    def since(self, number: int = 0, *what: WireEventKind) -> Iterator[WireEvent]:
         """The entries after ``number`` of the kinds ``what`` (default all); another thread may call it."""
         entries = tuple(self._entries)  # In one step for the interpreter.
         known = number - entries[0].number + 1 if entries else 0

@@ -64,8 +64,12 @@ def respond(unit: Unit, body: bytes) -> Turn:
         case ReadParameterRequest():
             return Turn(_read(unit, request), acted=False)
     refusal = _write(unit, request)
-    reply = _written(unit, request) if refusal is None else Nak(request.unit, refusal)
-    return Turn(reply, acted=refusal is None)
+    if refusal is not None:
+        return Turn(Nak(request.unit, refusal), acted=False)
+    written = b""
+    if isinstance(request, WriteParameterRequest) and unit.traits.responds_with_written_value:
+        written = request.raw.to_bytes(4, "big")
+    return Turn(Ack(request.unit, written), acted=True)
 
 
 def encode(unit: Unit, turn: Turn) -> bytes:
@@ -83,16 +87,10 @@ def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:
 
 
 def _read(unit: Unit, request: ReadParameterRequest) -> Reply:
-    if not unit.memory.has(request.number):
+    if not unit.has(request.number):
         return Nak(request.unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER)
     width = unit.traits.dialect.parameter_reply_bytes or width_by_type(request.number)
     return ParameterReply(request.unit, unit.memory[request.number] & (1 << 8 * width) - 1, width)
-
-
-def _written(unit: Unit, request: Request) -> Reply:
-    if isinstance(request, WriteParameterRequest) and unit.traits.responds_with_written_value:
-        return Ack(request.unit, request.raw.to_bytes(4, "big"))
-    return Ack(request.unit)
 
 
 def _write(unit: Unit, request: Request) -> Rejection:
@@ -129,7 +127,7 @@ def _enter(unit: Unit, raw: int) -> Rejection:
 
 
 def _write_parameter(unit: Unit, number: int, raw: int) -> Rejection:
-    if not unit.memory.has(number):
+    if not unit.has(number):
         return UnitErrorCode.ILLEGAL_PARAMETER_NUMBER
     if number == numbers.OWN_ADDRESS or _locked_by_run(unit, number) or not unit.memory.takes(number, raw):
         return UnitErrorCode.ILLEGAL_PARAMETER_VALUE

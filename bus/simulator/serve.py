@@ -30,7 +30,7 @@ _PR_SET_TIMERSLACK = 29
 
 
 class LineServer:
-    """Serves ``line`` at ``port`` from ``start`` to ``stop``, or as a context manager."""
+    """Serves ``line`` at ``port`` while it is entered; afterwards its units are off and the port is gone."""
 
     def __init__(self, line: SimulatedLine, port: Port) -> None:
         self.line = line
@@ -41,25 +41,17 @@ class LineServer:
         self._listening_until = 0.0
         self._thread = threading.Thread(target=self._run, name="simulated line", daemon=True)
 
-    def start(self) -> None:
-        """Units are powered from now on."""
+    def __enter__(self) -> LineServer:
         self._thread.start()
+        return self
 
-    def stop(self) -> None:
-        """Power off; the port is gone afterwards."""
+    def __exit__(self, *_: object) -> None:
         self._stopping = True
         os.write(self._waker, b".")
         self._thread.join()
         self.port.unplug()
         os.close(self._waked)
         os.close(self._waker)
-
-    def __enter__(self) -> LineServer:
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def call(self, change: Callable[[SimulatedLine], T]) -> T:
         """Run ``change`` on the line between two bytes, in its own thread; give its result."""

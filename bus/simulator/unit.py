@@ -6,7 +6,7 @@ What a request does to it is in ``responding``; what its motor does is in ``sect
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Literal
@@ -60,19 +60,14 @@ _WIDTHS = {"UCHR": 1, "UINT": 2, "ULNG": 4}
 
 
 class Memory(dict[int, int]):
-    """Forty numbers, as delivered but for ``changed``; an old firmware's list had its ``last`` at 20.
+    """Forty numbers, as delivered but for ``changed``.
 
     A dict and not a wrapper around one: the physics of 255 units looks up a hundred thousand a second.
     """
 
-    def __init__(self, changed: Mapping[int, int] | None = None, last: int = 40) -> None:
+    def __init__(self, changed: Mapping[int, int] | None = None) -> None:
         super().__init__(FACTORY)
         self.update(changed or {})
-        self.last = last
-
-    def has(self, number: int) -> bool:
-        """Whether this unit's firmware knows the parameter."""
-        return 1 <= number <= self.last
 
     def takes(self, number: int, raw: int) -> bool:
         """Whether ``raw`` is a value that the parameter can hold, by its printed range and its kind."""
@@ -96,6 +91,7 @@ class Traits:
 
     dialect: Dialect = field(default_factory=Dialect)
     last_parameter: int = 40
+    """An old firmware's list ended at 20."""
     responds_with_written_value: bool = False
     baud_changes: Literal["at once", "at power-up"] = "at power-up"
     turnaround_s: float = 0.0
@@ -141,7 +137,6 @@ class Unit:
     random: random.Random = field(default_factory=lambda: random.Random(0))
 
     def __post_init__(self) -> None:
-        self.memory.last = self.traits.last_parameter
         self.power_up()
 
     def power_up(self) -> None:
@@ -150,6 +145,10 @@ class Unit:
         self.outputs = [False] * 6
         self.analog_output = self.memory[numbers.ANALOG_OUT_LOW]
         self.entered = self.setpoint
+
+    def has(self, number: int) -> bool:
+        """Whether its firmware knows the parameter."""
+        return 1 <= number <= self.traits.last_parameter
 
     @property
     def address(self) -> int:
@@ -217,14 +216,13 @@ class Unit:
             commanded = self.measured.following
         elif self.follows:
             actual = self.measured.ratio
-        return StatusReply(uid, commanded, actual, self.measured.analog, self._st2(), self._st1())
-
-    def _st2(self) -> int:
-        outputs = sum(on << bit for bit, on in enumerate(self.outputs))
-        return self.at_speed << 7 | (self.mode is Mode.REMOTE) << 6 | outputs
-
-    def _st1(self) -> int:
+        st2 = (*self.outputs, self.mode is Mode.REMOTE, self.at_speed)
         inputs = self.inputs
         estop = self.traits.dialect.estop_healthy ^ inputs.estop
-        bits = (inputs.run, estop, inputs.preset, inputs.reverse, inputs.up, inputs.down, self.follows)
-        return sum(bool(on) << bit for bit, on in enumerate(bits))
+        st1 = (inputs.run, estop, inputs.preset, inputs.reverse, inputs.up, inputs.down, self.follows)
+        return StatusReply(uid, commanded, actual, self.measured.analog, _byte_of(st2), _byte_of(st1))
+
+
+def _byte_of(bits: Sequence[bool | int]) -> int:
+    """The byte with these bits, the lowest first."""
+    return sum(bool(on) << place for place, on in enumerate(bits))

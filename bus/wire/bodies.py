@@ -52,7 +52,7 @@ def encode_request(request: Request, dialect: Dialect) -> bytes:
 
 
 def request_body(request: Request, dialect: Dialect) -> bytes:
-    """What the frame carries, unstuffed. Raises CallerError like ``encode_request``."""
+    """Return what the frame of ``request`` carries, unstuffed. Raises CallerError like ``encode_request``."""
     lowest = 0 if isinstance(request, ExecuteSpeedRequest) else 1
     _require(Message("field_unit_address"), request.unit, lowest, 255)
     return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)

@@ -11,7 +11,7 @@ from typing import TextIO, cast
 import structlog
 
 
-class Unbreakable(io.TextIOBase):
+class BestEffortStream(io.TextIOBase):
     """Drops log lines that cannot be written (disk full, pipe closed): the log never stops the line."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -28,7 +28,7 @@ class Unbreakable(io.TextIOBase):
 
 
 def configure_log() -> None:
-    """On standard error: for people on a terminal, one JSON object a line otherwise."""
+    """Log on standard error: for people on a terminal, one JSON object a line otherwise."""
     people = sys.stderr.isatty()
     structlog.configure(
         processors=[
@@ -39,6 +39,6 @@ def configure_log() -> None:
             structlog.dev.ConsoleRenderer() if people else structlog.processors.JSONRenderer(),
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, Unbreakable(sys.stderr))),
+        logger_factory=structlog.PrintLoggerFactory(cast(TextIO, BestEffortStream(sys.stderr))),
         cache_logger_on_first_use=True,
     )

@@ -24,7 +24,7 @@ def named_parent() -> int | None:
 
 
 def tie_to(parent: int) -> None:
-    """In the child, first of all: end by SIGTERM when ``parent`` ends; at once when it has ended."""
+    """End this process by SIGTERM when ``parent`` ends; at once when it has ended. Called first of all."""
     if sys.platform != "linux":
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)

@@ -24,7 +24,7 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())
-    _be_prompt()
+    _raise_priority()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(_until_stopped(bus, app_url, token))
     return 0
@@ -38,7 +38,7 @@ async def _until_stopped(bus: BusSettings, app_url: str, token: str) -> None:
     await run_worker(bus, app_url, token, leave=leave)
 
 
-def _be_prompt() -> None:
+def _raise_priority() -> None:
     """A busy machine must not leave the wire idle: go before others where the system allows it, and keep
     what is loaded out of every garbage collection.
     """

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import importlib.metadata
 import uuid
 from collections import OrderedDict
 from collections.abc import Callable
+from importlib.metadata import version
 
 import msgspec
 import structlog
@@ -96,7 +96,7 @@ class BusWorker:
             bus=self.bus.name,
             worker=self.worker,
             started_at=self._started_at,
-            software=f"lineside {_version()}",
+            software=f"lineside {version('lineside')}",
             port=self.bus.port,
             sent_at=self._epoch(),
         )
@@ -198,13 +198,6 @@ async def _wait_while(holds: Callable[[], bool], most_s: float) -> None:
         if not holds():
             return
         await asyncio.sleep(LOOK_S)
-
-
-def _version() -> str:
-    try:
-        return importlib.metadata.version("lineside")
-    except importlib.metadata.PackageNotFoundError:
-        return "from a checkout"
 
 
 async def run_worker(

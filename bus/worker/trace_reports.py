@@ -17,7 +17,7 @@ FRAMES_AT_A_STRETCH = 25
 
 
 class TraceReports:
-    """Nothing here uses the wire. ``put`` receives the updates; ``epoch`` is the present moment."""
+    """Reads and reports the trace, not the wire. ``put`` receives the updates; ``epoch`` is the time now."""
 
     def __init__(
         self, trace: Trace, dialect: Dialect, put: Callable[[list[Update]], None], epoch: Clock
@@ -54,7 +54,7 @@ class TraceReports:
         self._put([Frames(frames)])
 
     async def _read(self, command_id: str, action: ReadTrace) -> None:
-        """In small pieces, so that the wire waits for none of it."""
+        """Read the trace in small pieces, so that the wire waits for none of it."""
         interpreter, frames = Interpreter(self._dialect), []
         for passed in self._trace.since(action.since):
             frames.append(interpreter.frame(passed))

@@ -57,33 +57,33 @@ GOING_AWAY = 1001
 _log = structlog.get_logger("bus.uplink")
 
 
-class Duty(Protocol):
-    """The commands of the app to this side; every call returns at once."""
+class AppRequests(Protocol):
+    """Takes what the app requests of this worker; every call returns at once."""
 
     def hello(self) -> Hello:
-        """Who speaks."""
+        """Return the first message, which names this worker."""
 
     def snapshot(self, seq: int) -> Snapshot:
-        """Everything that is known now."""
+        """Return everything that is known now."""
 
     def command(self, command: Command) -> None:
-        """Carry it out."""
+        """Carry out a command."""
 
     def reserve(self) -> None:
         """Keep the next turn of the wire free: a write is about to be requested."""
 
     def cancel(self, command_id: str) -> None:
-        """Give it up where nothing is half done."""
+        """Give up a command at a point where nothing is half done."""
 
     def watch(self, watch: Watch) -> None:
-        """What people look at."""
+        """Take the units that people look at."""
 
 
 class _Problem(msgspec.Struct):
     detail: str
 
 
-class Refused(Exception):
+class RefusedByAppError(Exception):
     """The app does not want this worker; the text is the app's."""
 
 
@@ -95,14 +95,14 @@ class Uplink:
         url: str,
         token: str,
         outbox: Outbox,
-        duty: Duty,
+        handler: AppRequests,
         app_clock: ClockOffset,
         epoch: Clock,
     ) -> None:
         self._url = feed_url(url)
         self._headers = {"Authorization": f"Bearer {token}"}
         self._outbox = outbox
-        self._duty = duty
+        self._handler = handler
         self._app_clock = app_clock
         self._epoch = epoch
         self._snapshot_wanted = False
@@ -116,9 +116,9 @@ class Uplink:
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
             self._accepted_at = None
-            refused = await self._try()
+            refused = await self._attempt()
             self._outbox.disconnected()
-            self._duty.watch(Watch(units=[]))
+            self._handler.watch(Watch(units=[]))
             if refused:
                 pause = REFUSED_PAUSE_S
             elif self._accepted_at is not None:
@@ -128,11 +128,11 @@ class Uplink:
                 pause = min(pause * 1.6, LONGEST_PAUSE_S)
             await asyncio.sleep(pause * random.uniform(0.75, 1.25))
 
-    async def _try(self) -> bool:
+    async def _attempt(self) -> bool:
         """Be connected once, until that ends; whether the app refused this worker."""
         try:
-            await self._be_connected()
-        except Refused as error:
+            await self._connect_once()
+        except RefusedByAppError as error:
             self._log_unreachable(f"the dashboard refused this worker: {error}")
             return True
         except InvalidStatus as error:
@@ -142,7 +142,7 @@ class Uplink:
             self._log_unreachable(f"no dashboard at {self._url}: {str(error) or type(error).__name__}")
         return False
 
-    async def _be_connected(self) -> None:
+    async def _connect_once(self) -> None:
         async with connect(
             self._url,
             additional_headers=self._headers,
@@ -155,9 +155,9 @@ class Uplink:
             proxy=None,
         ) as socket:
             self._accepted_at = asyncio.get_running_loop().time()
-            welcome = await self._introduce(socket)
+            welcome = await self._handshake(socket)
             self._outbox.resume(welcome.seq, oldest=self._epoch() - BUFFER_AGE_S)
-            await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
+            await socket.send(encode(self._handler.snapshot(self._outbox.seq)))
             self._linked()
             sending = asyncio.create_task(self._send(socket))
             try:
@@ -175,16 +175,16 @@ class Uplink:
             self._logged = ""
             _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
 
-    async def _introduce(self, socket: ClientConnection) -> Welcome:
-        await socket.send(encode(self._duty.hello()))
+    async def _handshake(self, socket: ClientConnection) -> Welcome:
+        await socket.send(encode(self._handler.hello()))
         async with asyncio.timeout(WELCOME_WITHIN_S):
             welcome = _decoded(await socket.recv())
         if not isinstance(welcome, Welcome):
-            raise Refused("no welcome was received; is this a Lineside dashboard?")
+            raise RefusedByAppError("no welcome was received; is this a Lineside dashboard?")
         if welcome.refused:
-            raise Refused(welcome.refused)
+            raise RefusedByAppError(welcome.refused)
         if welcome.version != CONTRACT_VERSION:
-            raise Refused(
+            raise RefusedByAppError(
                 f"it uses version {welcome.version} of the link and this worker {CONTRACT_VERSION}: "
                 "install the same release of lineside on both"
             )
@@ -211,23 +211,23 @@ class Uplink:
             case ClockSync(app_time=app_time):
                 self._app_clock.observe(app_time, self._epoch())
             case Command():
-                self._duty.command(message)
+                self._handler.command(message)
             case ReserveTurn():
-                self._duty.reserve()
+                self._handler.reserve()
             case Cancel(id=command_id):
-                self._duty.cancel(command_id)
+                self._handler.cancel(command_id)
             case Watch():
-                self._duty.watch(message)
+                self._handler.watch(message)
             case WantSnapshot():
                 self._snapshot_wanted = True
                 self._outbox.filled.set()
 
     async def _send(self, socket: ClientConnection) -> None:
-        """Each update at once; what piles up while the socket is slow goes together."""
+        """Send each update at once; what piles up while the socket is slow goes together."""
         while True:
             if self._snapshot_wanted:
                 self._snapshot_wanted = False
-                await socket.send(encode(self._duty.snapshot(self._outbox.seq)))
+                await socket.send(encode(self._handler.snapshot(self._outbox.seq)))
             elif (batch := self._outbox.next_batch(self._epoch())) is not None:
                 await socket.send(encode(batch))
             else:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
+from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.alarms.store import AlarmStore
-from app.built_in_settings import BuiltInAlarmSettings
 from app.database import Database
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update

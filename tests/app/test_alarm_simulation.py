@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.rules.facts import Transition
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.replay import Replay

@@ -11,8 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.simulator import Simulator
 from app.history.series.runs import micros

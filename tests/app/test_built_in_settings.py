@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from app.alarms.catalogue import built_in
-from app.built_in_settings import BuiltInAlarmSettings, tuning_of
+from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions.catalogue import CONDITIONS
 from app.database import Database
 from bus.contract import ParameterValue

@@ -7,10 +7,10 @@ import threading
 
 import pytest
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.alarm import Alarm
 from app.alarms.own import own_definition
 from app.alarms.rules import changes
+from app.alarms.settings import AlarmSettings
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus

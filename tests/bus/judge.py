@@ -22,7 +22,7 @@ from bus.contract import (
     WriteOutput,
     WriteParameter,
 )
-from bus.simulator.record import Happened, WireEvent, WireRecord
+from bus.simulator.record import WireEvent, WireEventKind, WireRecord
 from bus.simulator.unit import Unit
 from bus.wire.framing import ACK, NAK
 
@@ -48,8 +48,8 @@ class SentValues:
     def of(cls, record: WireRecord) -> SentValues:
         """All that is on record."""
         sent, requests = cls(), dict[int, bytes]()
-        for entry in record.since(0, Happened.RECEIVED, Happened.RESPONDED):
-            if entry.what is Happened.RECEIVED:
+        for entry in record.since(0, WireEventKind.RECEIVED, WireEventKind.RESPONDED):
+            if entry.what is WireEventKind.RECEIVED:
                 requests[entry.unit] = entry.data
             else:
                 sent._note(requests[entry.unit], entry)
@@ -144,7 +144,7 @@ def _acted(case: Case, record: WireRecord) -> list[WireEvent]:
     wanted = case.wanted()
     return [
         entry
-        for entry in record.since(0, Happened.ACTED)
+        for entry in record.since(0, WireEventKind.ACTED)
         if entry.data in wanted and case.requested_at <= entry.at <= case.reported_at
     ]
 
@@ -169,7 +169,7 @@ def unrequested(cases: list[Case], record: WireRecord) -> list[str]:
     """
     present: dict[int, int] = {}
     complaints = []
-    for entry in record.since(0, Happened.ACTED):
+    for entry in record.since(0, WireEventKind.ACTED):
         case = next((case for case in cases if case.requested_at <= entry.at <= case.reported_at), None)
         back = isinstance(case and case.action, SetLine) and _puts_back(entry, present)
         if case is None or not (entry.data in case.wanted() or back):
@@ -223,7 +223,9 @@ def rash_broadcasts(cases: list[Case], record: WireRecord) -> list[str]:
 
 def _broadcasts(cases: list[Case], record: WireRecord) -> Iterator[tuple[Case, WireEvent]]:
     received: dict[float, WireEvent] = {
-        entry.at: entry for entry in record.since(0, Happened.RECEIVED) if entry.data == bytes((0, EXECUTE))
+        entry.at: entry
+        for entry in record.since(0, WireEventKind.RECEIVED)
+        if entry.data == bytes((0, EXECUTE))
     }
     for entry in received.values():
         for case in cases:

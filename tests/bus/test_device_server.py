@@ -16,7 +16,7 @@ from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import TcpLinePort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
@@ -78,7 +78,7 @@ async def test_one_that_accepts_and_drops_is_left_in_peace_and_found_when_it_ser
         seen = len(app.readings(1))
         line.plug()
         await app.until(lambda: len(app.readings(1)) > seen + 5)
-        acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        acted = line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
         assert acted == [], "nothing is sent late"
         assert (await app.perform(SetSpeed(1, 778))).outcome == "verified"
 

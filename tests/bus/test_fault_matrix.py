@@ -33,7 +33,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import PtyPort
-from bus.simulator.record import Happened, WireRecord
+from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Mode, Unit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -269,7 +269,7 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
             with suppress(asyncio.CancelledError):
                 await worker
             reported: list[Update] = app.updates()
-    came = ((entry.at, entry.data) for entry in simulated.record.since(0, Happened.CAME))
+    came = ((entry.at, entry.data) for entry in simulated.record.since(0, WireEventKind.CAME))
     trial.complaints += made_up(reported, simulated.record, time.time() - time.monotonic() - CLOCK_SLACK_S)
     trial.complaints += too_late(trial.cases, bodies(came), slack_s=CLOCK_SLACK_S)
     assert trial.complaints == []

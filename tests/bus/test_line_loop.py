@@ -33,7 +33,7 @@ from bus.line.schedule.arbiter import RESERVED_S
 from bus.line.schedule.baud_search import LOOK_ELSEWHERE_S
 from bus.messages import Message
 from bus.simulator.faults import FaultKind
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from tests.bus.judge import made_up
 from tests.bus.virtual_line import EPOCH, VirtualLine, run
 
@@ -77,7 +77,7 @@ def test_the_wire_is_never_idle() -> None:
         await settled(line)
         number, began = line.line.record.count, line.loop.time()
         await asyncio.sleep(10)
-        entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
+        entries = line.line.record.since(number, WireEventKind.CAME, WireEventKind.SENT)
         used = sum(len(entry.data) for entry in entries) * 10 / 9600
         assert used / (line.loop.time() - began) > 0.995
 
@@ -415,7 +415,7 @@ def test_a_full_read_while_watched_costs_the_scan_no_more_than_a_tenth() -> None
 
 def test_reading_what_a_short_list_does_not_have() -> None:
     async def scene(line: VirtualLine) -> None:
-        line.plant.unit(1).memory.last = 20
+        line.plant.unit(1).traits = dataclasses.replace(line.plant.unit(1).traits, last_parameter=20)
         await settled(line)
         result = await line.perform(ReadParameters(1, [19, 20, 21, 22]))
         assert result.outcome == "verified"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import io
 
-from bus.worker.log import Unbreakable
+from bus.worker.log import BestEffortStream
 
 
 class FullDisk(io.StringIO):
@@ -23,7 +23,7 @@ class FullDisk(io.StringIO):
 
 def test_a_full_disk_costs_lines_and_raises_nothing() -> None:
     disk = FullDisk()
-    log = Unbreakable(disk)
+    log = BestEffortStream(disk)
     print("lost", file=log, flush=True)
     disk.full = False
     print("kept", file=log, flush=True)

@@ -23,7 +23,7 @@ from bus.reconnect_delay import (
     ReconnectDelay,
 )
 from bus.worker.outbox import Outbox
-from bus.worker.uplink import REFUSED_PAUSE_S, Refused, Uplink
+from bus.worker.uplink import REFUSED_PAUSE_S, RefusedByAppError, Uplink
 from tests.bus.test_uplink import FakeReceiver
 from tests.bus.virtual_line import run_virtually
 
@@ -194,7 +194,7 @@ class Flapping(Uplink):
         self.accepted: list[float] = []
         self._end, self._lasts_s = end, lasts_s
 
-    async def _be_connected(self) -> None:
+    async def _connect_once(self) -> None:
         loop = asyncio.get_running_loop()
         self._accepted_at = loop.time()
         self.accepted.append(loop.time())
@@ -230,7 +230,7 @@ def test_an_app_that_ran_well_is_looked_for_at_once() -> None:
 
 
 def test_a_refusal_is_retried_without_backoff() -> None:
-    uplink = Flapping(lambda: Refused("no"), -0.01)
+    uplink = Flapping(lambda: RefusedByAppError("no"), -0.01)
     lines = play_uplink(uplink, 600.0)
     assert len(uplink.accepted) > 600 / (REFUSED_PAUSE_S * (1 + JITTER)) - 1
     assert len(lines) == 1

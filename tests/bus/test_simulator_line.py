@@ -15,7 +15,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
 from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
-from bus.simulator.record import Happened, WireRecord
+from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.unit import ORDINARY, Mode, Traits
 from bus.wire.bodies import encode_request
 from bus.wire.commands import (
@@ -151,7 +151,7 @@ def test_lateness_does_not_add_up_over_a_thousand_exchanges() -> None:
     there = host()
     began = there.now
     there.exchange(*[ReadStatusRequest(1)] * 50, seconds=3.0)
-    sent = list(there.line.record.since(0, Happened.SENT))
+    sent = list(there.line.record.since(0, WireEventKind.SENT))
     assert len(sent) == 50
     total = sum(len(entry.data) for entry in sent)
     assert sent[-1].at - began == pytest.approx(7 * BYTE_S + total * BYTE_S)
@@ -299,12 +299,12 @@ def test_the_record_has_requests_actions_responses_and_bytes() -> None:
     there.line.plant.unit(2).memory[numbers.CONTROL_MODE] = Mode.LOCAL
     there.exchange(SetAndExecuteSpeedRequest(1, 500), SetAndExecuteSpeedRequest(2, 500), ReadStatusRequest(9))
     entries = [(entry.what, entry.unit) for entry in there.line.record.since()]
-    assert entries[0] == (Happened.CAME, 0)
-    assert [entry for entry in entries if entry[0] is Happened.RECEIVED] == [
-        (Happened.RECEIVED, unit) for unit in (1, 2, 0)
+    assert entries[0] == (WireEventKind.CAME, 0)
+    assert [entry for entry in entries if entry[0] is WireEventKind.RECEIVED] == [
+        (WireEventKind.RECEIVED, unit) for unit in (1, 2, 0)
     ]
-    assert [entry for entry in entries if entry[0] is Happened.ACTED] == [(Happened.ACTED, 1)]
-    responses = {entry.unit: entry.data for entry in there.line.record.since(0, Happened.RESPONDED)}
+    assert [entry for entry in entries if entry[0] is WireEventKind.ACTED] == [(WireEventKind.ACTED, 1)]
+    responses = {entry.unit: entry.data for entry in there.line.record.since(0, WireEventKind.RESPONDED)}
     assert responses == {1: bytes((1, 6)), 2: bytes((2, 0x15, 0x80))}
     counted = [entry.number for entry in there.line.record.since()]
     assert counted == list(range(1, there.line.record.count + 1))
@@ -340,7 +340,7 @@ def test_work_due_at_a_wake_is_done_at_it(start: float) -> None:
 def test_the_record_is_bounded_and_its_numbers_go_on() -> None:
     record = WireRecord(deque(maxlen=5))
     for moment in range(12):
-        record.add(float(moment), Happened.CAME, 0, b"")
+        record.add(float(moment), WireEventKind.CAME, 0, b"")
     assert [entry.number for entry in record.since()] == [8, 9, 10, 11, 12]
     assert [entry.number for entry in record.since(10)] == [11, 12]
     assert list(record.since(12)) == list(WireRecord().since()) == []

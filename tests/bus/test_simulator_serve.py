@@ -14,11 +14,11 @@ import pytest
 import serial
 
 from bus.settings import Dialect
-from bus.simulator.control import SimulatorControl
+from bus.simulator.control import control_port
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.wire.bodies import encode_request, parse_reply
 from bus.wire.commands import (
@@ -91,7 +91,7 @@ def test_every_byte_value_passes_the_port_unchanged(line: LineServer) -> None:
             reply = exchange(host, ReadStatusRequest(1))
             assert isinstance(reply, StatusReply)
             assert reply.commanded == raw
-        written = line.call(lambda line: [entry.data for entry in line.record.since(0, Happened.CAME)])
+        written = line.call(lambda line: [entry.data for entry in line.record.since(0, WireEventKind.CAME)])
         assert b"".join(written) == encode_request(ReadStatusRequest(1), PLAIN) * 5
 
 
@@ -163,9 +163,8 @@ def test_an_error_in_a_call_comes_back_to_the_caller_and_the_line_lives() -> Non
 
 
 def test_remote_control() -> None:
-    with served(PtyPort()) as line, opened(line.port.name) as host:
-        control = SimulatorControl(line)
-        remote = Remote(control.port)
+    with served(PtyPort()) as line, opened(line.port.name) as host, control_port(line) as number:
+        remote = Remote(number)
         try:
             assert remote.do("port") == line.port.name
             remote.do("mode", unit=1, to="local")
@@ -197,7 +196,6 @@ def test_remote_control() -> None:
                     remote.do(action.pop("do"), **action)
         finally:
             remote.close()
-            control.close()
 
 
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])

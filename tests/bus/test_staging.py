@@ -9,7 +9,7 @@ import pytest
 from bus.catalogue import numbers
 from bus.contract import ExecuteAll, Progress, Result, SetLine, SetSpeed, Staged
 from bus.simulator.faults import FaultKind
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.unit import Mode
 from tests.bus.virtual_line import VirtualLine, run
 
@@ -19,7 +19,7 @@ ALL = {1: 501, 2: 502, 3: 503, 4: 504}
 def received(line: VirtualLine, command: int, since: int = 0) -> list[bytes]:
     """Requests of one command that reached a unit, in order; a broadcast once."""
     bodies: list[bytes] = []
-    for entry in line.line.record.since(since, Happened.RECEIVED):
+    for entry in line.line.record.since(since, WireEventKind.RECEIVED):
         if entry.data[1] == command and (entry.data[0] or not bodies or bodies[-1][0]):
             bodies.append(entry.data)
     return bodies
@@ -49,7 +49,7 @@ def test_stage_all_one_broadcast_read_back_all() -> None:
         result = await line.perform(SetLine(ALL))
         assert result.outcome == "verified"
         assert setpoints(line) == [501, 502, 503, 504]
-        requests = [e.data for e in line.line.record.since(began, Happened.RECEIVED)]
+        requests = [e.data for e in line.line.record.since(began, WireEventKind.RECEIVED)]
         first = next(place for place, body in enumerate(requests) if body[1] == 0x82)
         commands = [body[1] for body in requests[first : first + 12]]
         assert commands == [0x82] * 4 + [0x83] * 4 + [0x81] * 4, "nothing between, and one 83h for all"
@@ -326,7 +326,7 @@ def test_thirty_two_units_cost_hardly_more_than_their_frames() -> None:
         result = await line.perform(SetLine({unit: 500 + unit for unit in range(1, 33)}))
         assert result.outcome == "verified"
         took = line.loop.time() - began
-        entries = line.line.record.since(number, Happened.CAME, Happened.SENT)
+        entries = line.line.record.since(number, WireEventKind.CAME, WireEventKind.SENT)
         wire = sum(len(entry.data) * 10 / 9600 for entry in entries)
         assert took <= 1.1 * wire
 

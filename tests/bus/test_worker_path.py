@@ -38,7 +38,7 @@ from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind
 from bus.simulator.line import SimulatedLine
 from bus.simulator.ports import Port, PtyPort, TcpLinePort
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.simulator.serve import LineServer
 from bus.simulator.unit import Mode
 from tests import fork_server
@@ -145,7 +145,7 @@ async def test_the_same_id_is_carried_out_once(line: LineServer, tmp_path: Path)
         await app.perform(SetSpeed(1, 640), command_id="twice")
         await app.perform(SetSpeed(1, 640), command_id="twice")
         await app.until(lambda: len(app.results("twice")) == 2)
-        acted = line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        acted = line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
         assert len(acted) == 1
         first, again = app.results("twice")
         assert again == replace(first, frames=[])
@@ -155,7 +155,7 @@ async def test_a_command_that_was_held_up_is_never_sent(line: LineServer, tmp_pa
     async with running(line, tmp_path) as app:
         result = await app.perform(SetSpeed(1, 640), timeout_s=-0.5)
         assert result.outcome == "not_sent"
-        assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        assert not line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
 
 
 async def test_a_dead_unit_is_reported_and_found_again(line: LineServer, tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ async def test_a_pulled_cable_is_seen_and_the_line_found_under_its_new_name(
         await app.until(lambda: _bus_links(app)[-1:] == ["open"])
         seen = len(app.readings(1))
         await app.until(lambda: len(app.readings(1)) > seen)
-        assert not line.call(lambda simulated: list(simulated.record.since(0, Happened.ACTED)))
+        assert not line.call(lambda simulated: list(simulated.record.since(0, WireEventKind.ACTED)))
 
 
 async def test_a_port_that_is_taken_is_named_with_who_has_it(line: LineServer, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.record import Happened
+from bus.simulator.record import WireEventKind
 from bus.worker.service import BusWorker
 
 T = TypeVar("T")
@@ -262,7 +262,7 @@ class VirtualLine:
 
     def acted(self, unit: int | None = None) -> list[tuple[float, int, bytes]]:
         """The writes that units carried out: when, which unit, the request's body."""
-        entries = self.line.record.since(0, Happened.ACTED)
+        entries = self.line.record.since(0, WireEventKind.ACTED)
         return [(e.at, e.unit, e.data) for e in entries if unit in (None, e.unit)]
 
 

@@ -8,8 +8,8 @@ from fastapi import APIRouter
 from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
-from app.alarm_settings import OwnValue
 from app.alarms.performance_api import month_at_most
+from app.alarms.settings import OwnValue
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.simulation.simulator import Simulator

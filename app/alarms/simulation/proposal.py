@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from app.alarm_settings import AlarmSettings, refuse_misplaced
+from app.alarms.settings import AlarmSettings, refuse_misplaced
 from app.errors import Problem
 from bus.messages import Message
 from bus.settings import BusSettings

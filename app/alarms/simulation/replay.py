@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.alarm_settings import AlarmSettings
 from app.alarms.own import OwnCondition, known_decimals, own_definition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.limits import ChangeRate
 from app.alarms.rules.suppression import Suppressors
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.rest import AtRest

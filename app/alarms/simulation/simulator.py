@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Sequence
 
-from app.alarm_settings import AlarmSettings
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.outcome import Simulated
 from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.stored import StoredHour, minutes_of

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 from itertools import groupby
 
-from app.alarm_settings import AlarmSettings
+from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.rest import AtRest, ZeroStep, rest_of
 from app.history.intake.tail import Tail

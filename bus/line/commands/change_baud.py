@@ -38,7 +38,7 @@ READ_ATTEMPTS = 2
 def change_baud(
     roster: Roster, old: int, new: int, context: CommandContext, *, own_rate: bool = True
 ) -> Procedure:
-    """From ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set from here."""
+    """Change from ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set here."""
     if not own_rate:
         return _result("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:
@@ -77,18 +77,19 @@ class _Change:
     # --- forth ---------------------------------------------------------------------------------
 
     def _write_all(self) -> Subprocedure[tuple[Outcome, Message] | None]:
-        for done, unit in enumerate(self._likely_refusals_first()):
+        likely_refusals_first = sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
+        for done, unit in enumerate(likely_refusals_first):
             yield ReportProgress("sent", unit, done, len(self._units))
             sent = yield from send(Send(WriteParameterRequest(unit, BAUD_RATE, self._new // HUNDREDS)))
             if sent.refusal is not None:
                 return "refused", unit_refused(unit, sent.refusal)
-            if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_unheard(unit, sent)):
+            if sent.status is not SendStatus.RESPONDED and not (yield from self._took_it_anyway(unit, sent)):
                 return "unverified", Message.of("unit_no_acknowledgement", unit=unit)
             if self._context.cancelled:
                 return "not_sent", Message("canceled")
         return None
 
-    def _took_it_unheard(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
+    def _took_it_anyway(self, unit: int, sent: SendResult) -> Subprocedure[bool]:
         """Return whether a unit has the new rate although its ACK was lost, maybe sent at the new rate."""
         if sent.attempts == 0:
             return False
@@ -96,9 +97,6 @@ class _Change:
         found = yield from self._responding([unit])
         yield Retune(self._old)
         return unit in found
-
-    def _likely_refusals_first(self) -> list[int]:
-        return sorted(self._units, key=lambda unit: self._roster[unit].link.link == "online")
 
     def _responding(self, units: Sequence[int]) -> Subprocedure[set[int]]:
         """Return the ones of ``units`` that respond at the present rate."""

@@ -17,7 +17,7 @@ from bus.wire.fence import PendingResponses
 
 
 class Priority(IntEnum):
-    """Who comes first."""
+    """Which command comes first."""
 
     WRITE = 0
     READ = 1
@@ -54,7 +54,7 @@ class CommandRun:
         return self._procedure is not None
 
     def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
-        """What it wants sent now; None while it waits, and once ``result`` is there."""
+        """Return the request to send now; None while the command waits, and once it has a result."""
         if self._procedure is None:
             self._procedure = self.begin()
             self._advance(None, now)
@@ -71,7 +71,7 @@ class CommandRun:
         return None
 
     def settle(self, exchange: ExchangeResult, now: Monotonic) -> bool:
-        """Its exchange is over; whether it is tried again, as nothing responded."""
+        """Take the result of its exchange; return whether the request is sent again, as nothing responded."""
         assert self.attempts is not None
         again = self.attempts.settle(exchange)
         if self.attempts.result is not None:
@@ -91,14 +91,14 @@ class CommandRun:
                 self._advance(None, now)
 
     def end(self, result: ProcedureResult) -> None:
-        """It is over before its procedure is."""
+        """End the command before its procedure has ended."""
         if self._procedure is not None:
             self._procedure.close()
         self.result = result
         self.attempts = None
 
     def report(self, at: UnixTime, dialect: Dialect) -> Result:
-        """What became of it, and the frames that carried it."""
+        """Return the result of the command, with the frames that carried it."""
         assert self.result is not None
         result, interpreter = self.result, Interpreter(dialect)
         return Result(

@@ -3,7 +3,7 @@ Pure procedures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -77,24 +77,22 @@ def verify(member: Member, broadcast: SendResult, context: CommandContext) -> Su
     if readback.shown:
         yield Unstage(member.unit)
     outcome = outcome_with_readback(member.unit, broadcast, readback)
-    staging = member.sent
+    staging, message = member.sent, None
+    if not readback.shown:
+        # It has the value staged where it missed the broadcast, and the next execute would take it over.
+        assert readback.why is not None
+        message = Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
     member.outcome = msgspec.structs.replace(
         outcome,
-        message=None if readback.shown else _not_shown(member, readback),
+        message=message,
         sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
         acknowledged_at=staging.responded_at if staging is not None else None,
         attempts=staging.attempts if staging is not None else 1,
     )
 
 
-def _not_shown(member: Member, readback: Readback) -> Message:
-    """A unit that missed the broadcast has the value staged, and the next execute would take it over."""
-    assert readback.why is not None
-    return Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
-
-
 def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
-    """It does not show its acknowledged stage: it may have missed the broadcast."""
+    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast."""
     sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
     if not sent.may_have_acted:
         return
@@ -132,15 +130,11 @@ def executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Mes
     outcomes = [member.outcome for member in members if member.outcome is not None]
     bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
     about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
+    # Every unit acted after the broadcast's last byte and before it was seen to have acted.
+    proven = [outcome.proven_at for outcome in outcomes if outcome.proven_at is not None]
     return ProcedureResult(
         outcome="unverified" if bad else "verified",
         message=joined([*(outcome.message for outcome in about), *remarks]),
         units=tuple(sorted(outcomes, key=lambda outcome: outcome.unit)),
-        skew_s=_skew(outcomes, broadcast),
+        skew_s=max(proven) - broadcast.sent_at if proven and broadcast.sent_at is not None else None,
     )
-
-
-def _skew(outcomes: Iterable[UnitOutcome], broadcast: SendResult) -> float | None:
-    """Every unit acted after the broadcast's last byte and before it was seen to have acted."""
-    proven = [outcome.proven_at for outcome in outcomes if outcome.proven_at is not None]
-    return max(proven) - broadcast.sent_at if proven and broadcast.sent_at is not None else None

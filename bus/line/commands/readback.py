@@ -78,7 +78,7 @@ def _until_shown(look: Callable[[], Subprocedure[Readback | None]]) -> Verificat
 
 
 def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int | None) -> Verification:
-    """That ``raw`` is now the commanded speed (or ratio). ``before``: the CS last read before the write."""
+    """Prove that ``raw`` is now the commanded speed (or ratio). ``before``: the CS read before the write."""
 
     def look() -> Subprocedure[Readback | None]:
         status, sent = yield from read_status(record.unit)
@@ -99,7 +99,7 @@ def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendRe
 
 
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
-    """With what, at the unit's terminals, may stand above the commanded speed."""
+    """Read the commanded speed, with the inputs that may stand above the setpoint."""
     active = [name for name, on in (("preset", bits.preset), ("up", bits.up), ("down", bits.down)) if on]
     inputs: list[str | Message] = [Message(f"status_{name}") for name in active]
     if not bits.remote:
@@ -131,7 +131,7 @@ def _verify_ratio(
 
 
 def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
-    """That a unit to which nothing was to happen still has the commanded speed it had."""
+    """Prove that a unit to which nothing was to happen still has the commanded speed it had."""
     status, sent = yield from read_status(record.unit)
     if status is None:
         return Readback(False, None, None, NO_READBACK)
@@ -142,7 +142,7 @@ def verify_unchanged(record: UnitRecord, before: int | None) -> Verification:
 
 
 def verify_parameter(unit: int, number: int, raw: int) -> Verification:
-    """That 85h reads ``raw``."""
+    """Prove that 85h reads ``raw``."""
 
     def look() -> Subprocedure[Readback | None]:
         shown, sent = yield from read_parameter(unit, number)
@@ -154,7 +154,7 @@ def verify_parameter(unit: int, number: int, raw: int) -> Verification:
 
 
 def verify_output(unit: int, number: int, on: bool) -> Verification:
-    """That the bit of output ``number`` in ST2 shows ``on``."""
+    """Prove that the bit of output ``number`` in ST2 shows ``on``."""
 
     def look() -> Subprocedure[Readback | None]:
         status, sent = yield from read_status(unit)

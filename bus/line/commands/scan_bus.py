@@ -45,7 +45,7 @@ class ScanPace(NamedTuple):
         return took_s * (1 / SHARE - 1)
 
 
-class _Lost(Exception):
+class _LinkLostError(Exception):
     """There is no link to the bus any more."""
 
 
@@ -60,7 +60,7 @@ def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Pr
         yield ReportProgress("searching", unit, passes.done, of)
         try:
             one = yield from _examine(unit, pace)
-        except _Lost:
+        except _LinkLostError:
             return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
         if one is None:
             passes.no_response()
@@ -107,7 +107,7 @@ def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
 def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
     sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
     if sent.status is SendStatus.PORT_CLOSED:
-        raise _Lost
+        raise _LinkLostError
     return ProbeOutcome(
         reply=sent.reply,
         garbled=sent.noise.garbled,

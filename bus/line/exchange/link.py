@@ -106,7 +106,7 @@ class Link:
         return self._pace.paced is True
 
     def pending(self, unit: int) -> PendingResponses:
-        """Which responses of ``unit`` may still come late or twice.
+        """Return the responses of ``unit`` that may still come late or twice.
 
         However slow the port: this process may have been kept from running, and what came meanwhile
         looks as if it came just now. Therefore the order of frames is trusted, their time is not.
@@ -119,7 +119,7 @@ class Link:
         self._forget()
 
     def _forget(self) -> None:
-        """Nothing that came in before matters any more."""
+        """Forget all that came in before."""
         self._overdue: list[int] = []
         self._decoder = FrameDecoder(self._dialect)
         self._pending = PendingByUnit(self._dialect)
@@ -222,7 +222,7 @@ class Link:
         self._note(began, "out", exchange.sent, exchange)
 
     def _end(self, current: CurrentExchange, now: Monotonic) -> None:
-        """It ends as it is; the last thing that is done here, as the next exchange begins meanwhile."""
+        """End the exchange under way. This is the last step here, as the next exchange begins meanwhile."""
         self._current, self._last, self._unaccounted = None, current.exchange, current
         current.ended = now
         self._ending.set(current)

@@ -35,7 +35,7 @@ class Send(msgspec.Struct, frozen=True):
 
     @property
     def attempts_allowed(self) -> int:
-        """How often it is sent at most."""
+        """Return how often a request is sent at most."""
         return self.max_attempts or (WRITE_ATTEMPTS if is_write(self.request) else READ_ATTEMPTS)
 
 
@@ -138,7 +138,7 @@ class SendAttempts:
         return self._attempts > 0
 
     def dialect_of(self, request: Request) -> Dialect | None:
-        """How ``request`` is written, where not as the bus does."""
+        """Return the dialect in which ``request`` is written, where it is not that of the bus."""
         return self.send.dialect if request == self.send.request else None
 
     def reports(self, request: Request) -> bool:

@@ -67,7 +67,7 @@ class Window:
         self._quiet_at = now + (max(self._quiet_s, MIN_FRAME_GAP_S) if inside_frame else self._quiet_s)
 
     def shorten(self, ends: Monotonic) -> None:
-        """Only quiet is waited for any more."""
+        """Wait for nothing but quiet from now on."""
         if self._ends is not None and ends < self._ends:
             self._ends = ends
             self._ring_at(ends)

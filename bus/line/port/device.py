@@ -15,7 +15,7 @@ import serial
 import serial_asyncio
 
 from bus.errors import WireError
-from bus.line.port.open_error import in_use, is_played, users_of, why_not
+from bus.line.port.open_error import in_use, is_pseudo_terminal, users_of, why_not
 from bus.line.port.port import OpenPort, PartlySent, PortProtocol, PortUnavailable, Receiver
 from bus.messages import Message
 
@@ -85,7 +85,9 @@ async def open_device(path: str, baud: int, receiver: Receiver) -> OpenPort:
     if _is_claimed(instance.device, path):
         instance.close()
         raise PortUnavailable(in_use(path))
-    _prefer_low_latency(instance)
+    # An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it.
+    with suppress(ValueError, OSError, NotImplementedError, AttributeError):
+        instance.set_low_latency_mode(True)
     protocol = PortProtocol(receiver, Message.of("adapter_gone", port=path))
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, instance)
     try:
@@ -106,13 +108,7 @@ def _is_claimed(descriptor: int, path: str) -> bool:
     claimed = array("i", [0])
     with suppress(OSError):
         fcntl.ioctl(descriptor, _TIOCGEXCL, claimed)
-    return bool(claimed[0]) and (not is_played(path) or bool(users_of(path)))
-
-
-def _prefer_low_latency(instance: GatedSerial) -> None:
-    """An FTDI adapter would keep bytes for 16 ms; ports that know no such setting refuse it."""
-    with suppress(ValueError, OSError, NotImplementedError, AttributeError):
-        instance.set_low_latency_mode(True)
+    return bool(claimed[0]) and (not is_pseudo_terminal(path) or bool(users_of(path)))
 
 
 class GatedSerial(serial.Serial):

@@ -63,25 +63,25 @@ def _not_permitted(path: str) -> Message:
 
 
 _PROC = Path("/proc")
-_PLAYED = Path("/dev/pts")
+_PSEUDO_TERMINALS = Path("/dev/pts")
 
 
 def users_of(path: str) -> list[tuple[int, str]]:
     """Process id and name of the others that hold a lock on it, else of those that have it open."""
     device = Path(path).resolve()
-    own = {os.getpid(), *_played_by(device)}
-    pids = _lockers(device) - own or _openers(device) - own
+    own = {os.getpid(), *_simulators_of(device)}
+    pids = _lockers(device) - own or {pid for pid in _pids() if _has_open(pid, device)} - own
     return [(pid, _name(pid)) for pid in sorted(pids)]
 
 
-def is_played(path: str) -> bool:
+def is_pseudo_terminal(path: str) -> bool:
     """Whether this is a pseudo-terminal, at whose other end a program plays the device."""
-    return Path(path).resolve().parent == _PLAYED
+    return Path(path).resolve().parent == _PSEUDO_TERMINALS
 
 
-def _played_by(device: Path) -> set[int]:
+def _simulators_of(device: Path) -> set[int]:
     """The programs at the other end of a pseudo-terminal: they are the line, and no other host on it."""
-    if not is_played(str(device)):
+    if not is_pseudo_terminal(str(device)):
         return set()
     end = f"tty-index:\t{device.name}\n"
     return {pid for pid in _pids() if _has_end(pid, end)}
@@ -106,10 +106,6 @@ def _lockers(device: Path) -> set[int]:
         if len(words) >= 6 and words[1] == "FLOCK" and words[5].endswith(f":{inode}") and words[4].isdigit():
             found.add(int(words[4]))
     return {pid for pid in found if pid > 0 and _has_open(pid, device)}
-
-
-def _openers(device: Path) -> set[int]:
-    return {pid for pid in _pids() if _has_open(pid, device)}
 
 
 def _pids() -> Iterator[int]:

@@ -71,9 +71,7 @@ class PortProtocol(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if not self.closed:
             self.closed = True
-            self._receiver.connection_lost(_with_reason(self._gone, exc))
-
-
-def _with_reason(gone: Message, error: Exception | None) -> Message:
-    number = getattr(error, "errno", None)
-    return Message.of("port_lost_error", reason=gone, error=os.strerror(number)) if number else gone
+            cause, number = self._gone, getattr(exc, "errno", None)
+            if number:
+                cause = Message.of("port_lost_error", reason=cause, error=os.strerror(number))
+            self._receiver.connection_lost(cause)

@@ -77,7 +77,7 @@ def _rfc2217_transport(accepted: asyncio.Event) -> Any:
             assert self._tcp_transport is not None
             assert self._serial is not None
             accepted.set()
-            tcp.be_quick_to_notice(self._tcp_transport.get_extra_info("socket"))
+            tcp.detect_loss_soon(self._tcp_transport.get_extra_info("socket"))
             self._serial._engine.feed = _parsed(self._serial._engine.feed)  # type: ignore[assignment, method-assign, unused-ignore]
             super()._data_received(self._received_first)
             await super()._negotiate()

@@ -67,11 +67,11 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     except OSError as error:
         reason = error.strerror or str(error)
         raise PortUnavailable(Message.of("port_unreachable", port=url, error=reason)) from error
-    be_quick_to_notice(transport.get_extra_info("socket"))
+    detect_loss_soon(transport.get_extra_info("socket"))
     return TcpPort(transport, protocol, url)
 
 
-def be_quick_to_notice(connection: socket.socket | None) -> None:
+def detect_loss_soon(connection: socket.socket | None) -> None:
     """Send each request at once, and find out soon that the other end is gone."""
     if connection is None:
         return

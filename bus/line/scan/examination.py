@@ -103,9 +103,15 @@ class _Examination:
         self.doubles = takes == "twice"
         own, counts_in_bcd = yield from self._own_address()
         last = yield from self._last_parameter(counts_in_bcd)
-        yield from self._one_of_each_type(counts_in_bcd, last)
-        if self._garbled_share() > GARBLED_SHARE:
+        # How wide a value comes shows only where the types have different widths.
+        for number in FIRST_OF_EACH_TYPE:
+            if number <= last:
+                yield from self._read(_number_byte(number, counts_in_bcd))
+        garbled, requests = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
+        late, doubled = self._surplus()
+        if (garbled + doubled) / requests > GARBLED_SHARE:
             return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS,))
+        replies = [outcome.reply for outcome in self.outcomes]
         one = Found(
             self.unit,
             self.baud,
@@ -115,14 +121,15 @@ class _Examination:
             own_address=own,
             counts_in_bcd=counts_in_bcd,
             checksum_10h=self._sends_checksum_10h() or takes,
-            reply_bytes=self._reply_bytes(),
+            reply_bytes=tuple(
+                sorted({reply.width for reply in replies if isinstance(reply, ParameterReply)})
+            ),
             estop_healthy=self._estop_healthy(),
-            late=self._surplus()[0] > 0,
+            late=late > 0,
             responds_within_s=max(
                 (o.responded_after_s for o in self.outcomes if o.responded_after_s is not None), default=None
             ),
         )
-        garbled, requests = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
         remarks = remarks_on(one, garbled=garbled, requests=requests, uncertain=self.uncertain)
         return replace(one, remarks=remarks)
 
@@ -185,12 +192,6 @@ class _Examination:
             probe = (low + high) // 2
         return _READABLE[low] if low >= 0 else 0
 
-    def _one_of_each_type(self, counts_in_bcd: bool, last: int) -> Generator[Probe, ProbeOutcome, None]:
-        """How wide a value comes shows only where the types have different widths."""
-        for number in FIRST_OF_EACH_TYPE:
-            if number <= last:
-                yield from self._read(_number_byte(number, counts_in_bcd))
-
     def _takes_checksum_10h(self) -> Generator[Probe, ProbeOutcome, Checksum10h | None]:
         """Send a read whose checksum is 10h plainly and, without a response, doubled."""
         number = number_for_checksum_10h(self.unit)
@@ -216,10 +217,6 @@ class _Examination:
             return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
-    def _garbled_share(self) -> float:
-        garbled = sum(outcome.garbled for outcome in self.outcomes)
-        return (garbled + self._surplus()[1]) / len(self.outcomes)
-
     def _surplus(self) -> tuple[int, int]:
         """How many responses were late, as a unit owes one to each request, and how many none explains."""
         awaited = late = doubled = 0
@@ -228,10 +225,6 @@ class _Examination:
             late, doubled = late + paid, doubled + outcome.surplus - paid
             awaited += (outcome.reply is None and not outcome.garbled) - paid
         return late, doubled
-
-    def _reply_bytes(self) -> tuple[int, ...]:
-        replies = [outcome.reply for outcome in self.outcomes]
-        return tuple(sorted({reply.width for reply in replies if isinstance(reply, ParameterReply)}))
 
     def _sends_checksum_10h(self) -> Checksum10h | None:
         seen = {outcome.checksum_10h for outcome in self.outcomes}

@@ -100,5 +100,5 @@ def _seen(found: Sequence[Found]) -> dict[str, set[Setting]]:
 
 
 def _reply_bytes(one: Found) -> int:
-    """As the setting has it: 0 where a value is as wide as its type."""
+    """The bytes of a response as the setting has them: 0 where a value is as wide as its type."""
     return one.reply_bytes[0] if len(one.reply_bytes) == 1 else 0

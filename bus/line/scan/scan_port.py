@@ -55,7 +55,7 @@ class Collected:
 
     @property
     def turnaround_s(self) -> float | None:
-        """From the request's last byte to the response's first, at most; None without a response."""
+        """Seconds from the request's last byte to the response's first, at most; None without a response."""
         first = self.exchange.first_byte_at
         if first is None or self.response_ends is None:
             return None

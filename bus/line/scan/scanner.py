@@ -145,33 +145,25 @@ async def scan_baud(
 async def scan_addresses(
     scan: BaudScan, line: ScanPort, addresses: Sequence[int], progress: Callable[[int], None]
 ) -> None:
-    """As ``scan_baud``, over an open port."""
+    """Scan ``addresses`` over an open port."""
     began = asyncio.get_running_loop().time()
     if (unrequested := await line.listen(LISTEN_S)) > MAX_UNREQUESTED_BYTES:
         raise WireError(Message.of("bytes_unrequested", count=unrequested, seconds=LISTEN_S))
-    complete = False
-    while not complete:
-        passes = Passes(addresses)
+    while True:
+        passes, prober = Passes(addresses), Prober(line, scan.baud, scan.turnaround_s)
         try:
-            await _probe_all(scan, line, passes, progress, began)
-            complete = True
+            for unit in passes:
+                settled, one = passes.settled, await prober.examine(unit)
+                if one is None:
+                    passes.no_response()
+                else:
+                    passes.found()
+                    scan.found.append(one)
+                    scan.found.sort(key=lambda each: each.unit)
+                scan.echoes, scan.seconds = line.echoes, asyncio.get_running_loop().time() - began
+                progress(passes.settled - settled)
+            return
         except SlowUnitError as slow:
             scan.turnaround_s = slow.allowance_s
             scan.found.clear()
             progress(-passes.settled)
-
-
-async def _probe_all(
-    scan: BaudScan, line: ScanPort, passes: Passes, progress: Callable[[int], None], began: float
-) -> None:
-    prober = Prober(line, scan.baud, scan.turnaround_s)
-    for unit in passes:
-        settled, one = passes.settled, await prober.examine(unit)
-        if one is None:
-            passes.no_response()
-        else:
-            passes.found()
-            scan.found.append(one)
-            scan.found.sort(key=lambda each: each.unit)
-        scan.echoes, scan.seconds = line.echoes, asyncio.get_running_loop().time() - began
-        progress(passes.settled - settled)

@@ -89,7 +89,7 @@ class Arbiter:
         return NextRequest(request) if request is not None and request == attempts.send.request else None
 
     def follow(self, now: Monotonic) -> None:
-        """What was foreseen has left at ``now``, and the turn before it is settled."""
+        """Note that the foreseen request has left at ``now``, and that the turn before it is settled."""
         assert self._foreseen is not None
         self._routine, self._foreseen = self._foreseen, None
         self._pace(self._routine[1].send.request, now)

@@ -57,17 +57,14 @@ class CommandQueue:
                 request = run.next_request(now, pending_of)
                 if request is not None:
                     if slow:
-                        self._take_turns(run)
+                        # In turn: reads of several units then follow each other without a fence between.
+                        self._all.remove(run)
+                        self._all.append(run)
                     return run, request
         return None
 
-    def _take_turns(self, run: CommandRun) -> None:
-        """Slow ones go in turn: reads of several units then follow each other without a fence between."""
-        self._all.remove(run)
-        self._all.append(run)
-
     def take_finished(self) -> list[CommandRun]:
-        """Those that have a result; they are forgotten here."""
+        """Return the commands that have a result, and forget them."""
         finished = [run for run in self._all if run.result is not None]
         if finished:
             self._all = [run for run in self._all if run.result is None]

@@ -163,7 +163,7 @@ class PollSchedule:
     # --- what happened -------------------------------------------------------------------------
 
     def watch(self, units: Collection[int]) -> None:
-        """These ``units`` are on an open page."""
+        """Note that ``units`` are on an open page."""
         self.poll_order.watch(units)
         self._slow.fraction = SLOW_SHARE_WATCHED if units else SLOW_SHARE_UNWATCHED
 

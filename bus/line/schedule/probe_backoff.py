@@ -25,7 +25,7 @@ class WireShare:
         return now >= self.ready_at
 
     def spend(self, now: Monotonic, seconds: float) -> None:
-        """It was used for ``seconds``, beginning at ``now``."""
+        """Note that the wire was used for ``seconds``, beginning at ``now``."""
         self.ready_at = max(self.ready_at, now - self.burst_s) + seconds / self.fraction
 
 
@@ -116,5 +116,5 @@ class ProbeBackoff:
 
 
 def _rations() -> dict[bool, WireShare]:
-    """By whether no unit responds."""
+    """Return the ration of probes, which is larger while no unit responds."""
     return {False: WireShare(WIRE_SHARE), True: WireShare(WIRE_SHARE_ALONE)}

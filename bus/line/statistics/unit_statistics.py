@@ -42,7 +42,8 @@ class ResponseTimes:
         for place in range(_class_of(self.smallest), _CLASSES):
             left -= self._classes[place]
             if left <= 0 and self._classes[place]:
-                return min(max(_middle_of(place), self.smallest), self.largest)
+                middle = _SHORTEST_S * _STEP ** (place - 0.5) if place else 0.0
+                return min(max(middle, self.smallest), self.largest)
         return self.largest
 
 
@@ -50,10 +51,6 @@ def _class_of(seconds: float) -> int:
     if seconds <= _SHORTEST_S:
         return 0
     return min(int(math.log(seconds / _SHORTEST_S) / math.log(_STEP)) + 1, _CLASSES - 1)
-
-
-def _middle_of(place: int) -> float:
-    return _SHORTEST_S * _STEP ** (place - 0.5) if place else 0.0
 
 
 class UnitStatistics:
