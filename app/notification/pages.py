@@ -17,7 +17,7 @@ from app.notification.api import Notifying
 from app.notification.dispatcher import subject_of
 from app.notification.maintenance import MAX_MINUTES
 from app.notification.settings import DAYS
-from app.web.access import Engineer, Operator, Person, Viewer
+from app.web.access import Engineer, Person, Viewer
 from app.web.templating import render
 from bus.messages import Message
 from bus.text import OneLine
@@ -122,7 +122,7 @@ async def acknowledge_page(
 
 @router.post("/notifications/acknowledge")
 async def acknowledge_by_link(
-    person: Operator,
+    person: Annotated[Person, ACKNOWLEDGE.permitted],
     alarms: Alarms,
     notification: Notifying,
     alarm: LinkedAlarm,
