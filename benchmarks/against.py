@@ -21,12 +21,20 @@ from websockets.asyncio.client import connect
 
 from benchmarks.onlookers import onlookers
 from benchmarks.processes import cpu_seconds, family, memory_mib
-from benchmarks.revision import TREE, Revision, Served, exported, served, wait_until_served
+from benchmarks.revision import (
+    NO_PORT,
+    TREE,
+    Revision,
+    Served,
+    Store,
+    exported,
+    prepared,
+    wait_until_served,
+)
 from benchmarks.tables import median, quantile, show
 from tests.e2e.site import end, start_line
 
 ROUNDS = 3
-NO_PORT = "/dev/lineside-no-port"
 READINGS_A_SECOND = 38.4
 """What one wire carries at 9600 baud."""
 UNITS = 8
@@ -45,11 +53,11 @@ Figures = Mapping[str, float]
 def run(commit: str) -> None:
     """Print one table."""
     found: tuple[defaultdict[str, list[float]], ...] = (defaultdict(list), defaultdict(list))
-    with exported(commit) as before:
+    with exported(commit) as former, prepared(former) as before, prepared(Revision("this", TREE)) as now:
+        turns = list(zip((before, now), found, strict=True))
         for number in range(ROUNDS):
-            turns = list(zip((before, Revision("this", TREE)), found, strict=True))
-            for revision, figures in turns if number % 2 else reversed(turns):
-                for name, figure in _figures(revision).items():
+            for store, figures in turns if number % 2 else reversed(turns):
+                for name, figure in _figures(store).items():
                     figures[name].append(figure)
     old, new = ({name: median(each) for name, each in figures.items()} for figures in found)
     rows = [[name, f"{old[name]:.4g}", f"{new[name]:.4g}", f"{new[name] / old[name]:.2f}"] for name in old]
@@ -57,18 +65,18 @@ def run(commit: str) -> None:
     show(f"This tree against {commit}", ["", commit, "this", "ratio"], rows, note)
 
 
-def _figures(revision: Revision) -> Figures:
-    found = dict(_of_start(revision))
+def _figures(store: Store) -> Figures:
+    found = dict(_of_start(store))
     for units in GROWTH:
-        found |= _of_crowds(revision, units)
+        found |= _of_crowds(store, units)
     return found
 
 
 # --- the start, and commands -----------------------------------------------------------------------
 
 
-def _of_start(revision: Revision) -> Iterator[tuple[str, float]]:
-    with TemporaryDirectory() as folder, _line(folder) as port, served(revision, UNITS, port) as server:
+def _of_start(store: Store) -> Iterator[tuple[str, float]]:
+    with TemporaryDirectory() as folder, _line(folder) as port, store.served(UNITS, port) as server:
         begun = time.monotonic()
         asyncio.run(_first_value(server))
         yield "first live value, s", time.monotonic() - begun
@@ -128,8 +136,8 @@ def _of_commands(server: Served, name: str) -> Iterator[tuple[str, float]]:
 # --- many units, many browsers ------------------------------------------------------------------------
 
 
-def _of_crowds(revision: Revision, units: int) -> Iterator[tuple[str, float]]:
-    with served(revision, units, NO_PORT) as server, _fed(server, units):
+def _of_crowds(store: Store, units: int) -> Iterator[tuple[str, float]]:
+    with store.served(units, NO_PORT) as server, _fed(server, units):
         server.get("/")
         alone = 0.0
         for browsers in (1, *CROWDS):

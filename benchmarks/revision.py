@@ -21,6 +21,8 @@ from tests.free_port import free_port
 TREE = Path(__file__).parents[1]
 START_S = 60.0
 ROLES = ("viewer", "operator")
+CONFIG = "lineside.toml"
+NO_PORT = "/dev/lineside-no-port"
 
 
 @dataclass(frozen=True)
@@ -87,31 +89,54 @@ def exported(commit: str) -> Iterator[Revision]:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(folder, filter="data")
         shutil.copytree(TREE / "static" / "vendor", Path(folder, "static", "vendor"))
-        # Else the first of its servers alone would compile it.
-        subprocess.run([sys.executable, "-m", "compileall", "-q", "app", "bus"], cwd=folder, check=True)
         yield Revision(commit, Path(folder))
 
 
-@contextmanager
-def served(revision: Revision, units: int, port: str) -> Iterator[Served]:
-    """A new site at a port, from the moment its server is started."""
-    with tempfile.TemporaryDirectory() as folder:
-        config, address = Path(folder, "lineside.toml"), free_port()
-        head = f'[server]\nport = {address}\n\n[[bus]]\nname = "line"\nport = "{port}"\nturnaround_ms = 500\n'
-        config.write_text(head + unit_tables(units), encoding="utf-8")
-        tokens = revision.tokens(config)
+@dataclass(frozen=True)
+class Store:
+    """The folder of a site of a revision, with tokens of ROLES and of a worker of the bus ``line``."""
+
+    revision: Revision
+    folder: Path
+    tokens: dict[str, str]
+
+    @contextmanager
+    def served(self, units: int, port: str) -> Iterator[Served]:
+        """A server of it, from the moment that its process is started."""
+        address, config = free_port(), self.folder / CONFIG
+        config.write_text(_configuration(address, units, port), encoding="utf-8")
         process = subprocess.Popen(
-            revision.called("app.cli", "serve", "--config", str(config)),
-            env=revision.environment,
+            self.revision.called("app.cli", "serve", "--config", str(config)),
+            env=self.revision.environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
         try:
-            yield Served(revision, f"http://127.0.0.1:{address}", tokens, process)
+            yield Served(self.revision, f"http://127.0.0.1:{address}", self.tokens, process)
         finally:
             end(process)
+
+
+@contextmanager
+def prepared(revision: Revision) -> Iterator[Store]:
+    """A store with all that a first start leaves: modules, templates and catalogs are compiled."""
+    modules = [revision.folder / name for name in ("app", "bus", "benchmarks")]
+    subprocess.run([sys.executable, "-m", "compileall", "-q", *modules], check=True)
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder, CONFIG)
+        config.write_text(_configuration(1, 1, NO_PORT), encoding="utf-8")
+        store = Store(revision, Path(folder), revision.tokens(config))
+        with store.served(1, NO_PORT) as server:
+            wait_until_served(server)
+            server.get("/")
+        yield store
 
 
 def wait_until_served(server: Served) -> None:
     """Until it serves."""
     eventually(lambda: server.get("/healthz") == 200, "a response of the server", within=START_S)
+
+
+def _configuration(address: int, units: int, port: str) -> str:
+    bus = f'[[bus]]\nname = "line"\nport = "{port}"\nturnaround_ms = 500\n'
+    return f"[server]\nport = {address}\n\n{bus}{unit_tables(units)}"
