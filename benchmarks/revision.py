@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from tests.free_port import free_port
 
 TREE = Path(__file__).parents[1]
 START_S = 60.0
+COMPILED_S = 3.0
+"""After the first page: until the catalogs of the other languages are compiled."""
 ROLES = ("viewer", "operator")
 CONFIG = "lineside.toml"
 NO_PORT = "/dev/lineside-no-port"
@@ -129,6 +132,7 @@ def prepared(revision: Revision) -> Iterator[Store]:
         with store.served(1, NO_PORT) as server:
             wait_until_served(server)
             server.get("/")
+            time.sleep(COMPILED_S)
         yield store
 
 

@@ -157,7 +157,7 @@ class BusAlarms:
         if self._monotonic() >= self._ages_from:
             self._see_links(now)
         for monitor in self._monitors.values():
-            monitor.see_parameters(now)
+            monitor.see_drift(now)
         self._suppress_again(now)
 
     def _notice_step(self, now: UnixTime) -> None:

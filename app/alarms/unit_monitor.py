@@ -123,6 +123,10 @@ class UnitMonitor:
         """Parameters were read, or a setpoint was staged or executed."""
         for row in of_unit.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
+        self.see_drift(now)
+
+    def see_drift(self, now: UnixTime) -> None:
+        """The golden set, or what the unit differs in, may be another."""
         drifted = self._has_drift(self._unit.settings.id)
         self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
 

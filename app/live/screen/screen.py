@@ -58,12 +58,11 @@ class Screen:
         """Render everything whose quality has changed by time alone."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
-            aged = [
-                number
-                for number, unit in bus.units.items()
-                if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
-                or unit_link_now(bus, unit, now) == "stale"
-            ]
+            aged = []
+            for number, unit in bus.units.items():
+                link = unit_link_now(bus, unit, now)
+                if link == "stale" or self.shown.get(unit_key(name, number), {}).get("link") != link:
+                    aged.append(number)
             merge_groups(changed, self.see(name, aged, now, include_bus=True))
         return changed
 

@@ -60,9 +60,7 @@ def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
     if not bus.worker_connected or bus.figures is None:
         return False
     since = now - WORKER_TIMEOUT_S
-    return bus.figures.at < since and all(
-        unit.reading is None or unit.reading.at < since for unit in bus.units.values()
-    )
+    return bus.figures.at < since and (bus.read_at is None or bus.read_at < since)
 
 
 def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:
