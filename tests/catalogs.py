@@ -19,9 +19,7 @@ from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
 from app.conditions.catalogue import TILES
 from app.handover.signatures import SignedPart
-from app.live.browsers.hub import STAGE_WORDS
-from app.live.screen.cause_text import MOTION_TEXTS, STOPPED_WITH_RUN
-from app.live.screen.fields import PORT_WORDS, STATE_WORDS
+from app.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.messages.languages import DEFAULT, catalogs
 from app.sets.model import SetOrigin
 from app.sets.restore_record import RestoreState
@@ -101,10 +99,9 @@ def in_tables() -> set[str]:
     parameters = PARAMETERS.values()
     return {
         *STATE_WORDS.values(),
-        *PORT_WORDS.values(),
         *(text for _, tile in TILES.values() for text in (tile.text, tile.check) if text),
-        *MOTION_TEXTS.values(),
         STOPPED_WITH_RUN,
+        TURNING,
         *STAGE_WORDS.values(),
         *(unit_error_name(code) for code in UnitErrorCode),
         *(parameter.meaning for parameter in parameters),

@@ -12,7 +12,7 @@ from typing import Any
 
 from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.screen.cause_text import cause_line
+from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Translator
 from app.live.state.age import scan_s_of, unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
@@ -134,7 +134,7 @@ def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json 
     return {
         "code": cause.code,
         "params": {name: _plain(value) for name, value in cause.params.items()},
-        "detail": cause_line(cause, english, now),
+        "detail": cause_texts(cause, english, now).line,
         "why": message_shown(why) if isinstance(why, Message) else None,
         "since": None if cause.onset is None else iso(cause.onset.at),
         "since_exact": None if cause.onset is None else cause.onset.exact,

@@ -21,6 +21,7 @@ from app.live.screen.fields import Translator, frame_fields, health_fields, unit
 from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
+from app.live.screen.words import STAGE_WORDS
 from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
@@ -34,13 +35,6 @@ ALARM_PAUSE_S = 0.05
 WATCH_UPDATES_A_SECOND = 5.0
 MAX_WATCH_BURST = 50
 """To each worker, which units are watched."""
-STAGE_WORDS = {
-    "waiting": "waiting for the bus",
-    "sent": "sent",
-    "searching": "addresses scanned:",
-    "acknowledged": "acknowledged",
-    "proving": "reading back",
-}
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
