@@ -34,7 +34,7 @@ from benchmarks.revision import (
 from benchmarks.tables import median, quantile, show
 from tests.e2e.site import end, start_line
 
-ROUNDS = 3
+REPEATS = 3
 READINGS_A_SECOND = 38.4
 """What one wire carries at 9600 baud."""
 UNITS = 8
@@ -54,14 +54,14 @@ def run(commit: str) -> None:
     """Print one table."""
     found: tuple[defaultdict[str, list[float]], ...] = (defaultdict(list), defaultdict(list))
     with exported(commit) as former, prepared(former) as before, prepared(Revision("this", TREE)) as now:
-        turns = list(zip((before, now), found, strict=True))
-        for number in range(ROUNDS):
-            for store, figures in turns if number % 2 else reversed(turns):
+        trees = list(zip((before, now), found, strict=True))
+        for turn in range(REPEATS):
+            for store, figures in trees if turn % 2 else reversed(trees):
                 for name, figure in _figures(store).items():
                     figures[name].append(figure)
     old, new = ({name: median(each) for name, each in figures.items()} for figures in found)
     rows = [[name, f"{old[name]:.4g}", f"{new[name]:.4g}", f"{new[name] / old[name]:.2f}"] for name in old]
-    note = f"Medians of {ROUNDS} rounds in turns; CPU and memory are of the app, without its workers."
+    note = f"Medians of {REPEATS} measurements, the trees in turns; CPU and memory are of the app, without its workers."
     show(f"This tree against {commit}", ["", commit, "this", "ratio"], rows, note)
 
 

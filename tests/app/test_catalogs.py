@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TRANSLATED = {tag: path for tag, path in catalogs().items() if tag != DEFAULT}
 BRACES = re.compile(r"\{(\w*)\}")
 MANY = re.compile(r"\{n\} (units|rows|addresses|values|parameters|followers|sets|events|frames|readings)\b")
+NEVER_ONE = {"{n} values differ from the golden set: {parts}"}
 """Texts of two or more."""
 
 
