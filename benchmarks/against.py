@@ -61,7 +61,7 @@ def run(commit: str) -> None:
                     figures[name].append(figure)
     old, new = ({name: median(each) for name, each in figures.items()} for figures in found)
     rows = [[name, f"{old[name]:.4g}", f"{new[name]:.4g}", f"{new[name] / old[name]:.2f}"] for name in old]
-    note = f"Medians of {REPEATS} measurements, the trees in turns; CPU and memory are of the app, without its workers."
+    note = f"Medians of {REPEATS}, the trees in turns; CPU and memory are of the app, without its workers."
     show(f"This tree against {commit}", ["", commit, "this", "ratio"], rows, note)
 
 

@@ -130,10 +130,11 @@ class Ingest:
         for update in (*found.late, *found.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
-        # Late updates of a live batch were held up on their way: the app stood still.
-        until = now if batch.live else self._window.until
-        late = self._within_quota(self._in_window(found.late, until, refused), refused)
-        if late:
+        late: list[Update] = []
+        if found.late:
+            # Late updates of a live batch were held up on their way: the app stood still.
+            until = now if batch.live else self._window.until
+            late = self._within_quota(self._in_window(found.late, until, refused), refused)
             self._pipeline.batch(late, live=False)
         if found.live:
             # The present is shown, also where history takes no more.
@@ -142,7 +143,8 @@ class Ingest:
             stored = self._within_quota(unknown, refused)
             self._pipeline.batch(found.live, live=True, stored=stored)
         self._coverage.advance(batch, [*late, *found.live], now)
-        self._pipeline.updates_refused(now, refused)
+        if refused.total():
+            self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
         """Those of the time that was not followed; repetitions after a crash are left out."""
