@@ -13,8 +13,9 @@ from app.conditions import of_unit
 from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
 from app.live.diagnosis.links import link_facts, unit_facts
-from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
+from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import Reading, UnitFigures
 from bus.instants import UnixTime
 

@@ -14,9 +14,10 @@ from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Translator
-from app.live.state.age import scan_s_of, unit_link_now
+from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
+from app.live.state.scan_time import scan_s_of
 from app.web.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
-from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_timed_out
+from app.live.state.age import unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.conditions import bits_of
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.contract import Reading
 from bus.contract.durations import POLL_BYTES
 from bus.instants import UnixTime

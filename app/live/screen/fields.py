@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.live.screen.words import MODE_WORDS, STATE_WORDS
-from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
+from app.live.state.age import figures_now
 from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
 from app.live.state.conditions import bits_of, mode_of
+from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from app.messages import Language
 from app.web.formats import UNKNOWN, Formats
 from bus.catalogue.numbers import (

@@ -16,10 +16,10 @@ import structlog
 
 from app.conditions.evidence import follower as follower
 from app.conditions.evidence import reads_ratio
-from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
