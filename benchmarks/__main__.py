@@ -21,13 +21,18 @@ TABLES = {
 }
 LONG = {"screen_memory"}
 """Run only when named."""
+AGAINST = "against"
 
 
 def main(wanted: list[str]) -> int:
-    """Exit 2 when a table is not known."""
+    """Exit 2 when a table is not known. ``against COMMIT`` is a table only when named."""
+    if wanted[:1] == [AGAINST] and len(wanted) == 2:
+        importlib.import_module("benchmarks.against").run(wanted[1])
+        return 0
     unknown = [name for name in wanted if name not in TABLES]
     if unknown:
         known = "".join(f"\n  {name:14} {meaning}" for name, meaning in TABLES.items())
+        known += f"\n  {AGAINST} COMMIT  this tree beside an earlier one (only when named)"
         print(f"no table {', '.join(unknown)}; there are{known}", file=sys.stderr)
         return 2
     for name in wanted or [name for name in TABLES if name not in LONG]:

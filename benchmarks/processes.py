@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -16,9 +17,9 @@ def family(root: int) -> list[int]:
 
 
 def cpu_seconds(*processes: int) -> float:
-    """User and system time used so far, together: to the nanosecond, not in ticks of the clock."""
-    tasks = (task for process in processes for task in Path(f"/proc/{process}/task").iterdir())
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
+    """User and system time used so far, together, with that of threads that have ended; to the nanosecond."""
+    # What clock_getcpuclockid returns on Linux; Python has no function for it.
+    return sum(time.clock_gettime(~process << 3 | 2) for process in processes)
 
 
 def memory_mib(*processes: int) -> float:

@@ -18,9 +18,7 @@ from app.audit.kinds import EventKind
 from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
 from app.handover.signatures import SignedPart
-from app.live.browsers.hub import STAGE_WORDS
-from app.live.screen.cause_text import MOTION_TEXTS, STOPPED_WITH_RUN
-from app.live.screen.fields import PORT_WORDS, STATE_WORDS
+from app.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.messages.languages import DEFAULT, catalogs
 from app.sets.model import SetOrigin
 from app.sets.restore_record import RestoreState
@@ -100,9 +98,8 @@ def in_tables() -> set[str]:
     parameters = PARAMETERS.values()
     return {
         *STATE_WORDS.values(),
-        *PORT_WORDS.values(),
-        *MOTION_TEXTS.values(),
         STOPPED_WITH_RUN,
+        TURNING,
         *STAGE_WORDS.values(),
         *(unit_error_name(code) for code in UnitErrorCode),
         *(parameter.meaning for parameter in parameters),

@@ -19,8 +19,8 @@ from app.conditions.of_bus import BY_BUS, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
 from app.live.diagnosis.links import bus_facts
-from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import Audience, BusLive
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, Staged, UnitLink, Update
 from bus.instants import Clock, Monotonic, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
@@ -154,7 +154,7 @@ class BusAlarms:
         if self._monotonic() >= self._ages_from:
             self._see_links(now)
         for monitor in self._monitors.values():
-            monitor.see_parameters(now)
+            monitor.see_drift(now)
         self._observe(self._control_left, self._left_control() is not None, now)
         self._suppress_again(now)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from app.alarms.definition import AlarmDefinition, Rationalization, key_of
 from app.alarms.rules.facts import AlarmAttributes
 from app.conditions.catalogue import CONDITIONS
@@ -14,8 +16,7 @@ def built_in(
 ) -> AlarmDefinition:
     """The definition of a built-in alarm at its place. ``tuning``: of the site; None: the usual one."""
     row = CONDITIONS[code]
-    tuning = tuning or row.tuning
-    name, cause, consequence, response = map(Message, row.texts)
+    name, record = _texts(code)
     usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
     return AlarmDefinition(
         key=key_of(bus, unit, code),
@@ -24,8 +25,21 @@ def built_in(
         bus=bus,
         unit=unit,
         priority=row.priority,
-        record=Rationalization(cause, consequence, response, *row.rated),
-        attributes=AlarmAttributes(tuning.on_delay_s, tuning.off_delay_s, latching=row.latching),
+        record=record,
+        attributes=_attributes(tuning or row.tuning, row.latching),
         group=row.group,
         about=row.about or usual,
     )
+
+
+@cache
+def _texts(code: str) -> tuple[Message, Rationalization]:
+    """The same objects for every unit: a line has thousands of alarms."""
+    row = CONDITIONS[code]
+    name, cause, consequence, response = map(Message, row.texts)
+    return name, Rationalization(cause, consequence, response, *row.rated)
+
+
+@cache
+def _attributes(tuning: Tuning, latching: bool) -> AlarmAttributes:
+    return AlarmAttributes(tuning.on_delay_s, tuning.off_delay_s, latching=latching)

@@ -13,8 +13,9 @@ from app.conditions import of_unit
 from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
 from app.live.diagnosis.links import link_facts, unit_facts
-from app.live.state.age import scan_s_of, stale_after_s, unit_link_now
+from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import Reading, UnitFigures
 from bus.instants import UnixTime
 
@@ -123,6 +124,10 @@ class UnitMonitor:
         """Parameters were read, or a setpoint was staged or executed."""
         for row in of_unit.BY_PARAMETER:
             self._observe(self._alarms[row.code], row.holds(self._bus, self._unit), now)
+        self.see_drift(now)
+
+    def see_drift(self, now: UnixTime) -> None:
+        """The golden set, or what the unit differs in, may be another."""
         drifted = self._has_drift(self._unit.settings.id)
         self._observe(self._drift, of_unit.PARAMETER_DRIFT.holds(drifted), now)
 

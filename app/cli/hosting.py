@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import fcntl
 import os
+import secrets
 import signal
 import socket
 import sys
@@ -16,7 +17,6 @@ from typing import Any
 
 import uvloop
 
-from app.auth.rules import new_secret
 from app.cli import loading
 from app.cli.ending import report
 from app.cli.listening import url_of
@@ -66,7 +66,9 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
 
 async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
     """The workers begin while the dashboard is still being read, and end before it does."""
-    url, tokens = url_of(*listening.getsockname()[:2]), {bus.name: new_secret() for bus in settings.bus}
+    url = url_of(*listening.getsockname()[:2])
+    # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
+    tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus}
     workers = WorkerProcesses(config, tokens, url)
     stopping = _stop_requested()
     workers.start()

@@ -29,7 +29,6 @@ from bus.contract import (
     Snapshot,
     Update,
     WantSnapshot,
-    WorkerMessage,
     decode_from_worker,
 )
 from bus.instants import Clock, UnixTime, monotonic_now, unix_now
@@ -76,10 +75,6 @@ class Ingest:
         self.missed_ticks = 0
         self._channel.on_message()
         message = decode_from_worker(data)
-        await self._take(message)
-        await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))
-
-    async def _take(self, message: WorkerMessage) -> None:
         match message:
             case Snapshot() as snapshot:
                 await self._take_snapshot(snapshot)
@@ -87,13 +82,16 @@ class Ingest:
                 await self._take_batch(batch)
             case Hello():
                 raise MalformedMessageError("Hello is sent once, at the beginning")
+        await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))
 
     async def tick(self) -> None:
         """About once a second: send the app's time, and confirm what arrived a tick ago, as it is on disk by
         now. A server that crashes gets it again."""
         self.missed_ticks += not self._is_held_back
         await self._connection.send(ClockSync(app_time=self._now()))
-        await self._confirm(self._settled)
+        if self._delivered != self._settled:
+            self._delivered = self._settled
+            await self._connection.send(Delivered(seq=self._settled))
         self._settled = self._received.seq
 
     async def _hold_back(self, seconds: float) -> None:
@@ -117,7 +115,10 @@ class Ingest:
             raise MalformedMessageError("a snapshot comes before the first batch")
         if batch.live:
             self._note_time(batch.sent_at)
-            await self._miss(batch, max(self._received.seq, self._snapshot_seq) + 1)
+            expected = max(self._received.seq, self._snapshot_seq) + 1
+            if batch.seq > expected and not self._snapshot_wanted:
+                self._snapshot_wanted = True
+                await self._connection.send(WantSnapshot())
         if batch.seq <= self._received.seq:
             return
         self._received.seq = batch.seq
@@ -130,10 +131,11 @@ class Ingest:
         for update in (*found.late, *found.live):
             if isinstance(update, Result | Progress):
                 self._channel.on_update(update, self._connection)
-        # Late updates of a live batch were held up on their way: the app stood still.
-        until = now if batch.live else self._window.until
-        late = self._within_quota(self._in_window(found.late, until, refused), refused)
-        if late:
+        late: list[Update] = []
+        if found.late:
+            # Late updates of a live batch were held up on their way: the app stood still.
+            until = now if batch.live else self._window.until
+            late = self._within_quota(self._in_window(found.late, until, refused), refused)
             self._pipeline.batch(late, live=False)
         if found.live:
             # The present is shown, also where history takes no more.
@@ -142,7 +144,8 @@ class Ingest:
             stored = self._within_quota(unknown, refused)
             self._pipeline.batch(found.live, live=True, stored=stored)
         self._coverage.advance(batch, [*late, *found.live], now)
-        self._pipeline.updates_refused(now, refused)
+        if refused.total():
+            self._pipeline.updates_refused(now, refused)
 
     def _in_window(self, late: Sequence[Update], until: UnixTime, refused: Counter[Message]) -> list[Update]:
         """Those of the time that was not followed; repetitions after a crash are left out."""
@@ -157,16 +160,6 @@ class Ingest:
         taken = [update for update in updates if self._quota.admits(update, now)]
         refused[OVER_QUOTA] += len(updates) - len(taken)
         return taken
-
-    async def _miss(self, batch: Batch, expected: int) -> None:
-        if batch.seq > expected and not self._snapshot_wanted:
-            self._snapshot_wanted = True
-            await self._connection.send(WantSnapshot())
-
-    async def _confirm(self, seq: int) -> None:
-        if self._delivered != seq:
-            self._delivered = seq
-            await self._connection.send(Delivered(seq=seq))
 
     def _note_time(self, sent_at: UnixTime) -> None:
         now = self._now()

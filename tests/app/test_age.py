@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.live.state.age import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s, unit_link_now
+from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState
+from app.live.state.scan_time import offline_after_s, scan_s_at_best, scan_s_of, stale_after_s
 from bus.contract import BusFigures, BusLink, UnitLink, UnitLinkState
 from tests.app.stage import bus_settings, reading
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.screen.cause_text import cause_line, cause_text, check_text
+from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitLink
@@ -38,7 +38,7 @@ def cause_of(live: LiveState, now: float) -> Cause | None:
 def shown_cause(live: LiveState, now: float = NOW + 10, tag: str = "en") -> tuple[str, str]:
     """Level and first line."""
     found = cause_of(live, now)
-    return (found.level, cause_line(found, translator(tag), now)) if found is not None else ("", "")
+    return (found.level, cause_texts(found, translator(tag), now).line) if found is not None else ("", "")
 
 
 def test_a_unit_at_speed_in_remote_has_none() -> None:
@@ -222,7 +222,7 @@ def test_what_was_there_at_the_start_is_first_seen_then() -> None:
 def test_the_text_of_the_strip_has_no_time() -> None:
     found = cause_of(after(STOPPED | {"inputs": HEALTHY}), NOW + 10)
     assert found is not None
-    assert cause_text(found, translator()) == "Stopped: run input off"
+    assert cause_texts(found, translator(), NOW).text == "Stopped: run input off"
     assert check_text(found, translator()) == "Check the run contact at the drive"
     assert check_text(None, translator()) == ""
 

@@ -15,9 +15,10 @@ from app.conditions.priority import MATRIX, PRIORITIES, AlarmPriority
 from app.live.diagnosis.abnormal import shown_cause
 from app.live.diagnosis.cause import Cause, abnormal, bus_cause
 from app.live.diagnosis.links import unit_facts
-from app.live.screen.cause_text import cause_text, check_text
+from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, UnitLink
+from bus.instants import UnixTime
 from bus.messages import TEXTS, Message
 from docs.alarm_table import DOCUMENT, alarm_table, with_table
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, screen, translator
@@ -151,7 +152,7 @@ def test_every_tile_of_a_condition_has_its_priority_and_words(row: Condition[Any
         found = abnormal(code, params={"why": Message("worker_not_connected"), "mode": "LOCAL"})
         assert found.level == row.priority
         assert found.level in DRAWN
-        assert cause_text(found, translator())
+        assert cause_texts(found, translator(), UnixTime(0.0)).text
         assert check_text(found, translator()) == TEXTS.get(f"tile_{code}_check", "")
 
 

@@ -15,9 +15,9 @@ from starlette.websockets import WebSocketDisconnect
 from app.auth.accounts import Accounts
 from app.live.admission import MAX_OF_ACCOUNT, Admission
 from app.live.browsers import socket
+from app.live.browsers.broadcast import Broadcast
 from app.live.browsers.browser import Browser, Diff
 from app.live.browsers.hub import MAX_WATCH_BURST, Hub
-from app.live.browsers.readers import Readers
 from app.main import create_app
 from app.web.access import Role
 from tests.administrator import BY
@@ -43,11 +43,11 @@ def hub_of(client: TestClient) -> Hub:
 
 
 async def test_a_page_that_sends_a_thousand_requests_without_reading_waits_for_one_snapshot() -> None:
-    readers = Readers(screen(line()), lambda: 100.0)
+    broadcast = Broadcast(screen(line()), lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
-    readers.join(browser)
+    broadcast.join(browser)
     for _ in range(1000):
-        readers.send_snapshot(browser)
+        broadcast.send_snapshot(browser)
     assert [json.loads(text)["is"] for text in await browser.next()] == ["snapshot"]
     assert browser._snapshot is None
 

@@ -19,8 +19,8 @@ from app.history.series.rollup import Rollup
 from app.history.series.runs import MINUTE, SECOND, Run, micros
 from app.history.series.scaling import ParameterStep
 from app.live.diagnosis.links import unit_facts
-from app.live.state.age import scan_s_of, stale_after_s
 from app.live.state.bus_live import never_seen
+from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import ParameterValue, Reading
 from bus.instants import UnixTime
 from bus.settings import BusSettings

@@ -12,11 +12,12 @@ from typing import Any
 
 from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
-from app.live.screen.cause_text import cause_line
+from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Translator
-from app.live.state.age import scan_s_of, unit_link_now
+from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.live.state.conditions import bits_of, mode_of
+from app.live.state.scan_time import scan_s_of
 from app.web.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
@@ -134,7 +135,7 @@ def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json 
     return {
         "code": cause.code,
         "params": {name: _plain(value) for name, value in cause.params.items()},
-        "detail": cause_line(cause, english, now),
+        "detail": cause_texts(cause, english, now).line,
         "why": message_shown(why) if isinstance(why, Message) else None,
         "since": None if cause.onset is None else iso(cause.onset.at),
         "since_exact": None if cause.onset is None else cause.onset.exact,

@@ -1,7 +1,7 @@
 """Broadcasts changes to every connected browser, in the turn of the event loop in which they are reported.
 
 Nothing here batches or waits for a timer. A change is rendered once for each language in use, and
-:mod:`app.live.browsers.readers` sends it to the pages. Only age, which no worker reports, is checked once a
+:mod:`app.live.browsers.broadcast` sends it to the pages. Only age, which no worker reports, is checked once a
 second; the same tick is the heartbeat that every page draws.
 """
 
@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from app.live.admission import Admission
+from app.live.browsers.broadcast import Broadcast
 from app.live.browsers.browser import Browser
-from app.live.browsers.readers import Readers
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
 from app.live.screen.diff import Groups, merge_groups
@@ -21,6 +21,7 @@ from app.live.screen.fields import Translator, frame_fields, health_fields, unit
 from app.live.screen.screen import ALARM_GROUP, LINE_GROUP, Screen
 from app.live.screen.sources import Sources
 from app.live.screen.totals import holders
+from app.live.screen.words import STAGE_WORDS
 from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
@@ -34,13 +35,6 @@ ALARM_PAUSE_S = 0.05
 WATCH_UPDATES_A_SECOND = 5.0
 MAX_WATCH_BURST = 50
 """To each worker, which units are watched."""
-STAGE_WORDS = {
-    "waiting": "waiting for the bus",
-    "sent": "sent",
-    "searching": "addresses scanned:",
-    "acknowledged": "acknowledged",
-    "proving": "reading back",
-}
 Watcher = Callable[[list[int], bool], None]
 """Called with the units of a bus that someone has open, and whether someone follows its trace."""
 
@@ -62,8 +56,8 @@ class Hub:
         self._watchers = watchers
         self._clock = clock
         self._monotonic = monotonic_now
-        self._readers: dict[str, Readers] = {}
-        """Readers of every language requested so far; most are empty now."""
+        self._broadcasts: dict[str, Broadcast] = {}
+        """Broadcasts of every language requested so far; most are empty now."""
         self._watched: dict[str, tuple[list[int], bool]] = {}
         self.admission = Admission()
         self._pages = Watched({name: bus.units for name, bus in live.buses.items()})
@@ -81,7 +75,7 @@ class Hub:
     @property
     def connected(self) -> int:
         """How many pages are open now."""
-        return sum(len(readers.browsers) for readers in self._readers.values())
+        return sum(len(broadcast.browsers) for broadcast in self._broadcasts.values())
 
     def people(self) -> dict[str, str]:
         """Return the role of each user with an open page, keyed by user name."""
@@ -90,11 +84,11 @@ class Hub:
 
     def screen(self, language: str) -> Screen:
         """The screen of a language, up to date."""
-        readers = self._readers.get(language)
-        if readers is None:
-            readers = self._readers[language] = Readers(self._new_screen(language), self._clock)
-        screen = readers.screen
-        if not readers.browsers:
+        broadcast = self._broadcasts.get(language)
+        if broadcast is None:
+            broadcast = self._broadcasts[language] = Broadcast(self._new_screen(language), self._clock)
+        screen = broadcast.screen
+        if not broadcast.browsers:
             # With a page open it follows every report: to render a long line for each that opens takes the
             # event loop milliseconds, and some hundred may open at once.
             now = self._clock()
@@ -110,23 +104,23 @@ class Hub:
     def join(self, browser: Browser) -> None:
         """A page opened: send a complete snapshot first, then diffs."""
         self.screen(browser.language)
-        self._readers[browser.language].join(browser)
+        self._broadcasts[browser.language].join(browser)
         self._has_changed()
 
     def leave(self, browser: Browser) -> None:
-        self._readers[browser.language].leave(browser)
+        self._broadcasts[browser.language].leave(browser)
         self._pages.turn(browser.units, frozenset(), browser.trace, "")
         self._has_changed()
 
     def _has_changed(self) -> None:
-        for readers in self._readers.values():
-            readers.flow.share(self.connected)
+        for broadcast in self._broadcasts.values():
+            broadcast.flow.share(self.connected)
         self._notify_watchers()
         self._publish_people()
 
     def send_snapshot(self, browser: Browser) -> None:
         """Everything, to a page that opened or missed a number."""
-        self._readers[browser.language].send_snapshot(browser)
+        self._broadcasts[browser.language].send_snapshot(browser)
 
     def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
         """Note the units that a page shows and the bus whose trace it follows."""
@@ -152,12 +146,12 @@ class Hub:
         self._alarms_due = None
         units, self._alarmed_units = self._alarmed_units, set()
         now = self._clock()
-        for readers in self._read():
-            screen = readers.screen
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
             groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
             for bus, unit in units:
                 groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
-            readers.publish(groups)
+            broadcast.publish(groups)
 
     async def beat(self) -> None:
         """Send the heartbeat of every page, indefinitely."""
@@ -175,14 +169,14 @@ class Hub:
             # The time that an alarm shows gets its date as the day ends.
             self._minute = minute
             self._show_alarms()
-        for readers in self._read():
-            screen = readers.screen
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
             held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
             notices = self._sources.notices(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
             groups = merge_groups(screen.settle(now), screen.put(LINE_GROUP, totals), *held_fields)
-            readers.publish(groups, always=True)
+            broadcast.publish(groups, always=True)
 
     # --- what the workers report -------------------------------------------------------------------
 
@@ -194,8 +188,8 @@ class Hub:
 
     def _render(self, bus: str, units: list[int], *, include_bus: bool) -> None:
         now = self._clock()
-        for readers in self._read():
-            readers.publish(readers.screen.see(bus, units, now, include_bus=include_bus))
+        for broadcast in self._with_pages():
+            broadcast.publish(broadcast.screen.see(bus, units, now, include_bus=include_bus))
 
     def _pass_on(self, bus: str, update: Update) -> None:
         """Data that is not part of the live state."""
@@ -212,46 +206,46 @@ class Hub:
         group, field = f"command/{key_of(progress.id)}", "stage"
         if progress.stage == "searching":
             group, field = bus, "searched"
-        for readers in self._read():
-            text = readers.screen.translator.t(STAGE_WORDS[progress.stage])
+        for broadcast in self._with_pages():
+            text = broadcast.screen.translator.t(STAGE_WORDS[progress.stage])
             if progress.of > 1:
                 text += f" {progress.done}/{progress.of}"
-            readers.publish({group: {field: text}})
+            broadcast.publish({group: {field: text}})
 
     def _show_health(self, bus: str, figures: BusFigures) -> None:
         watched = self._pages.units(bus)
-        for readers in self._read():
-            screen, groups = readers.screen, Groups()
+        for broadcast in self._with_pages():
+            screen, groups = broadcast.screen, Groups()
             for unit in figures.units:
                 if unit.unit in watched:
                     groups |= screen.put(
                         f"health/{unit_key(bus, unit.unit)}", health_fields(unit, screen.translator)
                     )
-            readers.publish(groups)
+            broadcast.publish(groups)
 
     def _show_frames(self, bus: str, frames: Sequence[Frame]) -> None:
-        for readers in self._read():
-            followers = [browser for browser in readers.browsers if browser.trace == bus]
+        for broadcast in self._with_pages():
+            followers = [browser for browser in broadcast.browsers if browser.trace == bus]
             if followers:
-                shown = [frame_fields(frame, readers.screen.translator) for frame in frames]
+                shown = [frame_fields(frame, broadcast.screen.translator) for frame in frames]
                 for browser in followers:
                     browser.show_frames(shown)
 
     # --- to the browsers ----------------------------------------------------------------------------
 
-    def _read(self) -> list[Readers]:
+    def _with_pages(self) -> list[Broadcast]:
         """The languages with an open page."""
-        return [readers for readers in self._readers.values() if readers.browsers]
+        return [broadcast for broadcast in self._broadcasts.values() if broadcast.browsers]
 
     def _browsers(self) -> list[Browser]:
-        return [browser for readers in self._readers.values() for browser in readers.browsers]
+        return [browser for broadcast in self._broadcasts.values() for browser in broadcast.browsers]
 
     def _publish_people(self) -> None:
         people = self.people()
-        for readers in self._read():
-            screen = readers.screen
+        for broadcast in self._with_pages():
+            screen = broadcast.screen
             here = [[name, screen.translator.t(role)] for name, role in people.items()]
-            readers.publish(screen.put("people", {"here": here, "count": str(len(people))}))
+            broadcast.publish(screen.put("people", {"here": here, "count": str(len(people))}))
 
     def _notify_watchers(self) -> None:
         """At once, but not as often as pages can turn; the next tick makes up for it."""

@@ -86,8 +86,13 @@ async def _serve(websocket: WebSocket, person: Person, language: str, hub: Hub) 
 async def _write(websocket: WebSocket, browser: Browser) -> None:
     with suppress(WebSocketDisconnect, RuntimeError):
         while True:
-            for text in await browser.next():
-                await websocket.send_text(text)
+            await _send(websocket, await browser.next())
+
+
+async def _send(websocket: WebSocket, texts: list[str]) -> None:
+    """Nothing keeps the texts while the page waits for its next: a snapshot is up to 250 KiB."""
+    for text in texts:
+        await websocket.send_text(text)
 
 
 async def _listen(websocket: WebSocket, browser: Browser, hub: Hub) -> None:

@@ -16,11 +16,12 @@ from app.conditions.evidence import UnitFacts
 from app.conditions.of_unit import BY_READING, UNIT_UNKNOWN
 from app.conditions.priority import PRIORITIES, AlarmPriority
 from app.live.diagnosis.links import unit_facts
-from app.live.state.age import offline_after_s, scan_s_of, stale_after_s, unit_link_now, worker_timed_out
+from app.live.state.age import unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive, speed_decimals
 from app.live.state.conditions import bits_of, is_driven, mode_of
 from app.live.state.onset import Onset, later
 from app.live.state.ramp_time import ramp_seconds
+from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from bus.contract import Reading
 from bus.instants import UnixTime
 

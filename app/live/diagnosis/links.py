@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
-from app.live.state.age import offline_after_s, scan_s_of, unit_link_now, worker_timed_out
+from app.live.state.age import unit_link_now, worker_timed_out
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.conditions import bits_of
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.contract import Reading
 from bus.contract.durations import POLL_BYTES
 from bus.instants import UnixTime
@@ -32,7 +33,7 @@ def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime) -> LinkFacts:
         bus_is_readable=_is_readable(bus, now),
         is_lost=lost_at is not None,
         is_online=unit_link_now(bus, unit, now) == "online",
-        is_alone=lost_at is not None and len(bus.units) > 1 and not _has_response_after(bus, lost_at),
+        is_alone=lost_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, lost_at),
     )
 
 
@@ -52,7 +53,7 @@ def has_no_response(bus: BusLive, now: UnixTime) -> bool:
     if len(bus.units) == 1:
         return False
     lost = (_lost_at(bus, unit, now) for unit in bus.units.values())
-    return any(at is not None and not _has_response_after(bus, at) for at in lost)
+    return any(at is not None and not _has_reading_after(bus, at) for at in lost)
 
 
 def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:
@@ -64,5 +65,5 @@ def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:
     return lost_at if now > lost_at else None
 
 
-def _has_response_after(bus: BusLive, at: UnixTime) -> bool:
-    return any(unit.reading is not None and unit.reading.at > at for unit in bus.units.values())
+def _has_reading_after(bus: BusLive, at: UnixTime) -> bool:
+    return bus.read_at is not None and bus.read_at > at

@@ -3,47 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.conditions.catalogue import tile_check, tile_text
 from app.live.diagnosis.cause import Cause
 from app.live.screen.fields import Translator
+from app.live.screen.words import STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from bus.instants import UnixTime
 from bus.messages import Message
 
 MINUTE_S, LONG_RAMP_S = 60, 120
 
-MOTION_TEXTS = {
-    "stopped": "stopped",
-    "stopping": "still turning",
-    "turning": "turning",
-    "off_speed": "off speed",
-}
-STOPPED_WITH_RUN = "stopped with run input on"
+
+class CauseTexts(NamedTuple):
+    """``text``: the condition; ``since``: its time, empty where none is known; ``line``: both in one."""
+
+    text: str
+    since: str
+    line: str
 
 
-def cause_text(cause: Cause, translator: Translator) -> str:
-    """The condition without its time: ``Stopped: run input off``."""
-    return joined(_motion(cause, translator), _what(cause, translator), _why(cause, translator))
+def cause_texts(cause: Cause, translator: Translator, now: UnixTime) -> CauseTexts:
+    """``Stopped: run input off``, ``since 02:22`` and ``Stopped: run input off since 02:22``."""
+    motion, what, why = _motion(cause, translator), _what(cause, translator), _why(cause, translator)
+    since = _since(cause, translator, now)
+    return CauseTexts(joined(motion, what, why), since, joined(motion, f"{what} {since}".rstrip(), why))
 
 
-def cause_line(cause: Cause, translator: Translator, now: UnixTime) -> str:
-    """The condition and its time: ``Stopped: run input off since 02:22``."""
-    what = f"{_what(cause, translator)} {since_text(cause, translator, now)}".rstrip()
-    return joined(_motion(cause, translator), what, _why(cause, translator))
-
-
-def since_text(cause: Cause, translator: Translator, now: UnixTime) -> str:
-    """``since 02:22``; empty where no time is known. A ramp shows the time left instead."""
+def _since(cause: Cause, translator: Translator, now: UnixTime) -> str:
+    """A ramp shows the time left instead."""
     onset = cause.onset
     if onset is None or cause.code == "ramping":
         return ""
-    time = translator.formats.since(onset.at, now)
-    return (
-        translator.t("since {time}", time=time)
-        if onset.exact
-        else translator.t("since at least {time}", time=time)
-    )
+    code = "cause_since" if onset.exact else "cause_since_at_least"
+    return translator.t(Message.of(code, time=translator.formats.since(onset.at, now)))
 
 
 def check_text(cause: Cause | None, translator: Translator) -> str:
@@ -60,16 +53,17 @@ def joined(*parts: str) -> str:
 
 def _motion(cause: Cause, translator: Translator) -> str:
     motion = cause.params.get("motion", "")
-    return translator.t(MOTION_TEXTS[motion]) if motion and cause.code != "not_at_speed" else ""
+    if not motion or cause.code == "not_at_speed":
+        return ""
+    return translator.t(TURNING if motion == "turning" else STATE_WORDS[motion])
 
 
 def _what(cause: Cause, translator: Translator) -> str:
     if cause.code == "not_at_speed":
-        return translator.t(
-            STOPPED_WITH_RUN if cause.params.get("motion") == "stopped" else MOTION_TEXTS["off_speed"]
-        )
+        stopped = cause.params.get("motion") == "stopped"
+        return translator.t(STOPPED_WITH_RUN if stopped else STATE_WORDS["off_speed"])
     if cause.code == "ramping":
-        return _ramp(cause.params, translator)
+        return translator.t(_ramp(cause.params, translator))
     mode = cause.params.get("mode")
     text = tile_text(cause.code, **{"mode": mode} if mode else {})
     return "" if text is None else translator.t(text)
@@ -80,11 +74,11 @@ def _why(cause: Cause, translator: Translator) -> str:
     return translator.t(why) if isinstance(why, Message) else why or ""
 
 
-def _ramp(params: Mapping[str, Any], translator: Translator) -> str:
+def _ramp(params: Mapping[str, Any], translator: Translator) -> Message:
     target = translator.formats.fixed(params["target_raw"], params["decimals"])
     left = params["seconds_left"]
     if not left:
-        return translator.t("ramping to {target}", target=target)
+        return Message.of("cause_ramping", target=target)
     if left < LONG_RAMP_S:
-        return translator.t("ramping to {target}, about {n} s left", target=target, n=left)
-    return translator.t("ramping to {target}, about {n} min left", target=target, n=round(left / MINUTE_S))
+        return Message.of("cause_ramping_seconds", target=target, n=left)
+    return Message.of("cause_ramping_minutes", target=target, n=round(left / MINUTE_S))

@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from app.live.state.age import figures_now, offline_after_s, scan_s_of, stale_after_s
+from app.live.screen.words import MODE_WORDS, STATE_WORDS
+from app.live.state.age import figures_now
 from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
 from app.live.state.conditions import bits_of, mode_of
-from app.live.state.motion import MotionState
+from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from app.messages import Language
 from app.web.formats import UNKNOWN, Formats
 from bus.catalogue.numbers import (
@@ -33,20 +34,6 @@ from bus.messages import Message
 
 DEVIATION_WINDOWS = 3
 """Half the width of a deviation bar in at-speed windows, so that the band is its middle third."""
-
-STATE_WORDS: dict[MotionState, str] = {
-    "": "not known",
-    "at_speed": "at speed",
-    "at_zero": "at zero",
-    "ramping_up": "ramping up",
-    "ramping_down": "ramping down",
-    "off_speed": "off speed",
-    "stopped": "stopped",
-    "stopping": "still turning",
-    "turning": "turning without run",
-}
-MODE_WORDS = {"": UNKNOWN, "remote": "REMOTE", "local": "LOCAL", "keylock": "KEYLOCK"}
-PORT_WORDS = {"open": "open", "closed": "closed"}
 
 Fields = dict[str, Any]
 """Each a text, or a list that a script of the page reads: ``setpoint`` is [raw, decimals]."""
@@ -101,9 +88,9 @@ def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:
     cause = translator.t(bus.link.cause) if bus.link.cause is not None and bus.link.link == "closed" else ""
     fields = {
         "link": bus.link.link,
-        "link_text": translator.t(PORT_WORDS[bus.link.link]),
+        "link_text": translator.t(bus.link.link),
         "baud": f"{bus.baud}",
-        "carries": translator.t("of the capacity of {baud} baud", baud=bus.baud),
+        "carries": translator.t(Message.of("wire_capacity", baud=bus.baud)),
         "cause": cause,
         "worker": "1" if bus.worker_connected else "0",
         "stale_after": f"{stale_after_s(scan_s):.2f}",
@@ -142,10 +129,8 @@ def health_fields(figures: UnitFigures, translator: Translator) -> Fields:
     median, most = figures.response_s_median, figures.response_s_max
     times = ""
     if median is not None and most is not None:
-        number = translator.formats.number
-        times = translator.t(
-            "{median} ms, at most {most} ms", median=number(1000 * median, 1), most=number(1000 * most, 1)
-        )
+        shown = [translator.formats.number(1000 * seconds, 1) for seconds in (median, most)]
+        times = translator.t(Message.of("response_times", median=shown[0], most=shown[1]))
     return {
         "responses": f"{figures.responses}",
         "timeouts": f"{figures.timeouts}",

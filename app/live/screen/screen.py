@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
-from app.live.screen.cause_text import cause_line, check_text, joined
+from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import Groups, merge_groups, put_fields
 from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
@@ -19,7 +19,7 @@ from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from bus.instants import UnixTime
-from bus.messages import listed
+from bus.messages import Message, listed
 
 LINE_GROUP = "line_summary"
 """The group of the totals: a name that no bus can have (a slug holds no underscore)."""
@@ -58,12 +58,11 @@ class Screen:
         """Render everything whose quality has changed by time alone."""
         changed: Groups = {}
         for name, bus in self.live.buses.items():
-            aged = [
-                number
-                for number, unit in bus.units.items()
-                if self.shown.get(unit_key(name, number), {}).get("link") != unit_link_now(bus, unit, now)
-                or unit_link_now(bus, unit, now) == "stale"
-            ]
+            aged = []
+            for number, unit in bus.units.items():
+                link = unit_link_now(bus, unit, now)
+                if link == "stale" or self.shown.get(unit_key(name, number), {}).get("link") != link:
+                    aged.append(number)
             merge_groups(changed, self.see(name, aged, now, include_bus=True))
         return changed
 
@@ -90,7 +89,7 @@ class Screen:
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
-        line = cause_line(cause, self.translator, now) if cause is not None else ""
+        line = cause_texts(cause, self.translator, now).line if cause is not None else ""
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",
@@ -109,10 +108,10 @@ class Screen:
         if not departed:
             return name
         if len(departed) > MAX_DEPARTED:
-            return self.translator.t("{name}, {n} units with drift", name=name, n=len(departed))
-        return self.translator.t(
-            "{name}, drift: {units}", name=name, units=self.translator.t(listed(departed))
-        )
+            message = Message.of("recipe_with_drift_of_many", name=name, n=len(departed))
+        else:
+            message = Message.of("recipe_with_drift", name=name, units=listed(departed))
+        return self.translator.t(message)
 
     def _line(self, now: UnixTime) -> Fields:
         self.entries = entries_of(self.live, self._views, self.translator, now)

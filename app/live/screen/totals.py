@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.abnormal import UnitView, all_offline, state_counts
 from app.live.diagnosis.cause import Cause, Level, bus_cause
-from app.live.screen.cause_text import cause_line, cause_text, since_text
+from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now
 from app.live.state.bus_live import LiveState
 from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
+from bus.messages import Message
 
 LEVELS: tuple[Level, ...] = (*PRIORITIES, "")
 MAX_ENTRIES = 30
@@ -63,9 +64,7 @@ def entries_of(live: LiveState, views: Views, translator: Translator, now: UnixT
             key,
             name,
             cause.level,
-            cause_text(cause, translator),
-            since_text(cause, translator, now),
-            cause_line(cause, translator, now),
+            *cause_texts(cause, translator, now),
         )
         for key, name, cause in found
     ]
@@ -84,9 +83,9 @@ def line_fields(
     worst = entries[0] if entries else None
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else _all_well(len(views), counts, translator),
+        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(_all_well(len(views), counts)),
         "at": worst.href if worst else "",
-        "counts": translator.t("{n} abnormal", n=len(entries)) if worst else "",
+        "counts": translator.t(Message.of("line_abnormal", n=len(entries))) if worst else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
         "strip": [
             [entry.key, entry.level, entry.name, entry.text, entry.since] for entry in strip_of(entries)
@@ -96,18 +95,17 @@ def line_fields(
     } | _figures(live, translator, now)
 
 
-def _all_well(units: int, counts: Counter[str], translator: Translator) -> str:
+def _all_well(units: int, counts: Counter[str]) -> Message:
     """The verdict while nothing is abnormal."""
     if units == 0:
-        return translator.t("No unit is configured")
+        return Message("line_no_units")
     if counts["at_zero"] == units:
-        return translator.tn("{n} unit at zero", "All {n} units at zero", units)
+        return Message.of("line_at_zero", n=units)
     if counts["ramping"]:
-        return translator.t("{n} of {units} ramping", n=counts["ramping"], units=units)
+        return Message.of("line_ramping", n=counts["ramping"], units=units)
     if counts["at_speed"] == units:
-        return translator.tn("{n} unit at speed", "All {n} units at speed", units)
-    at_speed = counts["at_speed"]
-    return translator.t("{n} of {units} at speed, the others at zero", n=at_speed, units=units)
+        return Message.of("line_at_speed", n=units)
+    return Message.of("line_partly_at_speed", n=counts["at_speed"], units=units)
 
 
 def holders(held_by: Mapping[str, str], translator: Translator) -> str:
@@ -119,7 +117,7 @@ def holders(held_by: Mapping[str, str], translator: Translator) -> str:
     no_one, free = translator.t("free"), len(held_by) - len(held)
     if not free and len(set(held.values())) == 1:
         [holder] = set(held.values())
-        return holder if len(held) == 1 else translator.t("{name}, every bus", name=holder)
+        return holder if len(held) == 1 else translator.t(Message.of("control_of_every_bus", name=holder))
     named = held if free > 1 else held_by
     parts = [f"{bus}: {holder or no_one}" for bus, holder in named.items()]
     if free > 1:

@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from bus.contract import BusFigures, UnitLinkState
-from bus.contract.durations import POLL_BYTES
 from bus.instants import UnixTime
-from bus.settings import BusSettings, wire_seconds
 
-if TYPE_CHECKING:
-    from app.live.state.bus_live import BusLive, UnitLive
-
-OFFLINE_SCANS = 5
 WORKER_TIMEOUT_S = 2.0
 """A worker reports its figures every second, beside the readings of its units."""
-
-
-def stale_after_s(scan_s: float) -> float:
-    """A response older than this is overdue: two seconds, or two scans where those take longer."""
-    return max(2.0, 2 * scan_s)
-
-
-def offline_after_s(scan_s: float) -> float:
-    """No response for this long: the unit counts as lost."""
-    return max(10.0, OFFLINE_SCANS * scan_s)
-
-
-def scan_s_of(bus: BusLive) -> float:
-    """How long one scan of all units takes: as the worker measured it, else what the wire allows."""
-    if bus.figures is not None and bus.figures.scan_s > 0:
-        return bus.figures.scan_s
-    return scan_s_at_best(bus.settings)
-
-
-def scan_s_at_best(settings: BusSettings) -> float:
-    """The wire time of one poll of every configured unit, seconds."""
-    return wire_seconds(len(settings.unit) * POLL_BYTES, settings.baud)
 
 
 def unit_link_now(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnitLinkState:
@@ -60,9 +32,7 @@ def worker_timed_out(bus: BusLive, now: UnixTime) -> bool:
     if not bus.worker_connected or bus.figures is None:
         return False
     since = now - WORKER_TIMEOUT_S
-    return bus.figures.at < since and all(
-        unit.reading is None or unit.reading.at < since for unit in bus.units.values()
-    )
+    return bus.figures.at < since and (bus.read_at is None or bus.read_at < since)
 
 
 def figures_now(bus: BusLive, now: UnixTime) -> BusFigures | None:

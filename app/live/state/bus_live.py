@@ -16,10 +16,10 @@ import structlog
 
 from app.conditions.evidence import follower as follower
 from app.conditions.evidence import reads_ratio
-from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.conditions import bits_of, conditions_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.values import MAX_DECIMALS, RATIO_DECIMALS
 from bus.contract import (
@@ -88,6 +88,8 @@ class BusLive:
     """Since when no worker is connected; None while one is."""
     figures: BusFigures | None = None
     units: dict[int, UnitLive] = field(default_factory=dict)
+    read_at: UnixTime | None = None
+    """When the newest reading of any unit was made."""
     _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
 
     @property
@@ -168,6 +170,7 @@ class BusLive:
 
     def take_reading(self, unit: UnitLive, reading: Reading) -> None:
         unit.reading = reading
+        self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
         unit.onsets.see(reading.at, conditions_of(bits, reading), offline_after_s(scan_s))

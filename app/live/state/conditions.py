@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from app.conditions.catalogue import STATUS
+from app.conditions.evidence import BusValues, UnitValues
 from bus.catalogue.numbers import CONTROL_MODE
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import Reading
-
-if TYPE_CHECKING:
-    from app.live.state.bus_live import BusLive, UnitLive
 
 KEYLOCK = 2
 """#19 of a unit whose keypad is locked (manual, 4.0)."""
 _TURNING = frozenset(("turning",))
 
 
-def bits_of(bus: BusLive, reading: Reading) -> StatusBits:
+def bits_of(bus: BusValues, reading: Reading) -> StatusBits:
     """The bits of a reading in the dialect of its bus."""
     return status_bits(reading.outputs, reading.inputs, bus.settings.estop_healthy)
 
@@ -28,7 +25,7 @@ def is_driven(bits: StatusBits) -> bool:
     return bits.run and not bits.estop_active
 
 
-def mode_of(unit: UnitLive, bits: StatusBits) -> str:
+def mode_of(unit: UnitValues, bits: StatusBits) -> str:
     """``remote`` is from the unit (ST2); LOCAL and KEYLOCK are distinguished by #19."""
     if bits.remote:
         return "remote"

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from app.conditions.catalogue import STATUS
 from app.errors import StoreError
-from app.live.state.age import offline_after_s, scan_s_of
 from app.live.state.bus_live import BusLive, LiveState
 from app.live.state.onset import Onset, WordSpan, onset_in
+from app.live.state.scan_time import offline_after_s, scan_s_of
 from bus.catalogue.status import status_bits
 from bus.instants import Clock, UnixTime
 

@@ -6,30 +6,30 @@ from typing import Any
 
 import pytest
 
+from app.live.browsers.broadcast import Broadcast
 from app.live.browsers.browser import Browser
 from app.live.browsers.flow import FEW_PAGES
-from app.live.browsers.readers import Readers
 from tests.app.screens import line, screen
 
 GROUP = "dry/1"
 
 
-def readers() -> Readers:
-    return Readers(screen(line()), lambda: 100.0)
+def broadcast() -> Broadcast:
+    return Broadcast(screen(line()), lambda: 100.0)
 
 
 async def sent(browser: Browser) -> list[dict[str, Any]]:
     return [json.loads(text) for text in await browser.next()]
 
 
-def joined(made: Readers) -> Browser:
+def joined(made: Broadcast) -> Browser:
     browser = Browser("anna", "operator", "en")
     made.join(browser)
     return browser
 
 
-async def test_few_readers_are_updated_at_once() -> None:
-    made = readers()
+async def test_few_pages_are_updated_at_once() -> None:
+    made = broadcast()
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
     made.publish({GROUP: {"actual": "2"}})
@@ -39,7 +39,7 @@ async def test_few_readers_are_updated_at_once() -> None:
 
 
 async def test_among_very_many_delayed_changes_go_as_one() -> None:
-    made = readers()
+    made = broadcast()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -53,7 +53,7 @@ async def test_among_very_many_delayed_changes_go_as_one() -> None:
 
 
 async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
-    made = readers()
+    made = broadcast()
     made.flow.share(FEW_PAGES + 1)
     joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -63,8 +63,8 @@ async def test_a_page_that_opens_meanwhile_misses_no_number() -> None:
     assert (snapshot["n"], diff["p"]) == (1, 1)
 
 
-async def test_nothing_is_kept_without_readers() -> None:
-    made = readers()
+async def test_nothing_is_kept_without_pages() -> None:
+    made = broadcast()
     made.flow.share(FEW_PAGES + 1)
     browser = joined(made)
     made.publish({GROUP: {"actual": "1"}})
@@ -80,14 +80,14 @@ async def test_nothing_is_kept_without_readers() -> None:
 
 @pytest.mark.parametrize(("always", "number"), [(False, 0), (True, 1)])
 async def test_without_changes_only_a_heartbeat_is_sent(always: bool, number: int) -> None:
-    made = readers()
+    made = broadcast()
     joined(made)
     made.publish({}, always=always)
     assert made.number == number
 
 
 async def test_no_reader_is_always_the_last() -> None:
-    made, order = readers(), list[str]()
+    made, order = broadcast(), list[str]()
 
     class Noting:
         def __init__(self, name: str) -> None:

@@ -19,8 +19,8 @@ from bus.instants import Clock
 
 
 @dataclass(eq=False, slots=True)
-class Readers:
-    """Who reads a language, and how far all of them are. ``clock``: seconds since the epoch."""
+class Broadcast:
+    """Sends what changes to every open page of one language. ``clock`` returns Unix time in seconds."""
 
     screen: Screen
     clock: Clock
