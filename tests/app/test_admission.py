@@ -84,24 +84,34 @@ async def test_a_function_that_fails_does_not_keep_the_others() -> None:
     assert (begun, len(faults)) == (["first", "third"], 1)
 
 
+class Requests:
+    """Requests of one client, admitted to an app that does nothing."""
+
+    def __init__(self) -> None:
+        self.ended = list[str]()
+        """Their paths, in the order in which they ended."""
+        self._admission = RequestAdmission(self._app)
+
+    async def _app(self, scope: Scope, _receive: Receive, _send: Send) -> None:
+        self.ended.append(scope["path"])
+
+    async def request(self, path: str, *headers: tuple[bytes, bytes]) -> None:
+        async def receive() -> Message:
+            return {"type": "http.disconnect"}
+
+        async def send(_: Message) -> None: ...
+
+        scope: Scope = {"type": "http", "path": path, "headers": list(headers), "client": ("192.0.2.1", 1)}
+        await self._admission(scope, receive, send)
+
+
 async def test_polls_of_health_take_turns_among_themselves() -> None:
-    ended = list[str]()
-
-    async def app(scope: Scope, _receive: Receive, _send: Send) -> None:
-        ended.append(scope["path"])
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(_: Message) -> None: ...
-
-    scope: Scope = {"type": "http", "path": HEALTH, "headers": [], "client": ("192.0.2.1", 1)}
-    in_turn = RequestAdmission(app)
-    tasks = [asyncio.create_task(in_turn(scope, receive, send)) for _ in range(100)]
+    requests = Requests()
+    ended = requests.ended
+    tasks = [asyncio.create_task(requests.request(HEALTH)) for _ in range(100)]
     await asyncio.sleep(0)
     assert len(ended) == 1
-    other = {**scope, "path": "/", "headers": [(b"cookie", b"a")]}
-    await in_turn(other, receive, send)
+    await requests.request("/", (b"cookie", b"a"))
     assert len(ended) < 5
     await asyncio.gather(*tasks)
 
@@ -121,22 +131,10 @@ async def test_who_gave_up_waiting_costs_the_others_nothing() -> None:
 
 
 async def test_health_responds_before_a_thousand_requests() -> None:
-    ended = list[str]()
-
-    async def app(scope: Scope, _receive: Receive, _send: Send) -> None:
-        ended.append(scope["path"])
-
-    async def receive() -> Message:
-        return {"type": "http.disconnect"}
-
-    async def send(_: Message) -> None: ...
-
-    def request(path: str) -> Scope:
-        return {"type": "http", "path": path, "headers": [], "client": ("192.0.2.1", 1)}
-
-    in_turn = RequestAdmission(app)
-    tasks = [asyncio.create_task(in_turn(request("/login"), receive, send)) for _ in range(1000)]
-    tasks.append(asyncio.create_task(in_turn(request(HEALTH), receive, send)))
+    requests = Requests()
+    ended = requests.ended
+    tasks = [asyncio.create_task(requests.request("/login")) for _ in range(1000)]
+    tasks.append(asyncio.create_task(requests.request(HEALTH)))
     while HEALTH not in ended:  # noqa: ASYNC110
         await asyncio.sleep(0)
     assert len(ended) < 5

@@ -217,16 +217,15 @@ async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(hous
     viewer = await house.signed_in(Role.VIEWER)
     assert head(await page(viewer, "/events")) == ("", "", "", "")
     estop(house, active=True)
-    name, now = house.services[LineAlarms].place(BUS, 1), house.services[Templates].formats("en")
+    name = house.services[LineAlarms].place(BUS, 1)
+    came = facts_of(house).came or unix_now()
+    since = house.services[Templates].formats("en").since(came, came)
     for path in ("/", "/events", "/alarms"):
         mark, text, state, more = head(await page(viewer, path))
         assert (mark, text, more) == ("urgent waiting", f"{name} · Emergency stop", "")
-        assert state == f"active since {now.since(unix_now(), unix_now())}"
+        assert state == f"active since {since}"
     viewer.headers["Accept-Language"] = "de"
-    assert head(await page(viewer, "/events"))[1:3] == (
-        f"{name} · Not-Halt",
-        f"aktiv seit {now.since(unix_now(), unix_now())}",
-    )
+    assert head(await page(viewer, "/events"))[1:3] == (f"{name} · Not-Halt", f"aktiv seit {since}")
     assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in await page(viewer, "/")
 
 

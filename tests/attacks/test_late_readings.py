@@ -16,7 +16,7 @@ from app.feed.late import FIRST_S
 from app.feed.rates import MAX_VALUES_AT_ONCE
 from app.feed.workers import Workers
 from app.history.intake.tail import Tail
-from app.history.series.runs import HOUR, Run, micros
+from app.history.series.runs import HOUR, Run, merge, micros
 from app.history.service import History
 from app.history.store import tables
 from app.live.change_recorder import ChangeRecorder
@@ -50,9 +50,10 @@ async def stored(house: House, begin: float, end: float) -> list[int]:
         key, span = tables.find_unit(connection, BUS, 1), (micros(begin), micros(end))
         if key is None:
             return []
-        blocks = tables.raw_between(connection, key, span[0] - HOUR, span[1])
-        inside = [run for run in blocks if span[0] <= run.at < span[1]]
-        return inside + tail.runs(key, *span)
+        recent = tail.runs(key, *span)
+        # A minute that is folded between the two reads is in both.
+        blocks = merge(tables.raw_between(connection, key, span[0] - HOUR, span[1]), recent)
+        return [run for run in blocks if span[0] <= run.at < span[1]]
 
     return [run.actual for run in await history.read(read) for _ in range(run.readings)]
 

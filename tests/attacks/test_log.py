@@ -151,6 +151,7 @@ def lines(served: Site) -> list[str]:
     return [line for line in logged if '"bus": "line"' not in line or '"level": "info"' not in line]
 
 
-def test_a_refused_worker_is_one_line_with_its_address(served: Site) -> None:
+def test_a_refused_worker_is_one_line_with_its_address(served: Site, target: Target) -> None:
+    exchange(target, *bodies(target)["worker token"])
     shown = eventually(lambda: [line for line in lines(served) if "request refused" in line], "a line")
     assert {json.loads(line)["address"] for line in shown} == {"127.0.0.1"}

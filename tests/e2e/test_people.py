@@ -197,6 +197,8 @@ def staged_and_saved(site: Site, holder: httpx.Client) -> Iterator[int]:
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 600}).status_code == 200
     eventually(lambda: site.unit(1)["commanded_raw"] == 600, "unit 1 at 60.0")
+    for unit in (1, 2):  # a recipe needs the mode of each, which is read after the start
+        holder.get(f"{api}/units/{unit}/parameters", params={"refresh": "true"}).raise_for_status()
     recipe = holder.post(f"{api}/recipes", json={"name": "Fast", "setpoints": {"1": 900, "2": 610}}).json()
     yield int(recipe["id"])
     holder.put(f"{api}/units/1/limits", json={})
