@@ -18,12 +18,9 @@ from bus.settings import BusSettings
 from bus.validation import fault_message
 
 KeyStep = str | int
+KeyPath = tuple[KeyStep, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
-_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-_NAME = r"""[A-Za-z0-9_-]+|"[^"]*"|'[^']*'"""
-_PART = re.compile(_NAME)
-_KEY = re.compile(rf"^\s*((?:{_NAME})(?:\s*\.\s*(?:{_NAME}))*)\s*=")
 _SYNTAX_PLACE = re.compile(r"\(at (?:line (\d+), column \d+|end of document)\)")
 
 
@@ -99,7 +96,7 @@ class LineNumbers:
     def __init__(self, text: str) -> None:
         self._places = dict(_places(text))
 
-    def of(self, path: tuple[KeyStep, ...]) -> int:
+    def of(self, path: KeyPath) -> int:
         """The line (from 1) of a key, or of what it would stand in."""
         for length in range(len(path), 0, -1):
             if path[:length] in self._places:
@@ -107,51 +104,45 @@ class LineNumbers:
         return 1
 
 
-def _parts(dotted: str) -> tuple[str, ...]:
-    return tuple(part.strip("\"'") for part in _PART.findall(dotted))
+def _places(text: str) -> Iterator[tuple[KeyPath, int]]:
+    """Yield each table and key with its line: the text is parsed statement by statement."""
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    statement, begins = "", 1
+    for number, line in enumerate(text.splitlines(), 1):
+        statement += f"{line}\n"
+        try:
+            parsed = tomllib.loads(statement)
+        except tomllib.TOMLDecodeError:
+            continue  # A value of several lines.
+        if statement.lstrip().startswith("["):
+            table = _table(parsed, counts)
+            yield table, begins
+        else:
+            yield from ((table + path, begins) for path in _keys_in(parsed))
+        statement, begins = "", number + 1
 
 
-def _places(text: str) -> Iterator[tuple[tuple[KeyStep, ...], int]]:
-    counts: dict[tuple[KeyStep, ...], int] = {}
-    table: tuple[KeyStep, ...] = ()
-    lines = text.splitlines()
-    number = 0
-    while number < len(lines):
-        header, key = _HEADER.match(lines[number]), _KEY.match(lines[number])
-        if header:
-            table = _table(_parts(header[2]), counts, is_new=header[1] == "[[")
-            yield table, number + 1
-        elif key:
-            parts = _parts(key[1])
-            for length in range(1, len(parts) + 1):
-                yield table + parts[:length], number + 1
-            number += _lines_of_value(lines[number:])
-        number += 1
-
-
-def _table(
-    parts: tuple[str, ...], counts: dict[tuple[KeyStep, ...], int], *, is_new: bool
-) -> tuple[KeyStep, ...]:
+def _table(header: dict[str, Any], counts: dict[KeyPath, int]) -> KeyPath:
     """The path of a header, with the index of the present element after each name of an array."""
-    path: tuple[KeyStep, ...] = ()
-    for index, part in enumerate(parts):
-        path += (part,)
-        if is_new and index == len(parts) - 1:
+    path: KeyPath = ()
+    while header:
+        [(name, inside)] = header.items()
+        path += (name,)
+        if isinstance(inside, list):
             counts[path] = counts.get(path, -1) + 1
+            inside = inside[0]
         if path in counts:
             path += (counts[path],)
+        header = inside
     return path
 
 
-def _lines_of_value(lines: list[str]) -> int:
-    """How many lines after the first one a value takes."""
-    for extra in range(len(lines)):
-        try:
-            tomllib.loads("\n".join(lines[: extra + 1]))
-        except tomllib.TOMLDecodeError:
-            continue
-        return extra
-    return 0
+def _keys_in(table: dict[str, Any]) -> Iterator[KeyPath]:
+    for name, value in table.items():
+        yield (name,)
+        if isinstance(value, dict):
+            yield from ((name, *rest) for rest in _keys_in(value))
 
 
 def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: ErrorDetails) -> Message:
@@ -160,7 +151,7 @@ def _fault(path: Path, lines: LineNumbers, model: type[BaseModel], details: Erro
     return Message.of("configuration_fault", file=str(path), line=lines.of(place), fault=fault)
 
 
-def _fault_message(model: type[BaseModel], place: tuple[KeyStep, ...], details: ErrorDetails) -> Message:
+def _fault_message(model: type[BaseModel], place: KeyPath, details: ErrorDetails) -> Message:
     key = str(place[-1]) if place else "the file"
     if details["type"] == "extra_forbidden":
         return _unknown_key(model, place)
@@ -176,14 +167,14 @@ def _fault_message(model: type[BaseModel], place: tuple[KeyStep, ...], details: 
     return Message.of("configuration_value", key=names, value=repr(details["input"]), right=right)
 
 
-def _inside(place: tuple[KeyStep, ...]) -> str:
+def _inside(place: KeyPath) -> str:
     names = ".".join(step for step in place[:-1] if isinstance(step, str))
     if not names:
         return "the file"
     return f"[[{names}]]" if isinstance(place[-2], int) else f"[{names}]"
 
 
-def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> Message:
+def _unknown_key(model: type[BaseModel], place: KeyPath) -> Message:
     known = _keys(model, place[:-1])
     near = difflib.get_close_matches(str(place[-1]), known, 1)
     right = (
@@ -194,7 +185,7 @@ def _unknown_key(model: type[BaseModel], place: tuple[KeyStep, ...]) -> Message:
     return Message.of("configuration_key_unknown", key=str(place[-1]), table=_inside(place), right=right)
 
 
-def _keys(annotation: Any, place: tuple[KeyStep, ...]) -> list[str]:
+def _keys(annotation: Any, place: KeyPath) -> list[str]:
     """The keys that are valid at a place of a model."""
     if get_origin(annotation) is Annotated:
         return _keys(get_args(annotation)[0], place)
