@@ -1,7 +1,5 @@
 """A message as data, and the English text of every code."""
 
-from bus.messages.catalog import ENGLISH as ENGLISH
-from bus.messages.catalog import Catalog as Catalog
 from bus.messages.message import LIST as LIST
 from bus.messages.message import NUMBER as NUMBER
 from bus.messages.message import TERM as TERM
@@ -13,5 +11,7 @@ from bus.messages.message import listed as listed
 from bus.messages.message import number as number
 from bus.messages.message import shown as shown
 from bus.messages.message import term as term
+from bus.messages.texts import ENGLISH as ENGLISH
 from bus.messages.texts import TEXTS as TEXTS
+from bus.messages.texts import Catalog as Catalog
 from bus.messages.texts import Plural as Plural

@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from bus.messages.catalog import ENGLISH, Catalog
+from bus.messages.texts import ENGLISH, Catalog
 
 DEEPEST = 8
 """Messages inside messages."""

@@ -1,10 +1,10 @@
-"""The English text of every message, from the file ``texts.toml`` beside the code that uses it."""
+"""The texts of a language, and those in English, from the ``texts.toml`` beside the code that uses them."""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 
 class Plural(NamedTuple):
@@ -26,11 +26,40 @@ def add_texts(package: Path) -> None:
             found = tomllib.load(file)
         if twice := found.keys() & TEXTS.keys():
             raise ValueError(f"{path}: {', '.join(sorted(twice))} is also in another texts.toml")
-        TEXTS.update({code: _text(of) for code, of in found.items()})
-
-
-def _text(found: str | dict[str, str]) -> EnglishText:
-    return found if isinstance(found, str) else Plural(**found)
+        for code, text in found.items():
+            TEXTS[code] = text if isinstance(text, str) else Plural(**text)
 
 
 add_texts(Path(__file__).parents[1])
+
+
+class Catalog(Protocol):
+    """The texts of one language."""
+
+    @property
+    def point(self) -> str:
+        """The decimal sign."""
+
+    def template(self, code: str, n: object) -> str | None:
+        """The text of a message, names in braces, for ``n`` things where it counts; None: no such code."""
+
+    def term(self, text: str) -> str:
+        """A fixed word of the program in this language."""
+
+
+class EnglishCatalog:
+    """The English texts, for the log, the command line and ``detail`` of the API."""
+
+    point = "."
+
+    def template(self, code: str, n: object) -> str | None:
+        text = TEXTS.get(code)
+        if isinstance(text, Plural):
+            return text.one if n == 1 else text.many
+        return text
+
+    def term(self, text: str) -> str:
+        return text
+
+
+ENGLISH = EnglishCatalog()
