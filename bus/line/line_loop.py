@@ -221,7 +221,7 @@ class LineLoop:
         now = self.clock.now()
         self._port_closed(cause)
         if now - self._closed_at > CLOSED_TO_OFFLINE_S:
-            self._events += self.roster.port_stays_closed(self.clock.epoch(now), cause)
+            self._events += self.roster.port_closed(self.clock.epoch(now), cause, long=True)
         self._report()
 
     def _port_opened(self, port: OpenPort) -> None:
@@ -306,7 +306,7 @@ class LineLoop:
                 progress = Progress(command_id, at, effect.stage, effect.unit, effect.done, effect.of)
                 self._events.append(progress)
             case Unstage():
-                self._events += self.roster.unstage(effect.unit, at)
+                self._events += self.roster.stage(effect.unit, None, at)
             case Retune(baud=baud):
                 self._retune(baud)
             case ExpectBaud(baud=baud):

@@ -9,18 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
+from msgspec.structs import asdict
+
 from bus.catalogue.parameters import PARAMETERS
-from bus.contract import (
-    ParameterValue,
-    Reading,
-    Staged,
-    UnitLink,
-    UnitLinkState,
-    UnitState,
-)
+from bus.contract import ParameterValue, Reading, Staged, UnitLink, UnitLinkState, UnitState
 from bus.errors import UnitErrorCode
 from bus.instants import UnixTime
-from bus.line.statistics.unit_statistics import UnitStatistics
+from bus.line.statistics.counters import UnitStatistics
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,
@@ -103,15 +98,10 @@ class Roster:
         return unit in self._known
 
     def states(self) -> list[UnitState]:
+        records = map(self._records.__getitem__, self.configured)
         return [
-            UnitState(
-                unit=record.unit,
-                link=record.link,
-                reading=record.reading,
-                parameters=list(record.parameters.values()),
-                staged=record.staged,
-            )
-            for record in map(self._records.__getitem__, self.configured)
+            UnitState(each.unit, each.link, each.reading, list(each.parameters.values()), each.staged)
+            for each in records
         ]
 
     # --- responses of a unit -------------------------------------------------------------------
@@ -129,15 +119,7 @@ class Roster:
             case ReadParameterRequest(number=number), _ if is_probe or number not in PARAMETERS:
                 pass
             case _, StatusReply():
-                record.reading = Reading(
-                    unit=reply.unit,
-                    at=at,
-                    commanded=reply.commanded,
-                    actual=reply.actual,
-                    analog=reply.analog,
-                    outputs=reply.outputs,
-                    inputs=reply.inputs,
-                )
+                record.reading = Reading(at=at, **asdict(reply))
                 updates.append(record.reading)
             case ReadParameterRequest(number=number), _:
                 value = parameter_value(record.unit, number, reply, at, frame)
@@ -145,14 +127,10 @@ class Roster:
                     record.parameters[number] = value
                     updates.append(value)
             case StageSpeedRequest(), Ack():
-                updates += self._stage(record, request.raw, at)
+                updates += self.stage(record.unit, request.raw, at)
             case ((ExecuteSpeedRequest() | SetAndExecuteSpeedRequest()), Ack()):
-                updates += self._stage(record, None, at)
+                updates += self.stage(record.unit, None, at)
         return updates if self.is_configured(record.unit) else []
-
-    def unstage(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
-        """``unit`` holds no staged speed any more."""
-        return self._stage(self[unit], None, at)
 
     def missed(self, unit: int, at: UnixTime) -> list[UnitUpdate]:
         """Count a request without a response."""
@@ -164,25 +142,20 @@ class Roster:
             return self._link(record, "stale", at, Message("response_overdue"))
         return []
 
-    def port_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """Note that no unit can be polled: units that were online are stale from now on."""
-        return self._all("online", "stale", at, cause)
-
-    def port_stays_closed(self, at: UnixTime, cause: Message | None) -> list[UnitUpdate]:
-        """Note that the port has been closed for long: units that were stale count as lost."""
-        return self._all("stale", "offline", at, cause)
-
-    def _all(
-        self, was: UnitLinkState, becomes: UnitLinkState, at: UnixTime, cause: Message | None
-    ) -> list[UnitUpdate]:
+    def port_closed(self, at: UnixTime, cause: Message, *, long: bool = False) -> list[UnitUpdate]:
+        """Note that no unit can be polled: who was online is stale, and after ``long`` offline."""
+        was: UnitLinkState = "stale" if long else "online"
+        becomes: UnitLinkState = "offline" if long else "stale"
         records = [record for record in self._records.values() if record.link.link == was]
         return [update for record in records for update in self._link(record, becomes, at, cause)]
 
-    def _stage(self, record: UnitRecord, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
+    def stage(self, unit: int, raw: int | None, at: UnixTime) -> list[UnitUpdate]:
+        """Note that ``unit`` has staged ``raw``; None: it holds no staged speed any more."""
+        record = self[unit]
         if record.staged == raw:
             return []
         record.staged = raw
-        return [Staged(unit=record.unit, at=at, raw=raw)]
+        return [Staged(unit, at, raw)]
 
     def _link(
         self, record: UnitRecord, link: UnitLinkState, at: UnixTime, cause: Message | None

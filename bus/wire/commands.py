@@ -6,6 +6,8 @@ from typing import ClassVar, NamedTuple
 
 import msgspec
 
+from bus.catalogue.parameters import PARAMETERS
+
 LARGEST_VALUE = 99999
 """0001869Fh, the end of every speed and value range on the link."""
 
@@ -147,3 +149,10 @@ Reply = StatusReply | Ack | Nak | ParameterReply
 def is_write(request: Request) -> bool:
     """Whether ``request`` can change anything in a unit."""
     return not isinstance(request, ReadStatusRequest | ReadParameterRequest)
+
+
+def is_secret(request: Request) -> bool:
+    """Whether the frames of this exchange carry a value that may not be shown or kept (#21)."""
+    if not isinstance(request, ReadParameterRequest | WriteParameterRequest):
+        return False
+    return request.number in PARAMETERS and PARAMETERS[request.number].secret

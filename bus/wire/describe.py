@@ -7,7 +7,7 @@ its command nor its parameter; where the request is not known, the text states w
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from bus.catalogue.parameters import PARAMETERS
@@ -31,6 +31,7 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    is_secret,
 )
 from bus.wire.framing import ACK, NAK, FrameDecoder, Noise, Received, ReceivedFrame, checksum
 
@@ -56,12 +57,8 @@ class Described:
 
     def as_json(self) -> dict[str, Json]:
         """The object of ``lineside decode --json``."""
-        return {
-            "uid": self.uid,
-            "kind": self.kind,
-            "fields": self.fields,
-            "checksum_ok": self.checksum_ok,
-        }
+        names = ("uid", "kind", "fields", "checksum_ok")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,24 +81,21 @@ class Describer:
         described: list[Described | DescribedNoise] = []
         for item in received:
             if isinstance(item, ReceivedFrame):
-                described.append(self._frame(item.body, item.wire))
+                frame = _described(item.body, item.wire, self._dialect, self._request)
+                self._request = frame.request
+                described.append(frame)
             elif isinstance(item, Noise):
                 described.append(self._noise(item))
-        return described
-
-    def _frame(self, body: bytes, wire: bytes) -> Described:
-        described = describe_body(body, wire, self._dialect, self._request)
-        self._request = described.request
         return described
 
     def _noise(self, noise: Noise) -> Described | DescribedNoise:
         if not noise.body:
             reason = Message(f"noise_{noise.reason.value}")
             return DescribedNoise(noise.data, Message.of("noise", count=len(noise.data), reason=reason))
-        described = describe_body(noise.body, noise.data, self._dialect, None)
+        frame = _described(noise.body, noise.data, self._dialect, None)
         right = f"{checksum(noise.body):02X}"
-        meaning = Message.of("frame_checksum_wrong", right=right, frame=described.meaning)
-        return Described(described.uid, described.kind, described.fields, meaning, noise.data, False)
+        meaning = Message.of("frame_checksum_wrong", right=right, frame=frame.meaning)
+        return replace(frame, meaning=meaning, checksum_ok=False, request=None)
 
 
 def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Described | DescribedNoise]:
@@ -111,7 +105,7 @@ def describe_bytes(data: bytes, dialect: Dialect | None = None) -> list[Describe
     return Describer(dialect).describe([*decoder.feed(data), *decoder.flush()])
 
 
-def describe_body(body: bytes, wire: bytes, dialect: Dialect, request: Request | None = None) -> Described:
+def _described(body: bytes, wire: bytes, dialect: Dialect, request: Request | None) -> Described:
     """Describe the ``body`` of a good frame; ``request`` is the one that it may respond to."""
     if body[1] == ACK or body[1] == NAK:
         kind, fields, meaning = _response_detail(body, dialect, request)
@@ -124,13 +118,6 @@ def describe_body(body: bytes, wire: bytes, dialect: Dialect, request: Request |
         fields = {"command": f"{body[1]:02X}", "data": body[2:].hex(" ").upper()}
         kind, meaning = "unknown", error.message
     return Described(body[0], kind, fields, _of_unit(body[0], meaning), wire, request=parsed)
-
-
-def is_secret(request: Request) -> bool:
-    """Whether the frames of this exchange carry a value that may not be shown or kept (#21)."""
-    if not isinstance(request, ReadParameterRequest | WriteParameterRequest):
-        return False
-    return request.number in PARAMETERS and PARAMETERS[request.number].secret
 
 
 # --- requests ------------------------------------------------------------------------------------

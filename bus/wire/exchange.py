@@ -23,11 +23,10 @@ import msgspec
 
 from bus.instants import Monotonic
 from bus.settings import Dialect
-from bus.wire.bodies import parse_reply
-from bus.wire.commands import Reply, Request
+from bus.wire.bodies import parse_reply, request_body
+from bus.wire.commands import Reply, Request, is_secret
 from bus.wire.fence import PendingResponses
-from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame
-from bus.wire.prepared import prepare
+from bus.wire.framing import DoubledChecksum, FrameDecoder, Noise, ReceivedFrame, encode_frame
 
 
 class Responded(msgspec.Struct, frozen=True):
@@ -84,8 +83,9 @@ class Exchange:
         pending: PendingResponses | None = None,
     ) -> None:
         self.request = request
-        self.prepared = prepare(request, dialect)
-        self.sent = self.prepared.wire
+        self._body = request_body(request, dialect)
+        self.sent = encode_frame(self._body, dialect)
+        self.secret = is_secret(request)
         self.decoder = decoder or FrameDecoder(dialect)
         self.awaiting = request.unit != 0
         self.reply: Reply | None = None
@@ -125,7 +125,7 @@ class Exchange:
         self.awaiting = False
 
     def _classify(self, frame: ReceivedFrame) -> ExchangeEvent:
-        if frame.body == self.prepared.body:
+        if frame.body == self._body:
             return Echo(frame)
         unit = frame.body[0]
         if unit != self.request.unit:

@@ -34,8 +34,7 @@ import msgspec
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.errors import UnitErrorCode
 from bus.settings import Dialect
-from bus.wire.commands import TRAITS, ReadParameterRequest, ReadStatusRequest, Request, is_write
-from bus.wire.describe import is_secret
+from bus.wire.commands import TRAITS, ReadParameterRequest, ReadStatusRequest, Request, is_secret, is_write
 from bus.wire.framing import ACK, NAK
 from bus.wire.lengths import acknowledged_lengths
 
@@ -47,14 +46,17 @@ MAX_OUTSTANDING = 32
 MAX_FENCES_PLANNED = 4
 """Ahead; each may double what is looked at."""
 
-_ILLEGAL_COMMAND = frozenset((UnitErrorCode.ILLEGAL_COMMAND, UnitErrorCode.ILLEGAL_COMMAND_DFS))
-
 
 class Shape(NamedTuple):
     """ACK and the number of data bytes, or NAK and the error code."""
 
     mark: int
     detail: int
+
+
+_ILLEGAL_COMMAND = frozenset(
+    (Shape(NAK, UnitErrorCode.ILLEGAL_COMMAND), Shape(NAK, UnitErrorCode.ILLEGAL_COMMAND_DFS))
+)
 
 
 def shape_of(body: bytes) -> Shape | None:
@@ -75,20 +77,13 @@ def ordinary_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
 
 def possible_shapes(request: Request, dialect: Dialect) -> frozenset[Shape]:
     """Return the shape of every response that ``request`` can cause."""
-    if request.unit == 0:
-        return frozenset()
-    return _possible(request.COMMAND, acknowledged_lengths(request, dialect))
+    return ordinary_shapes(request, dialect) | (_ILLEGAL_COMMAND if request.unit else frozenset())
 
 
 @cache
 def _ordinary(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
     acks = {Shape(ACK, length) for length in lengths}
     return frozenset(acks | {Shape(NAK, code) for code in TRAITS[command].refusals})
-
-
-@cache
-def _possible(command: int, lengths: frozenset[int]) -> frozenset[Shape]:
-    return _ordinary(command, lengths) | {Shape(NAK, code) for code in _ILLEGAL_COMMAND}
 
 
 class ShapedResponse(NamedTuple):
@@ -242,10 +237,6 @@ class PendingByUnit:
         """Return the late and duplicate responses of ``unit`` as of a request sent to it now."""
         pending = self._units.get(unit) or PendingResponses(unit, self._dialect)
         return pending if unit == self._last_unit else pending.moved_on()
-
-    def fence_before(self, request: Request) -> Request | None:
-        """Return the read to send before ``request``; None where it may follow at once."""
-        return self.about(request.unit).fence_before(request) if request.unit else None
 
     def may_hold_secret(self, unit: int) -> bool:
         """Return whether a response of ``unit`` may still bring a value that must not be shown (#21)."""

@@ -20,8 +20,9 @@ from bus.wire.commands import (
     ReadStatusRequest,
     StatusReply,
     WriteParameterRequest,
+    is_secret,
 )
-from bus.wire.describe import Described, DescribedNoise, describe_bytes, is_secret
+from bus.wire.describe import Described, DescribedNoise, describe_bytes
 
 PLAIN = Dialect()
 FRAMES: list[dict[str, Any]] = json.loads(

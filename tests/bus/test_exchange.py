@@ -17,10 +17,12 @@ from bus.wire.commands import (
     ReadParameterRequest,
     ReadStatusRequest,
     Reply,
+    Request,
     SetAndExecuteSpeedRequest,
     StageSpeedRequest,
     StatusReply,
     WriteOutputRequest,
+    WriteParameterRequest,
 )
 from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingResponses
@@ -42,9 +44,23 @@ def test_the_request_is_sent() -> None:
     assert Exchange(StageSpeedRequest(4, 528), PLAIN).sent == encode_request(StageSpeedRequest(4, 528), PLAIN)
 
 
-def test_a_bad_request_makes_no_exchange() -> None:
+@pytest.mark.parametrize(
+    "bad",
+    [
+        StageSpeedRequest(4, 100_000),
+        ReadStatusRequest(0),
+        ReadStatusRequest(256),
+        ReadParameterRequest(1, 0),
+    ],
+)
+def test_a_bad_request_makes_no_exchange(bad: Request) -> None:
     with pytest.raises(CallerError):
-        Exchange(StageSpeedRequest(4, 100_000), PLAIN)
+        Exchange(bad, PLAIN)
+
+
+def test_the_exchange_of_a_password_is_secret() -> None:
+    assert Exchange(WriteParameterRequest(1, 21, 4711), PLAIN).secret
+    assert not Exchange(ReadParameterRequest(1, 20), PLAIN).secret
 
 
 def test_the_response() -> None:

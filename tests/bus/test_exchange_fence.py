@@ -60,7 +60,7 @@ WRITES = [request for request in ALL if is_write(request)]
 def fence_needed(timed_out: Request, following: Request) -> bool:
     line = PendingByUnit(PLAIN)
     line.after(PendingResponses(timed_out.unit, PLAIN).sent(timed_out))
-    return line.fence_before(following) is not None
+    return line.about(following.unit).fence_before(following) is not None
 
 
 class TestTheTable:
@@ -162,20 +162,20 @@ class TestPendingByUnit:
     def test_a_request_to_another_unit_discards_the_last_response(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(1, PLAIN).sent(READ).received(b"\x01\x06\x02"))
-        assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
+        assert pending.about(1).fence_before(ReadParameterRequest(1, 4)) == POLL
         pending.after(PendingResponses(2, PLAIN).sent(ReadStatusRequest(2)))
-        assert pending.fence_before(ReadParameterRequest(1, 4)) is None
+        assert pending.about(1).fence_before(ReadParameterRequest(1, 4)) is None
 
     def test_a_lost_request_is_remembered_past_other_units(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(1, PLAIN).sent(READ))
         pending.after(PendingResponses(2, PLAIN).sent(ReadStatusRequest(2)))
-        assert pending.fence_before(ReadParameterRequest(1, 4)) == POLL
+        assert pending.about(1).fence_before(ReadParameterRequest(1, 4)) == POLL
 
     def test_a_broadcast_needs_no_fence_and_leaves_none(self) -> None:
         pending = PendingByUnit(PLAIN)
         pending.after(PendingResponses(0, PLAIN))
-        assert pending.fence_before(ExecuteSpeedRequest(0)) is None
+        assert pending.about(0).fence_before(ExecuteSpeedRequest(0)) is None
 
 
 # --- a unit with arbitrary delays ------------------------------------------------------------------
@@ -235,7 +235,7 @@ def test_no_late_or_duplicate_response_is_ever_taken_for_another(
     unit, pending, writes = LateUnit(data), PendingByUnit(PLAIN), 0
     for context in wanted:
         for _ in range(6):
-            request = pending.fence_before(context) or context
+            request = pending.about(1).fence_before(context) or context
             sent = Sent(request, writes)
             writes += is_write(request)
             exchange = Exchange(request, PLAIN, pending=pending.about(1))

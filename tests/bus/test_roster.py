@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bus.contract import ParameterValue, Reading, Staged, UnitLink
 from bus.line.roster import Roster
-from bus.line.statistics.unit_statistics import ResponseTimes
+from bus.line.statistics.counters import ResponseTimes
 from bus.messages import Message
 from bus.wire.commands import (
     Ack,
@@ -115,7 +115,7 @@ def test_staged_until_executed(roster: Roster) -> None:
     assert Staged(1, 103.0, None) in roster.take_response(ExecuteSpeedRequest(1), Ack(1), 103.0, b"")
     roster.take_response(StageSpeedRequest(1, 640), Ack(1), 104.0, b"")
     assert Staged(1, 105.0, None) in roster.take_response(SetAndExecuteSpeedRequest(1, 5), Ack(1), 105.0, b"")
-    assert roster.unstage(1, 106.0) == []
+    assert roster.stage(1, None, 106.0) == []
 
 
 def test_other_writes_leave_the_staged_speed(roster: Roster) -> None:
@@ -128,7 +128,7 @@ def test_a_closed_port_makes_stale_and_then_offline(roster: Roster) -> None:
     roster.take_response(ReadStatusRequest(1), STATUS, 101.0, b"")
     assert links(roster.port_closed(102.0, PULLED)) == ["stale"]
     assert links(roster.port_closed(102.5, PULLED)) == []
-    assert links(roster.port_stays_closed(105.0, PULLED)) == ["offline"]
+    assert links(roster.port_closed(105.0, PULLED, long=True)) == ["offline"]
     assert roster.states()[0].link.cause == PULLED
     assert roster.states()[1].link.link == "unknown", "never seen stays never seen"
 

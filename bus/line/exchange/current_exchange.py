@@ -29,6 +29,15 @@ class CurrentExchange(msgspec.Struct):
     late: int = 0
     overdue: tuple[int, ...] = ()
 
+    def response_s(self, byte_s: float) -> float:
+        """Return the time in seconds from the request's last byte to the response's first.
+
+        A first byte that was left to gather came earlier than it was read.
+        """
+        begins = self.ended - len(self.frame) * byte_s
+        first = self.exchange.first_byte_at
+        return (begins if first is None else min(begins, first - byte_s)) - self.ends_sending
+
     @property
     def has_noise(self) -> bool:
         """Whether anything came in beside the response."""
@@ -46,7 +55,7 @@ class CurrentExchange(msgspec.Struct):
             self.ended,
             clock.epoch(self.ends_sending),
             responded_at,
-            b"" if exchange.prepared.secret else self.frame,
+            b"" if exchange.secret else self.frame,
             LineNoise(garbled, self.unexpected, self.late) if garbled or self.has_noise else NO_NOISE,
             exchange.dialect,
             self.overdue,

@@ -22,14 +22,17 @@ from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
 from bus.line.port.port import OpenPort, PartlySent
 from bus.line.roster import Roster
+from bus.line.statistics.counters import WireCounts
 from bus.line.statistics.trace import Trace, TracedFrame
-from bus.line.statistics.wire_statistics import StrayFrame, WireStatistics
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
 from bus.wire.commands import Request
-from bus.wire.exchange import Duplicate, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
+from bus.wire.exchange import Duplicate, Echo, Exchange, ExchangeEvent, Foreign, Late, Responded, Unexpected
 from bus.wire.fence import PendingByUnit, PendingResponses
 from bus.wire.framing import DoubledChecksum, Fault, FrameDecoder, Noise
+from bus.wire.lengths import least_reply_bytes, longest_reply_bytes
+
+StrayFrame = Echo | Foreign | Duplicate | Late | Unexpected
 
 LISTEN_FRACTION = 0.93
 """For this part of the least time bytes are left to gather, because each few that are received alone cost as
@@ -51,15 +54,15 @@ class Link:
         self._turnaround_s = turnaround_s
         self._clock = clock
         self._trace = trace
-        self._statistics = WireStatistics(roster)
-        self.counts = self._statistics.wire
-        """What the bus carried since the worker started."""
+        self._roster = roster
+        self.counts = WireCounts()
         self._port: OpenPort | None = None
         self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
         self._ending: Completion[CurrentExchange] = Completion()
         self._last: Exchange | None = None
         """The exchange before, for what comes in while none is under way."""
+        self._last_response = b""
         self._unaccounted: CurrentExchange | None = None
         self._pace = PortPace()
         self._secret_until = Monotonic(-math.inf)
@@ -176,7 +179,16 @@ class Link:
         ended.overdue, self._overdue = tuple(self._overdue), []
         self.has_responses = self.has_responses or ended.exchange.reply is not None
         self._pending.after(ended.exchange.pending)
-        self._statistics.ended(ended, self._byte_s)
+        self._count(ended)
+
+    def _count(self, ended: CurrentExchange) -> None:
+        exchange = ended.exchange
+        self.counts.busy_s += (len(exchange.sent) + len(ended.frame)) * self._byte_s
+        if exchange.reply is not None:
+            self._last_response = ended.frame
+        if exchange.request.unit != 0:
+            statistics = self._roster[exchange.request.unit].statistics
+            statistics.count(exchange.request, exchange.reply, ended.response_s(self._byte_s))
 
     def data_received(self, data: bytes) -> None:
         now = self._clock.now()
@@ -215,7 +227,7 @@ class Link:
         has_response = exchange.request.unit != 0
         ends_sending = began + len(exchange.sent) * self._byte_s
         window_ends = ends_sending + (self._turnaround_s + MARGIN_S if has_response else 0.0)
-        longest_s = exchange.prepared.longest_reply_bytes * self._byte_s
+        longest_s = longest_reply_bytes(exchange.request, exchange.dialect) * self._byte_s
         last_moment = window_ends + (longest_s + MARGIN_S if has_response else 0.0)
         self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
         self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
@@ -234,31 +246,46 @@ class Link:
             if isinstance(event, Noise):
                 self._take_noise(event, exchange.request.unit, now)
             self._note_stray(now, event.data, exchange, valid=False)
-            return
-        if isinstance(event, Responded):
+        elif isinstance(event, Responded):
             self._take_response(event.frame.wire, now)
-        else:
-            self._take_stray_frame(event, exchange.request.unit)
-        if self._current is not None and isinstance(event, Unexpected | Foreign):
-            self._current.unexpected = True
-        if self._current is not None and isinstance(event, Duplicate | Late):
-            self._current.late += 1
-        if isinstance(event, Responded):
             self._note(now, "in", event.frame.wire, exchange)
         else:
+            self._take_stray_frame(event, exchange.request.unit)
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
     def _take_stray_frame(self, event: StrayFrame, addressed: int) -> None:
-        """Another unit's frame is overdue where that unit has not responded to an earlier request. It ends no
-        uncertainty about that unit: it may be of a third one that responds to a wrong address."""
-        is_overdue = isinstance(event, Foreign) and bool(self.pending(event.unit).outstanding)
+        """Count a good frame that is not the response of ``addressed``."""
+        match event:
+            case Echo():
+                self.counts.echoes += 1
+            case Duplicate() | Late():
+                self._count_late(addressed)
+                if self._current is not None:
+                    self._current.late += 1
+            case Foreign() if self._is_another_s_late(event):
+                self._count_late(event.unit)
+            case Unexpected() | Foreign() if addressed:
+                self._roster[addressed].statistics.counts.foreign += 1
+        if self._current is not None and isinstance(event, Unexpected | Foreign):
+            self._current.unexpected = True
+
+    def _is_another_s_late(self, event: Foreign) -> bool:
+        """Whether another unit's frame is late: that unit has not responded to an earlier request, or this is
+        the last response a second time. It ends no uncertainty about that unit: it may be of a third one that
+        responds to a wrong address."""
+        is_overdue = bool(self.pending(event.unit).outstanding)
         if is_overdue:
-            self._overdue.append(event.frame.body[0])
-        self._statistics.stray_frame(event, addressed, is_overdue=is_overdue)
+            self._overdue.append(event.unit)
+        return is_overdue or event.frame.wire == self._last_response
+
+    def _count_late(self, unit: int) -> None:
+        self._roster[unit].statistics.counts.late += 1
 
     def _take_noise(self, noise: Noise, unit: int, now: Monotonic) -> None:
         """After a response with a wrong checksum no other will come, so only quiet is waited for."""
-        self._statistics.noise(noise, unit)
+        self.counts.noise_bytes += len(noise.data)
+        if noise.reason is Fault.CHECKSUM:
+            self._roster[unit].statistics.counts.checksum_errors += 1
         if self._current is None:
             return
         self._current.garbled = True
@@ -274,7 +301,7 @@ class Link:
             return
         current.frame = b""
         request = current.exchange.request
-        self._statistics.late_or_duplicate(request.unit)
+        self._count_late(request.unit)
         current.late += 1
         current.exchange = self._exchange(request, current.exchange.dialect, self.pending(request.unit))
 
@@ -284,7 +311,8 @@ class Link:
         """Shortly before the response can be complete, on a port that is as slow as its baud rate."""
         if not self.is_paced or exchange.request.unit == 0:
             return None
-        least_s = (len(exchange.sent) + exchange.prepared.least_reply_bytes) * self._byte_s
+        least_bytes = len(exchange.sent) + least_reply_bytes(exchange.request, exchange.dialect)
+        least_s = least_bytes * self._byte_s
         gathering_s = min(LISTEN_FRACTION * least_s, least_s - AHEAD_S)
         return min(began + gathering_s, window_ends - MARGIN_S / 2)
 
@@ -300,7 +328,7 @@ class Link:
 
     def _note(self, now: Monotonic, way: Direction, data: bytes, exchange: Exchange) -> None:
         """Keep what is known to belong to ``exchange``."""
-        hidden = exchange.prepared.secret
+        hidden = exchange.secret
         if hidden:
             self._secret_until = now + SECRET_LINGERS_S
         self._trace.add(TracedFrame(self._clock.epoch(now), way, data, hidden=hidden))
@@ -309,6 +337,6 @@ class Link:
         self, now: Monotonic, data: bytes, exchange: Exchange | None, *, unit: int = 0, valid: bool = True
     ) -> None:
         """Keep what is no response, but not its bytes while it may be a late response with a secret (#21)."""
-        secret = exchange is not None and exchange.prepared.secret
+        secret = exchange is not None and exchange.secret
         hidden = secret or now < self._secret_until or self._pending.may_hold_secret(unit)
         self._trace.add(TracedFrame(self._clock.epoch(now), "in", data, valid, hidden))

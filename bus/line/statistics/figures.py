@@ -20,7 +20,7 @@ from bus.contract import BusFigures, UnitFigures
 from bus.instants import Monotonic, UnixTime
 from bus.line.roster import Roster, UnitRecord
 from bus.line.schedule.poll_schedule import PollSchedule
-from bus.line.statistics.wire_statistics import WireCounts
+from bus.line.statistics.counters import WireCounts
 from bus.messages import Message
 
 WINDOW_S = 10.0

@@ -1,12 +1,24 @@
-"""Counters and response times of one unit. Pure."""
+"""What became of every byte and every exchange since the worker started. Pure."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from msgspec.structs import asdict
 
 from bus.contract import UnitCounts, UnitFigures
+from bus.wire.commands import Nak, ReadStatusRequest, Reply, Request
+
+
+@dataclass(slots=True)
+class WireCounts:
+    """What the bus carried."""
+
+    busy_s: float = 0.0
+    noise_bytes: int = 0
+    echoes: int = 0
+
 
 _SHORTEST_S = 0.0001
 _STEP = 1.08
@@ -54,7 +66,7 @@ def _class_of(seconds: float) -> int:
 
 
 class UnitStatistics:
-    """What became of every request to one unit since the worker started."""
+    """What became of every request to one unit."""
 
     __slots__ = ("counts", "times")
 
@@ -62,10 +74,18 @@ class UnitStatistics:
         self.counts = UnitCounts(unit)
         self.times = ResponseTimes()
 
-    def refused(self, code: int) -> None:
-        """Count a NAK. A new dictionary, because the one before may have been reported."""
-        naks = self.counts.naks
-        self.counts.naks = {**naks, code: naks.get(code, 0) + 1}
+    def count(self, request: Request, reply: Reply | None, response_s: float) -> None:
+        """Count an exchange; ``response_s``: from the request's last byte to the first of ``reply``."""
+        self.counts.polls += isinstance(request, ReadStatusRequest)
+        if reply is None:
+            self.counts.timeouts += 1
+            return
+        self.counts.responses += 1
+        self.times.add(response_s)
+        if isinstance(reply, Nak):
+            # A new dictionary, because the one before may have been reported.
+            naks = self.counts.naks
+            self.counts.naks = {**naks, reply.code: naks.get(reply.code, 0) + 1}
 
     def figures(self) -> UnitFigures:
         times = self.times
