@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from bus.line.scan.examination import Probe, ProbeOutcome, examine, number_for_checksum_10h
+from bus.line.scan.examination import Examination, Probe, ProbeOutcome, number_for_checksum_10h
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import no_response_s
 from bus.messages import Message
@@ -47,7 +47,7 @@ def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = F
 
 
 def outcome_of(respond: Responder, address: int = 5) -> tuple[Found | None, list[Probe]]:
-    examination = examine(address, 9600)
+    examination = Examination(address, 9600).run()
     probes: list[Probe] = []
     try:
         probe = next(examination)

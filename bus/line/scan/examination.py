@@ -80,14 +80,10 @@ Examining = Generator[Probe, ProbeOutcome, Found | None]
 Probing = Generator[Probe, ProbeOutcome, ProbeOutcome]
 
 
-def examine(unit: int, baud: int) -> Examining:
-    """Examine one address; None where there is no device. The requests are in the plain dialect."""
-    examination = _Examination(unit, baud)
-    return (yield from examination.run())
-
-
 @dataclass
-class _Examination:
+class Examination:
+    """``run`` examines one address; None where there is no device. The requests are in the plain dialect."""
+
     unit: int
     baud: int
     outcomes: list[ProbeOutcome] = field(default_factory=list)
@@ -234,15 +230,12 @@ class _Examination:
         """A motor that turns at speed, whenever it is looked at, has a healthy e-stop chain."""
         replies = [outcome.reply for outcome in self.outcomes]
         statuses = [reply for reply in replies if isinstance(reply, StatusReply)]
-        if not all(_turns_at_speed(status) for status in statuses):
-            return None
-        bits = {status_bits(each.outputs, each.inputs, estop_healthy=0).estop_active for each in statuses}
-        return None if len(bits) > 1 else 1 if True in bits else 0
-
-
-def _turns_at_speed(status: StatusReply) -> bool:
-    bits = status_bits(status.outputs, status.inputs)
-    return bits.run and bits.at_speed and status.actual > 0
+        for status in statuses:
+            bits = status_bits(status.outputs, status.inputs)
+            if not (bits.run and bits.at_speed and status.actual > 0):
+                return None
+        levels = {status_bits(each.outputs, each.inputs, estop_healthy=0).estop_active for each in statuses}
+        return None if len(levels) > 1 else 1 if True in levels else 0
 
 
 def _number_byte(number: int, in_bcd: bool) -> int:

@@ -94,11 +94,9 @@ def _seen(found: Sequence[Found]) -> dict[str, set[Setting]]:
             for one in units
             if one.counts_in_bcd or one.own_address == one.unit
         },
-        "parameter_reply_bytes": {_reply_bytes(one) for one in units if one.reply_bytes},
+        # 0 where a value is as wide as its type.
+        "parameter_reply_bytes": {
+            one.reply_bytes[0] if len(one.reply_bytes) == 1 else 0 for one in units if one.reply_bytes
+        },
         "estop_healthy": {one.estop_healthy for one in units if one.estop_healthy is not None},
     }
-
-
-def _reply_bytes(one: Found) -> int:
-    """The bytes of a response as the setting has them: 0 where a value is as wide as its type."""
-    return one.reply_bytes[0] if len(one.reply_bytes) == 1 else 0

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from bus.errors import WireError
 from bus.instants import Monotonic
-from bus.line.scan.examination import Probe, ProbeOutcome, examine
+from bus.line.scan.examination import Examination, Probe, ProbeOutcome
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.passes import Passes
 from bus.line.scan.scan_port import Collected, ScanPort, scan_port
@@ -49,7 +49,7 @@ class Prober:
 
     async def examine(self, unit: int) -> Found | None:
         """Everything about one address, None where nothing responds. Raises SlowUnitError, WireError."""
-        examination = examine(unit, self._baud)
+        examination = Examination(unit, self._baud).run()
         try:
             probe = next(examination)
             while True:

@@ -105,15 +105,9 @@ class Interpreter:
         self._describer = Describer(dialect)
 
     def frame(self, passed: TracedFrame) -> Frame:
-        return Frame(
-            at=passed.at,
-            direction=passed.direction,
-            data=b"" if passed.hidden else passed.data,
-            meanings=[HIDDEN] if passed.hidden else self._meanings(passed.data),
-            valid=passed.valid,
-        )
-
-    def _meanings(self, data: bytes) -> list[Message]:
+        if passed.hidden:
+            return Frame(passed.at, passed.direction, b"", [HIDDEN], passed.valid)
         decoder = FrameDecoder(self._dialect)
-        described = self._describer.describe([*decoder.feed(data), *decoder.flush()])
-        return [each.meaning for each in described[:MAX_MEANINGS]]
+        described = self._describer.describe([*decoder.feed(passed.data), *decoder.flush()])
+        meanings = [each.meaning for each in described[:MAX_MEANINGS]]
+        return Frame(passed.at, passed.direction, passed.data, meanings, passed.valid)
