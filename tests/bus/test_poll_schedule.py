@@ -42,7 +42,7 @@ class Line:
         while self.now < until:
             task = self.schedule.next(self.now, slow_waits=slow)
             if task is None:
-                wake = self.schedule.wake_at()
+                wake = self.schedule.probes.wake_at()
                 assert wake is not None
                 assert wake > self.now, "it must not be called again for nothing"
                 self.now = wake

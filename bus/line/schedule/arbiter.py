@@ -107,7 +107,7 @@ class Arbiter:
 
     def moments(self) -> list[Monotonic]:
         """When something may become due that is not now."""
-        probe = self.schedule.wake_at()
+        probe = self.schedule.probes.wake_at()
         moments = [self._not_before, self._reserved_until, *self.commands.moments()]
         return moments if probe is None else [probe, *moments]
 
@@ -175,18 +175,15 @@ class Arbiter:
         if result is None:
             return again
         self._routine = None
-        if result.reply is None:
-            self._was_not_read(task, exchange.ended)
-        elif task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
-            available = not isinstance(result.reply, Nak)
-            self.schedule.parameters.was_read(task.unit, task.number, available=available)
-        return False
-
-    def _was_not_read(self, task: Task, now: Monotonic) -> None:
-        if task.kind is TaskKind.FIRST:
-            self.schedule.stopped_responding(task.unit, now)
+        if task.kind is TaskKind.FIRST and result.reply is None:
+            self.schedule.stopped_responding(task.unit, exchange.ended)
         if task.kind is TaskKind.PARAMETER and task.unit in self.schedule.poll_order:
-            self.schedule.parameters.was_not_read(task.unit, task.number)
+            if result.reply is None:
+                self.schedule.parameters.was_not_read(task.unit, task.number)
+            else:
+                available = not isinstance(result.reply, Nak)
+                self.schedule.parameters.was_read(task.unit, task.number, available=available)
+        return False
 
     def _pace(self, request: Request, now: Monotonic) -> None:
         self._read_last = False

@@ -15,7 +15,6 @@ they come before everything (``bus.line.schedule.arbiter``).
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Collection, Iterable
 from enum import StrEnum
@@ -46,7 +45,6 @@ class PollOrder:
         self._place = {unit: place for place, unit in enumerate(floor_order)}
         self._poll_s = poll_s
         self._passes: dict[int, float] = {}
-        self._queue: list[tuple[float, int, int]] = []
         self._watched: frozenset[int] = frozenset()
         self._strides: dict[int, float] = {}
         self._present = 0.0
@@ -74,22 +72,20 @@ class PollOrder:
 
     def take(self) -> int | None:
         """Return the unit whose turn it is; None when no unit takes part."""
-        if not self._queue:
+        if not self._passes:
             return None
-        self._present, place, unit = self._queue[0]
-        turn = self._passes[unit] = self._present + self._strides[unit]
-        heapq.heapreplace(self._queue, (turn, place, unit))
+        unit = min(self._passes, key=self._turn_of)
+        self._present = self._passes[unit]
+        self._passes[unit] += self._strides[unit]
         return unit
 
     def _weigh(self) -> None:
-        waiting = [unit for _, _, unit in sorted(self._entry(unit) for unit in self._passes)]
+        waiting = sorted(self._passes, key=self._turn_of)
         watched = [unit for unit in waiting if unit in self._watched]
         others = [unit for unit in waiting if unit not in self._watched]
         extra, plain = _strides(len(self), len(watched), self._poll_s)
         self._spread(watched, extra)
         self._spread(others, plain)
-        self._queue = [self._entry(unit) for unit in waiting]
-        heapq.heapify(self._queue)
 
     def _spread(self, units: list[int], stride: float) -> None:
         """Evenly over one stride from the present turn on, in the order in which they wait."""
@@ -97,7 +93,7 @@ class PollOrder:
             self._strides[unit] = stride
             self._passes[unit] = self._present + stride * rank / len(units)
 
-    def _entry(self, unit: int) -> tuple[float, int, int]:
+    def _turn_of(self, unit: int) -> tuple[float, int, int]:
         return self._passes[unit], self._place.get(unit, len(self._place)), unit
 
 
@@ -203,7 +199,7 @@ class PollSchedule:
     # --- the next claim ------------------------------------------------------------------------
 
     def next(self, now: Monotonic, *, slow_waits: bool = False) -> Task | None:
-        """The next use of the wire; None: nothing before ``wake_at``."""
+        """The next use of the wire; None: nothing before a probe is due."""
         if self._unseen:
             return Task(TaskKind.FIRST, self._unseen.pop())
         unit = self.probes.due(now)
@@ -218,10 +214,6 @@ class PollSchedule:
         """The unit whose turn it is, whatever else would be due."""
         unit = self.poll_order.take()
         return Task(TaskKind.POLL, unit) if unit is not None else None
-
-    def wake_at(self) -> Monotonic | None:
-        """When something becomes due, after ``next`` had nothing; None: only when something happens."""
-        return self.probes.wake_at()
 
     def _gap(self, now: Monotonic | None, *, slow_waits: bool) -> Task | None:
         """What may use a gap now; ``now`` None: the wire is free anyhow."""
