@@ -9,7 +9,6 @@ from bus.line.clock import RealClock
 from bus.line.commands.command_run import NO_UNIT, CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, ProcedureResult, ReportProgress
 from bus.line.line_loop import LineLoop
-from bus.line.scan.found import Found
 from bus.line.statistics.trace import TracedFrame
 from bus.messages import Message
 from bus.settings import BusSettings, Dialect
@@ -46,6 +45,6 @@ def test_a_result_has_the_id_the_time_and_the_frames_of_its_command() -> None:
 
 def test_a_result_of_a_scan_has_the_units_that_it_found() -> None:
     remark = Message("found_two_units")
-    found = Found(5, 9600, "digimax", (1, 2), (remark,))
-    update = ended(ProcedureResult("verified", found=(found,)), []).report(12.5, PLAIN)
-    assert update.found == [FoundUnit(5, 9600, "digimax", [1, 2], [remark])]
+    found = FoundUnit(5, 9600, "digimax", [1, 2], [remark])
+    update = ended(ProcedureResult("verified", found=[found]), []).report(12.5, PLAIN)
+    assert update.found == [found]

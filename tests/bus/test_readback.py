@@ -6,9 +6,17 @@ from collections.abc import Callable
 
 import pytest
 
-from bus.contract import Reading, Result
-from bus.line.commands import writes
-from bus.line.commands.procedure import CommandContext, Procedure, Wait
+from bus.contract import (
+    ExecuteSpeed,
+    Reading,
+    Result,
+    SetSpeed,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
+from bus.line.commands.procedure import Procedure, Wait
+from bus.line.commands.writes import write_to_unit
 from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
 from bus.settings import Dialect
@@ -82,7 +90,7 @@ def _of(record: UnitRecord) -> Roster:
 
 
 def set_speed(record: UnitRecord, dialect: Dialect = PLAIN) -> Procedure:
-    return writes.set_and_execute(record, 640, CommandContext(dialect))
+    return write_to_unit(record, SetSpeed(1, 640), dialect)
 
 
 def brain_of(
@@ -210,36 +218,36 @@ def test_a_mode_changed_at_the_panel_is_noticed(record: UnitRecord) -> None:
 
 
 def test_a_staged_speed_is_acknowledged_at_best(record: UnitRecord) -> None:
-    result, requests = play(writes.stage(record, 640), brain_of(reads=[]))
+    result, requests = play(write_to_unit(record, SetSpeed(1, 640, execute=False), PLAIN), brain_of(reads=[]))
     assert (result.outcome, len(requests)) == ("acknowledged", 1)
 
 
 def test_execute_is_verified_only_where_it_is_known_what_was_staged(record: UnitRecord) -> None:
-    result, requests = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
+    result, requests = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(640)]))
     assert (result.outcome, len(requests)) == ("acknowledged", 1)
     record.staged = 640
-    result, _ = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(640)]))
+    result, _ = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(640)]))
     assert (result.outcome, result.read_back) == ("verified", 640)
-    result, _ = play(writes.execute(record, CommandContext(PLAIN)), brain_of(reads=[status(630)]))
+    result, _ = play(write_to_unit(record, ExecuteSpeed(1), PLAIN), brain_of(reads=[status(630)]))
     assert result.outcome == "unverified"
 
 
 @pytest.mark.parametrize(("bits", "outcome"), [(0x44, "verified"), (0x40, "unverified"), (0x04, "verified")])
-def test_an_output_is_verified_by_its_bit(bits: int, outcome: str) -> None:
+def test_an_output_is_verified_by_its_bit(record: UnitRecord, bits: int, outcome: str) -> None:
     brain = brain_of(reads=[status(0, outputs=bits)])
-    assert play(writes.write_output(1, 3, True), brain)[0].outcome == outcome
+    assert play(write_to_unit(record, WriteOutput(1, 3, True), PLAIN), brain)[0].outcome == outcome
 
 
-def test_a_parameter_is_verified_by_its_value() -> None:
+def test_a_parameter_is_verified_by_its_value(record: UnitRecord) -> None:
     brain = brain_of(reads=[], ratio=ParameterReply(1, 77))
-    assert play(writes.write_parameter(1, 6, 77), brain)[0].outcome == "verified"
-    result, requests = play(writes.write_parameter(1, 6, 78), brain)
+    assert play(write_to_unit(record, WriteParameter(1, 6, 77), PLAIN), brain)[0].outcome == "verified"
+    result, requests = play(write_to_unit(record, WriteParameter(1, 6, 78), PLAIN), brain)
     assert (result.outcome, result.read_back) == ("unverified", 77)
     assert len(requests) == 4
 
 
-def test_an_analog_output_is_acknowledged_at_best() -> None:
-    result, _ = play(writes.write_analog_output(1, 77), brain_of(reads=[]))
+def test_an_analog_output_is_acknowledged_at_best(record: UnitRecord) -> None:
+    result, _ = play(write_to_unit(record, WriteAnalogOutput(1, 77), PLAIN), brain_of(reads=[]))
     assert result.outcome == "acknowledged"
 
 

@@ -5,16 +5,11 @@ from __future__ import annotations
 from bus.contract import (
     ChangeBaud,
     ExecuteAll,
-    ExecuteSpeed,
     ReadParameters,
     ScanBus,
     SetLine,
-    SetSpeed,
     UnitAction,
     WireAction,
-    WriteAnalogOutput,
-    WriteOutput,
-    WriteParameter,
 )
 from bus.contract.durations import stage_s
 from bus.instants import Monotonic
@@ -22,7 +17,6 @@ from bus.line.commands import change_baud, reads, scan_bus, staging, writes
 from bus.line.commands.command_run import EVERY_UNIT, NO_UNIT, CommandRun, Priority
 from bus.line.commands.procedure import CommandContext, Procedure
 from bus.line.line_loop import LineLoop
-from bus.line.roster import UnitRecord
 
 
 def command_run_of(line: LineLoop, command_id: str, action: WireAction, deadline: Monotonic) -> CommandRun:
@@ -55,29 +49,10 @@ def _procedure(line: LineLoop, action: WireAction, command: CommandContext) -> P
         case ScanBus():
             pace = scan_bus.ScanPace(line.baud, line.bus.turnaround_s)
             return scan_bus.survey(action.first, action.last, pace, command)
-    return _procedure_of_unit(line.roster[action.unit], action, command)
-
-
-def _procedure_of_unit(
-    record: UnitRecord,
-    action: SetSpeed | ExecuteSpeed | WriteOutput | WriteAnalogOutput | WriteParameter | ReadParameters,
-    command: CommandContext,
-) -> Procedure:
-    match action:
-        case SetSpeed(execute=True):
-            return writes.set_and_execute(record, action.raw, command)
-        case SetSpeed():
-            return writes.stage(record, action.raw)
-        case ExecuteSpeed():
-            return writes.execute(record, command)
-        case WriteOutput():
-            return writes.write_output(action.unit, action.number, action.on)
-        case WriteAnalogOutput():
-            return writes.write_analog_output(action.unit, action.raw)
-        case WriteParameter():
-            return writes.write_parameter(action.unit, action.number, action.raw)
         case ReadParameters():
-            return reads.read_parameters(record, action.numbers, command)
+            return reads.read_parameters(line.roster[action.unit], action.numbers, command)
+        case _:
+            return writes.write_to_unit(line.roster[action.unit], action, line.dialect)
 
 
 def _priority(action: WireAction) -> Priority:

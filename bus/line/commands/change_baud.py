@@ -40,10 +40,10 @@ def change_baud(
 ) -> Procedure:
     """Change from ``old``, the present rate, to ``new``. ``own_rate``: the port's rate can be set here."""
     if not own_rate:
-        return _result("invalid", Message("baud_of_device_server"))
+        return ProcedureResult("invalid", Message("baud_of_device_server"))
     if new not in BAUDS or new == old:
         rates = [rate for rate in BAUDS if rate != old]
-        return _result("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
+        return ProcedureResult("invalid", Message.of("baud_not_possible", baud=old, rates=rates))
     return (yield from _Change(roster, old, new, context).run())
 
 
@@ -111,9 +111,9 @@ class _Change:
         missing = yield from self._not_holding(self._units, self._new)
         if missing:
             message = Message.of("baud_readback_differs", units=missing, baud=self._new)
-            return _result("unverified", message, self._outcomes(missing))
+            return ProcedureResult("unverified", message, self._outcomes(missing))
         yield ExpectBaud(self._new)
-        return _result("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
+        return ProcedureResult("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
 
     def _at_power_up(self) -> Procedure:
         missing = yield from self._not_holding(self._units, self._new)
@@ -122,7 +122,7 @@ class _Change:
             return (yield from self._go_back("unverified", reason))
         yield ExpectBaud(self._new)
         message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
-        return _result("verified", message, self._outcomes([]))
+        return ProcedureResult("verified", message, self._outcomes([]))
 
     def _not_holding(self, units: Sequence[int], baud: int) -> Subprocedure[list[int]]:
         missing = []
@@ -150,7 +150,7 @@ class _Change:
             outcome = "unverified"
             value = self._old // HUNDREDS
             message = Message.of("baud_not_restored", reason=reason, baud=self._old, units=lost, value=value)
-        return _result(outcome, message, self._outcomes(lost))
+        return ProcedureResult(outcome, message, self._outcomes(lost))
 
     def _write_old(self, units: Sequence[int]) -> Subprocedure[None]:
         for unit in units:
@@ -161,7 +161,3 @@ class _Change:
 
     def _outcomes(self, bad: Sequence[int]) -> list[UnitOutcome]:
         return [UnitOutcome(unit, "unverified" if unit in bad else "verified") for unit in self._units]
-
-
-def _result(outcome: Outcome, message: Message, units: Sequence[UnitOutcome] = ()) -> ProcedureResult:
-    return ProcedureResult(outcome, message, units=tuple(units))

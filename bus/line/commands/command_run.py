@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from bus.contract import FoundUnit, Result
+from msgspec.structs import asdict
+
+from bus.contract import Result
 from bus.instants import Monotonic, UnixTime
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, ProcedureResult, Wait
 from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult
@@ -100,23 +102,9 @@ class CommandRun:
     def report(self, at: UnixTime, dialect: Dialect) -> Result:
         """Return the result of the command, with the frames that carried it."""
         assert self.result is not None
-        result, interpreter = self.result, Interpreter(dialect)
-        return Result(
-            self.id,
-            at,
-            result.outcome,
-            result.message,
-            unit_error=result.unit_error,
-            read_back=result.read_back,
-            units=list(result.units),
-            values=list(result.values),
-            found=[
-                FoundUnit(each.unit, each.baud, each.kind, list(each.parameters), list(each.remarks))
-                for each in result.found
-            ],
-            skew_s=result.skew_s,
-            frames=[interpreter.frame(passed) for passed in self.frames],
-        )
+        interpreter = Interpreter(dialect)
+        frames = [interpreter.frame(passed) for passed in self.frames]
+        return Result(self.id, at, **asdict(self.result), frames=frames)
 
     def _take_result(self) -> SendResult | None:
         assert self.attempts is not None

@@ -14,22 +14,20 @@ from typing import TypeVar
 
 import msgspec
 
-from bus.contract import Outcome, ParameterValue, Stage, UnitOutcome
+from bus.contract import FoundUnit, Outcome, ParameterValue, Stage, UnitOutcome
 from bus.line.exchange.send import Send, SendResult
-from bus.line.scan.found import Found
 from bus.messages import Message
 from bus.settings import Dialect
 
 
-@dataclass(frozen=True, slots=True)
-class ProcedureResult:
-    """What became of a command, with the fields of ``bus.contract.Result``."""
+class ProcedureResult(msgspec.Struct, frozen=True):
+    """What became of a command: the fields of ``bus.contract.Result`` that a procedure knows."""
 
     outcome: Outcome
     message: Message | None = None
-    units: tuple[UnitOutcome, ...] = ()
-    values: tuple[ParameterValue, ...] = ()
-    found: tuple[Found, ...] = ()
+    units: list[UnitOutcome] = []
+    values: list[ParameterValue] = []
+    found: list[FoundUnit] = []
     unit_error: int | None = None
     read_back: int | None = None
     skew_s: float | None = None

@@ -87,15 +87,11 @@ def verify_speed(record: UnitRecord, raw: int, dialect: Dialect, *, before: int 
         bits = status_bits(status.outputs, status.inputs, dialect.estop_healthy)
         if dialect.follower_speed == "speed" and (yield from follows(record, bits)):
             return (yield from _verify_ratio(record, raw, status, sent, before))
-        return _compare_speed(raw, status, bits, sent)
+        if status.commanded == raw:
+            return Readback(True, raw, sent.responded_at)
+        return Readback(False, status.commanded, sent.responded_at, _speed_reads(status.commanded, bits))
 
     return (yield from _until_shown(look))
-
-
-def _compare_speed(raw: int, status: StatusReply, bits: StatusBits, sent: SendResult) -> Readback:
-    if status.commanded == raw:
-        return Readback(True, raw, sent.responded_at)
-    return Readback(False, status.commanded, sent.responded_at, _speed_reads(status.commanded, bits))
 
 
 def _speed_reads(commanded: int, bits: StatusBits) -> Message:
@@ -107,14 +103,6 @@ def _speed_reads(commanded: int, bits: StatusBits) -> Message:
     if not inputs:
         return Message.of("speed_reads", value=commanded)
     return Message.of("speed_reads_while", value=commanded, inputs=inputs)
-
-
-def _parameter_reads(number: int, shown: int | None) -> Message:
-    if shown is None:
-        return Message("parameter_unavailable")
-    return (
-        Message("secret_reads") if PARAMETERS[number].secret else Message.of("parameter_reads", value=shown)
-    )
 
 
 def _verify_ratio(
@@ -148,7 +136,13 @@ def verify_parameter(unit: int, number: int, raw: int) -> Verification:
         shown, sent = yield from read_parameter(unit, number)
         if sent.reply is None:
             return None
-        return Readback(shown == raw, shown, sent.responded_at, _parameter_reads(number, shown))
+        if shown is None:
+            why = Message("parameter_unavailable")
+        elif PARAMETERS[number].secret:
+            why = Message("secret_reads")
+        else:
+            why = Message.of("parameter_reads", value=shown)
+        return Readback(shown == raw, shown, sent.responded_at, why)
 
     return (yield from _until_shown(look))
 

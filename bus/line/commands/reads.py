@@ -52,7 +52,7 @@ def read_parameters(record: UnitRecord, numbers: Sequence[int], context: Command
             refused.append(Message.of("parameter_refused", number=number, error=error))
     if (reason := joined(refused)) is not None:
         return _partly(record, values, wanted, reason)
-    return ProcedureResult("verified", values=tuple(values))
+    return ProcedureResult("verified", values=values)
 
 
 def _partly(
@@ -69,5 +69,5 @@ def _partly(
         message=Message.of(
             "parameters_partly_read", unit=record.unit, count=len(values), all=len(wanted), reason=reason
         ),
-        values=tuple(values),
+        values=values,
     )

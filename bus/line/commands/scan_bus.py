@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
+from bus.contract import FoundUnit
+from bus.contract.durations import POLL_BYTES
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
@@ -18,7 +20,7 @@ from bus.line.commands.procedure import (
     send,
 )
 from bus.line.exchange.send import Send, SendStatus
-from bus.line.scan.examination import Probe, ProbeOutcome, examine
+from bus.line.scan.examination import Examination, Probe, ProbeOutcome
 from bus.line.scan.found import Found, conclude
 from bus.line.scan.passes import Passes, no_response_s
 from bus.messages import Message, joined
@@ -28,8 +30,6 @@ SHARE = 1 / 3
 """Of the wire, at most: a unit that is polled keeps two thirds of its rate."""
 OVERDUE = 3
 """From this many overdue responses on, a garbled one may be one of them beside another unit's."""
-EXCHANGE_BYTES = 25
-"""An 81h and its response."""
 
 
 class ScanPace(NamedTuple):
@@ -41,7 +41,7 @@ class ScanPace(NamedTuple):
     def rest_s(self, outcome: ProbeOutcome) -> float:
         """Return the pause in seconds after a request that ended so."""
         responds = outcome.reply is not None
-        took_s = wire_seconds(EXCHANGE_BYTES, self.baud) if responds else no_response_s(*self)
+        took_s = wire_seconds(POLL_BYTES, self.baud) if responds else no_response_s(*self)
         return took_s * (1 / SHARE - 1)
 
 
@@ -87,12 +87,14 @@ def _result(found: list[Found], fault: Message | None) -> ProcedureResult:
     return ProcedureResult(
         outcome="unverified" if fault else "verified",
         message=joined([*conclude(found), fault]),
-        found=tuple(found),
+        found=[
+            FoundUnit(one.unit, one.baud, one.kind, list(one.parameters), list(one.remarks)) for one in found
+        ],
     )
 
 
 def _examine(unit: int, pace: ScanPace) -> Subprocedure[Found | None]:
-    examination = examine(unit, pace.baud)
+    examination = Examination(unit, pace.baud).run()
     try:
         probe = next(examination)
         while True:

@@ -1,7 +1,7 @@
 """Many units changed as one: stage each, require every ACK, one broadcast, read back each. Pure procedures.
 
 ===========  ==========================================================================================
-buffer       a unit outside the change that holds a staged speed would execute it too: it is given its
+suspend      a unit outside the change that holds a staged speed would execute it too: it is given its
              present speed first, and its staged speed back at the end
 stage        82h to each; the first that refuses, times out or comes too late ends the change
 broadcast    one 83h to unit 0, only when every 82h *of this very change* was acknowledged
@@ -13,12 +13,14 @@ withdraw     instead of the broadcast: every unit that may hold a staged speed o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from bus.catalogue.status import status_bits
 from bus.contract import Outcome, UnitOutcome
 from bus.errors import unit_refused
-from bus.line.commands.execution import Member, executed, unchanged, verify, verify_all
 from bus.line.commands.procedure import (
     CommandContext,
     Procedure,
@@ -28,36 +30,61 @@ from bus.line.commands.procedure import (
     Unstage,
     send,
 )
-from bus.line.commands.readback import present_setpoint, verify_unchanged
-from bus.line.commands.writes import not_sent, outcome_without_readback
-from bus.line.exchange.send import Send, SendStatus
+from bus.line.commands.readback import present_setpoint, verify_speed, verify_unchanged
+from bus.line.commands.writes import not_sent, outcome_of, outcome_with_readback, outcome_without_readback
+from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import Roster, UnitRecord
-from bus.messages import Message
+from bus.messages import Message, joined
 from bus.wire.commands import ExecuteSpeedRequest, StageSpeedRequest
 
 ALL_UNITS = 0
+EXECUTED_SINGLY = Message("executed_singly")
+
+Failure = tuple[Outcome, Message]
+
+
+@dataclass(slots=True)
+class Member:
+    """One unit of a change. ``before``: what it was last seen commanded."""
+
+    record: UnitRecord
+    raw: int
+    before: int | None
+    sent: SendResult | None = None
+    """Its stage."""
+    outcome: UnitOutcome | None = None
+
+    @property
+    def unit(self) -> int:
+        return self.record.unit
+
+    @property
+    def missed_broadcast(self) -> bool:
+        return self.outcome is not None and self.outcome.outcome != "verified"
 
 
 def set_line(roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> Procedure:
     """Carry out the complete change. ``setpoints``: unit → raw."""
     ordered = _likely_refusals_first(roster, setpoints, context)
     members = [Member(roster[unit], raw, roster[unit].commanded) for unit, raw in ordered]
-    if context.exchange_s * len(members) > context.time_left_s:
-        return _no_time(members, context)
-    suspended = SuspendedStages(roster, setpoints, context)
-    failure = yield from suspended.suspend()
+    seconds = context.exchange_s * len(members)
+    if seconds > context.time_left_s:
+        allowed = round(max(context.time_left_s, 0), 1)
+        message = Message.of("change_too_long", n=len(members), seconds=round(seconds, 1), allowed=allowed)
+        return ProcedureResult("not_sent", message)
+    suspended, failure = yield from _suspend_others(roster, setpoints, context)
     if failure is None:
         failure = yield from _stage_all(members, context)
     if failure is None:
         sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
         if sent.status is SendStatus.SENT:
-            result = yield from verify_all(members, sent, roster, context)
-            yield from suspended.restore()
+            result = yield from _verify_all(members, sent, roster, context)
+            yield from _restage(suspended)
             return result
         failure = not_sent(ALL_UNITS, sent)
-    yield from withdraw_all(members, context)
-    yield from suspended.restore()
-    return stopped(members, *failure)
+    yield from _withdraw_all(members, context)
+    yield from _restage(suspended)
+    return _stopped(members, *failure)
 
 
 def execute_all(roster: Roster, context: CommandContext) -> Procedure:
@@ -67,16 +94,17 @@ def execute_all(roster: Roster, context: CommandContext) -> Procedure:
     knew = {member.unit for member in members if member.record.staged is not None}
     sent = yield from send(Send(ExecuteSpeedRequest(ALL_UNITS)))
     if sent.status is not SendStatus.SENT:
-        outcome, message = not_sent(ALL_UNITS, sent)
-        return ProcedureResult(outcome, message)
+        return ProcedureResult(*not_sent(ALL_UNITS, sent))
     for done, member in enumerate(members):
         yield ReportProgress("proving", member.unit, done, len(members))
         if member.unit in knew:
-            yield from verify(member, sent, context)
+            yield from _verify(member, sent, context)
         else:
-            readback = yield from verify_unchanged(member.record, member.before)
-            member.outcome = unchanged(member, sent, readback)
-    return executed(members, sent, [] if knew else [Message("nothing_staged_here")])
+            yield from _verify_unchanged(member, sent)
+    return _executed(members, sent, [] if knew else [Message("nothing_staged_here")])
+
+
+# --- before the broadcast ------------------------------------------------------------------------
 
 
 def _likely_refusals_first(
@@ -94,24 +122,35 @@ def _likely_refusals_first(
     return sorted(setpoints.items(), key=lambda item: well(item[0]))
 
 
-def _stage_all(
-    members: list[Member], context: CommandContext
-) -> Subprocedure[tuple[Outcome, Message] | None]:
+def _suspend_others(
+    roster: Roster, setpoints: Mapping[int, int], context: CommandContext
+) -> Subprocedure[tuple[dict[int, int], Failure | None]]:
+    """Return the staged speeds that are to be given back, and why a unit outside the change may move with it;
+    None where none can."""
+    outside = [record for record in roster if record.unit not in setpoints]
+    waiting = [(record, record.staged) for record in outside if record.staged is not None]
+    suspended: dict[int, int] = {}
+    for record, staged in waiting:
+        if (yield from _stage_present(record, context)) is None:
+            return suspended, ("not_sent", Message.of("outsider_staged", unit=record.unit, staged=staged))
+        suspended[record.unit] = staged
+    return suspended, None
+
+
+def _stage_all(members: list[Member], context: CommandContext) -> Subprocedure[Failure | None]:
     """None when every unit acknowledged, else how the change ended and why."""
     for done, member in enumerate(members):
         yield ReportProgress("sent", member.unit, done, len(members))
         member.sent = yield from send(Send(StageSpeedRequest(member.unit, member.raw)))
-        if not member.staged:
-            return _why_stopped(member)
+        if not member.sent.acknowledged:
+            return _why_stopped(member, member.sent)
         if context.cancelled:
             return "not_sent", Message("canceled_before_execute")
     yield ReportProgress("acknowledged", None, len(members), len(members))
     return None
 
 
-def _why_stopped(member: Member) -> tuple[Outcome, Message]:
-    assert member.sent is not None
-    sent = member.sent
+def _why_stopped(member: Member, sent: SendResult) -> Failure:
     if sent.refusal is not None:
         member.outcome = outcome_without_readback(member.unit, sent)
         return "refused", unit_refused(member.unit, sent.refusal)
@@ -122,85 +161,131 @@ def _why_stopped(member: Member) -> tuple[Outcome, Message]:
     return "not_sent", Message("deadline_passed_staging")
 
 
-def _no_time(members: list[Member], context: CommandContext) -> ProcedureResult:
-    seconds = context.exchange_s * len(members)
-    allowed = round(max(context.time_left_s, 0), 1)
-    message = Message.of("change_too_long", n=len(members), seconds=round(seconds, 1), allowed=allowed)
-    return ProcedureResult("not_sent", message)
-
-
 def _stage_present(record: UnitRecord, context: CommandContext) -> Subprocedure[int | None]:
     """Stage the present speed; that speed, or None where the unit did not take it."""
     present = yield from present_setpoint(record, context.dialect)
     if present is None:
         return None
     sent = yield from send(Send(StageSpeedRequest(record.unit, present), withdraws=True))
-    if sent.status is not SendStatus.RESPONDED or sent.refusal is not None:
+    if not sent.acknowledged:
         return None
     yield Unstage(record.unit)
     return present
 
 
-def withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
-    """Instead of the broadcast."""
+def _withdraw_all(members: list[Member], context: CommandContext) -> Subprocedure[None]:
+    """Instead of the broadcast, for each member whose memory may hold the stage."""
     for member in members:
-        if member.may_hold:
-            present = yield from _stage_present(member.record, context)
-            member.outcome = _withdrawn(member, present)
+        if member.sent is None or not member.sent.may_have_acted:
+            continue
+        present = yield from _stage_present(member.record, context)
+        if present is not None:
+            outcome: Failure = "not_sent", Message.of("staged_withdrawn", present=present)
+        else:
+            outcome = "unverified", Message.of("staged_left", raw=member.raw)
+        member.outcome = outcome_of(member.unit, member.sent, *outcome)
 
 
-def _withdrawn(member: Member, present: int | None) -> UnitOutcome:
-    assert member.sent is not None
-    if present is not None:
-        message = Message.of("staged_withdrawn", present=present)
-    else:
-        message = Message.of("staged_left", raw=member.raw)
-    return UnitOutcome(
-        unit=member.unit,
-        outcome="not_sent" if present is not None else "unverified",
-        message=message,
-        unit_error=member.sent.refusal,
-        sent_at=member.sent.sent_at,
-        acknowledged_at=member.sent.responded_at if member.staged else None,
-        attempts=member.sent.attempts,
-    )
+def _restage(suspended: Mapping[int, int]) -> Subprocedure[None]:
+    """Give each unit outside the change its staged speed back."""
+    for unit, staged in suspended.items():
+        yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))
 
 
-def stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
+def _stopped(members: list[Member], outcome: Outcome, reason: Message) -> ProcedureResult:
     """Return the result of a change that ended before its broadcast, and the units that may be staged."""
     untouched = Message("unit_untouched")
     units = [each.outcome or UnitOutcome(each.unit, "not_sent", untouched) for each in members]
     left = [each.unit for each in units if each.outcome == "unverified"]
-    refusals = [each.unit_error for each in units if each.unit_error is not None]
     return ProcedureResult(
         outcome=outcome,
         message=Message.of("no_unit_changed_staged_left", reason=reason, units=left)
         if left
         else Message.of("no_unit_changed", reason=reason),
-        unit_error=refusals[0] if refusals else None,
-        units=tuple(sorted(units, key=lambda each: each.unit)),
+        unit_error=next((each.unit_error for each in units if each.unit_error is not None), None),
+        units=sorted(units, key=lambda each: each.unit),
     )
 
 
-class SuspendedStages:
-    """Units outside a change that hold a staged speed, kept from executing it with the others."""
+# --- after the broadcast -------------------------------------------------------------------------
 
-    def __init__(self, roster: Roster, setpoints: Mapping[int, int], context: CommandContext) -> None:
-        outside = [record for record in roster if record.unit not in setpoints]
-        self._waiting = {each.unit: (each, each.staged) for each in outside if each.staged is not None}
-        self._sheltered: dict[int, int] = {}
-        self._context = context
 
-    def suspend(self) -> Subprocedure[tuple[Outcome, Message] | None]:
-        """None when no unit outside the change can move with it."""
-        for unit, (record, staged) in self._waiting.items():
-            present = yield from _stage_present(record, self._context)
-            if present is None:
-                return "not_sent", Message.of("outsider_staged", unit=unit, staged=staged)
-            self._sheltered[unit] = staged
-        return None
+def _verify_all(
+    members: list[Member], broadcast: SendResult, roster: Roster, context: CommandContext
+) -> Procedure:
+    """Read back each member, then those that missed the broadcast, then the units outside the change."""
+    for done, member in enumerate(members):
+        yield ReportProgress("proving", member.unit, done, len(members))
+        yield from _verify(member, broadcast, context)
+    for member in members:
+        if member.missed_broadcast:
+            yield from _execute_singly(member, context)
+    strays = yield from _strays(roster, members)
+    return _executed(members, broadcast, strays)
 
-    def restore(self) -> Subprocedure[None]:
-        """Give each its staged speed back."""
-        for unit, staged in self._sheltered.items():
-            yield from send(Send(StageSpeedRequest(unit, staged), withdraws=True))
+
+def _verify(member: Member, broadcast: SendResult, context: CommandContext) -> Subprocedure[None]:
+    """Whether it shows what it had staged."""
+    readback = yield from verify_speed(member.record, member.raw, context.dialect, before=member.before)
+    staging, message = member.sent, None
+    if readback.shown:
+        yield Unstage(member.unit)
+    else:
+        # It has the value staged where it missed the broadcast, and the next execute would take it over.
+        assert readback.why is not None
+        message = Message.of("unit_may_hold", unit=member.unit, reason=readback.why, raw=member.raw)
+    member.outcome = replace(
+        outcome_with_readback(member.unit, broadcast, readback),
+        message=message,
+        sent_at=staging.sent_at if staging is not None else broadcast.sent_at,
+        acknowledged_at=staging.responded_at if staging is not None else None,
+        attempts=staging.attempts if staging is not None else 1,
+    )
+
+
+def _verify_unchanged(member: Member, broadcast: SendResult) -> Subprocedure[None]:
+    """Whether a unit that had nothing staged from here is as before."""
+    readback = yield from verify_unchanged(member.record, member.before)
+    message = Message("unit_unchanged")
+    if readback.why is not None:
+        message = Message.of("unit_remark", unit=member.unit, remark=readback.why)
+    outcome = outcome_with_readback(member.unit, broadcast, readback)
+    member.outcome = replace(outcome, message=message, acknowledged_at=None)
+
+
+def _execute_singly(member: Member, context: CommandContext) -> Subprocedure[None]:
+    """Execute at a unit that does not show its acknowledged stage: it may have missed the broadcast."""
+    sent = yield from send(Send(ExecuteSpeedRequest(member.unit)))
+    if not sent.may_have_acted:
+        return
+    yield from _verify(member, sent, context)
+    if member.outcome is not None and not member.missed_broadcast:
+        member.outcome = replace(member.outcome, message=EXECUTED_SINGLY)
+
+
+def _strays(roster: Roster, members: list[Member]) -> Subprocedure[list[Message]]:
+    """Return which units outside the change moved with it, staged by another host."""
+    inside = {member.unit for member in members}
+    moved: list[Message] = []
+    for record in map(roster.__getitem__, roster.configured):
+        if record.unit in inside or record.link.link != "online" or record.commanded is None:
+            continue
+        readback = yield from verify_unchanged(record, record.commanded)
+        if readback.why is not None and readback.read_back is not None:
+            moved.append(Message.of("outsider_moved", unit=record.unit, reason=readback.why))
+    return moved
+
+
+def _executed(members: list[Member], broadcast: SendResult, remarks: Sequence[Message]) -> ProcedureResult:
+    """Return the outcome of all whose broadcast has left."""
+    outcomes = [member.outcome for member in members if member.outcome is not None]
+    bad = [outcome for outcome in outcomes if outcome.outcome != "verified"]
+    about = bad or [outcome for outcome in outcomes if outcome.message == EXECUTED_SINGLY]
+    # Every unit acted after the broadcast's last byte and before it was seen to have acted.
+    proven = [outcome.proven_at for outcome in outcomes if outcome.proven_at is not None]
+    return ProcedureResult(
+        outcome="unverified" if bad else "verified",
+        message=joined([*(outcome.message for outcome in about), *remarks]),
+        units=sorted(outcomes, key=lambda outcome: outcome.unit),
+        skew_s=max(proven) - broadcast.sent_at if proven and broadcast.sent_at is not None else None,
+    )

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import TypeAlias
 
-from bus.contract import Outcome, UnitOutcome
+from msgspec.structs import replace
+
+from bus.contract import (
+    ExecuteSpeed,
+    Outcome,
+    SetSpeed,
+    UnitOutcome,
+    WriteAnalogOutput,
+    WriteOutput,
+    WriteParameter,
+)
 from bus.errors import unit_error, unit_refused
-from bus.line.commands.procedure import CommandContext, Procedure, ProcedureResult, ReportProgress, send
+from bus.line.commands.procedure import Procedure, ProcedureResult, ReportProgress, send
 from bus.line.commands.readback import (
     REREADS,
     Readback,
@@ -18,6 +28,7 @@ from bus.line.commands.readback import (
 from bus.line.exchange.send import Send, SendResult, SendStatus
 from bus.line.roster import UnitRecord
 from bus.messages import Message
+from bus.settings import Dialect
 from bus.wire.commands import (
     ExecuteSpeedRequest,
     Request,
@@ -28,63 +39,48 @@ from bus.wire.commands import (
     WriteParameterRequest,
 )
 
-
-def set_and_execute(record: UnitRecord, raw: int, context: CommandContext) -> Procedure:
-    """84h, verified by the commanded speed of an 81h."""
-    before = record.commanded
-    return write(
-        record.unit,
-        SetAndExecuteSpeedRequest(record.unit, raw),
-        lambda: verify_speed(record, raw, context.dialect, before=before),
-    )
+UnitWrite: TypeAlias = SetSpeed | ExecuteSpeed | WriteOutput | WriteAnalogOutput | WriteParameter
 
 
-def stage(record: UnitRecord, raw: int) -> Procedure:
-    """82h: not visible until it is executed, so acknowledged at best."""
-    return write(record.unit, StageSpeedRequest(record.unit, raw), None)
+def write_to_unit(record: UnitRecord, action: UnitWrite, dialect: Dialect) -> Procedure:
+    """Send ``action`` to its unit and prove it, where a later exchange can show it."""
+    unit, before = record.unit, record.commanded
+    match action:
+        case SetSpeed(raw=raw, execute=True):
+            readback = verify_speed(record, raw, dialect, before=before)
+            return _write(SetAndExecuteSpeedRequest(unit, raw), readback)
+        case SetSpeed(raw=raw):  # Not visible until it is executed.
+            return _write(StageSpeedRequest(unit, raw), None)
+        case ExecuteSpeed():
+            staged = record.staged
+            known = None if staged is None else verify_speed(record, staged, dialect, before=before)
+            return _write(ExecuteSpeedRequest(unit), known)
+        case WriteParameter(number=number, raw=raw):
+            readback = verify_parameter(unit, number, raw)
+            return _write(WriteParameterRequest(unit, number, raw), readback)
+        case WriteOutput(number=number, on=on):
+            return _write(WriteOutputRequest(unit, number, on), verify_output(unit, number, on))
+        case WriteAnalogOutput(raw=raw):
+            return _write(WriteAnalogOutputRequest(unit, raw), None)
 
 
-def execute(record: UnitRecord, context: CommandContext) -> Procedure:
-    """83h to one unit, verified where its staged value is known."""
-    staged, before = record.staged, record.commanded
-    request = ExecuteSpeedRequest(record.unit)
-    if staged is None:
-        return write(record.unit, request, None)
-    return write(record.unit, request, lambda: verify_speed(record, staged, context.dialect, before=before))
-
-
-def write_parameter(unit: int, number: int, raw: int) -> Procedure:
-    """86h, verified by 85h."""
-    return write(unit, WriteParameterRequest(unit, number, raw), lambda: verify_parameter(unit, number, raw))
-
-
-def write_output(unit: int, number: int, on: bool) -> Procedure:
-    """87h, verified by the bit in ST2."""
-    return write(unit, WriteOutputRequest(unit, number, on), lambda: verify_output(unit, number, on))
-
-
-def write_analog_output(unit: int, raw: int) -> Procedure:
-    """88h: nothing can be read back."""
-    return write(unit, WriteAnalogOutputRequest(unit, raw), None)
-
-
-def write(unit: int, request: Request, verify: Callable[[], Verification] | None) -> Procedure:
-    """Send ``request`` and, unless refused, read it back. ``verify`` None: there is only the ACK."""
+def _write(request: Request, verification: Verification | None) -> Procedure:
+    """Send ``request`` and, unless refused, read it back. ``verification`` None: there is only the ACK."""
+    unit = request.unit
     sent = yield from send(Send(request, reports_sent=True))
     if not sent.may_have_acted:
-        return result_of_one(outcome_without_readback(unit, sent))
-    if sent.status is SendStatus.RESPONDED and sent.refusal is None:
+        return _result_of_one(outcome_without_readback(unit, sent))
+    if sent.acknowledged:
         yield ReportProgress("acknowledged", unit)
-    if verify is None:
-        return result_of_one(outcome_without_readback(unit, sent))
+    if verification is None:
+        return _result_of_one(outcome_without_readback(unit, sent))
     yield ReportProgress("proving", unit)
-    readback = yield from verify()
-    return result_of_one(outcome_with_readback(unit, sent, readback))
+    readback = yield from verification
+    return _result_of_one(outcome_with_readback(unit, sent, readback))
 
 
-def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
-    """Return the outcome of a write that is not, or cannot be, read back."""
-    outcome, message = _outcome_without_readback(unit, sent)
+def outcome_of(unit: int, sent: SendResult, outcome: Outcome, message: Message | None) -> UnitOutcome:
+    """Return ``outcome`` with the times of the write and of its response."""
     return UnitOutcome(
         unit=unit,
         outcome=outcome,
@@ -96,17 +92,19 @@ def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
     )
 
 
-def _outcome_without_readback(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
+def outcome_without_readback(unit: int, sent: SendResult) -> UnitOutcome:
+    """Return the outcome of a write that is not, or cannot be, read back."""
     if sent.refusal is not None:
         refusal = unit_refused(unit, sent.refusal)
         if sent.may_have_acted:
-            return "unverified", Message.of("unit_refused_retry", refusal=refusal)
-        return "refused", refusal
-    if sent.status is SendStatus.RESPONDED:
-        return "acknowledged", Message("nothing_to_read_back")
+            return outcome_of(unit, sent, "unverified", Message.of("unit_refused_retry", refusal=refusal))
+        return outcome_of(unit, sent, "refused", refusal)
+    if sent.acknowledged:
+        return outcome_of(unit, sent, "acknowledged", Message("nothing_to_read_back"))
     if sent.attempts == 0:
-        return not_sent(unit, sent)
-    return "unverified", Message.of("write_unacknowledged", unit=unit, n=sent.attempts)
+        return outcome_of(unit, sent, *not_sent(unit, sent))
+    message = Message.of("write_unacknowledged", unit=unit, n=sent.attempts)
+    return outcome_of(unit, sent, "unverified", message)
 
 
 def not_sent(unit: int, sent: SendResult) -> tuple[Outcome, Message]:
@@ -122,24 +120,22 @@ def outcome_with_readback(unit: int, sent: SendResult, readback: Readback) -> Un
     """Return the outcome of a write that was read back."""
     refused = sent.refusal is not None and not readback.shown and readback.read_back is not None
     unproven: Outcome = "refused" if refused else "unverified"
-    return UnitOutcome(
-        unit=unit,
-        outcome="verified" if readback.shown else unproven,
-        message=_message_of(unit, sent, readback),
+    outcome = outcome_of(
+        unit, sent, "verified" if readback.shown else unproven, _remark(unit, sent, readback)
+    )
+    return replace(
+        outcome,
         unit_error=sent.refusal if refused else None,
         read_back=readback.read_back,
-        sent_at=sent.sent_at,
-        acknowledged_at=sent.responded_at if sent.refusal is None else None,
         proven_at=readback.at if readback.shown else None,
-        attempts=sent.attempts,
     )
 
 
-def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | None:
-    acknowledged = sent.status is SendStatus.RESPONDED and sent.refusal is None
+def _remark(unit: int, sent: SendResult, readback: Readback) -> Message | None:
+    """What the readback of a write leaves open; None where nothing."""
     if readback.shown:
-        return None if acknowledged else Message("verified_unacknowledged")
-    response = Message("response_acknowledged" if acknowledged else "response_missing")
+        return None if sent.acknowledged else Message("verified_unacknowledged")
+    response = Message("response_acknowledged" if sent.acknowledged else "response_missing")
     if sent.refusal is not None:
         response = Message.of("response_refused", error=unit_error(sent.refusal))
     assert readback.why is not None
@@ -150,11 +146,11 @@ def _message_of(unit: int, sent: SendResult, readback: Readback) -> Message | No
     )
 
 
-def result_of_one(outcome: UnitOutcome) -> ProcedureResult:
+def _result_of_one(outcome: UnitOutcome) -> ProcedureResult:
     return ProcedureResult(
         outcome=outcome.outcome,
         message=outcome.message,
         unit_error=outcome.unit_error,
         read_back=outcome.read_back,
-        units=(outcome,),
+        units=[outcome],
     )

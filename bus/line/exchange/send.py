@@ -83,6 +83,11 @@ class SendResult(msgspec.Struct, frozen=True):
         return self.reply.code if isinstance(self.reply, Nak) else None
 
     @property
+    def acknowledged(self) -> bool:
+        """Whether the unit responded, and not with NAK."""
+        return self.status is SendStatus.RESPONDED and self.refusal is None
+
+    @property
     def may_have_acted(self) -> bool:
         """Whether a write may have been carried out: a NAK speaks for its own attempt, not for an earlier one
         whose response was lost."""
