@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
+from bus.settings import wire_seconds
+from bus.simulator.pacer import ReplyLine, RequestLine, Wake
 from bus.simulator.record import WireEventKind, WireRecord
 
 REGISTERS = 6
@@ -32,7 +33,7 @@ class ModbusLine:
 
     def receive(self, now: float, data: bytes, _host_baud: int | None = None) -> None:
         self.record.add(now, WireEventKind.CAME, 0, data)
-        byte_s = byte_seconds(self.baud)
+        byte_s = wire_seconds(1, self.baud)
         arrivals = self._requests.carry(now, len(data), byte_s)
         self._pending += data
         while len(self._pending) >= _REQUEST_BYTES:

@@ -11,15 +11,16 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.simulator.faults import EVERY_UNIT, FaultKind, Faults
-from bus.simulator.pacer import ReplyLine, RequestLine, Wake, byte_seconds
+from bus.simulator.pacer import ReplyLine, RequestLine, Wake
 from bus.simulator.plant import STEP_S, Plant
 from bus.simulator.record import WireEventKind, WireRecord
-from bus.simulator.responding import ALL_UNITS, Turn, encode, respond
+from bus.simulator.responding import ALL_UNITS, Turn, respond
 from bus.simulator.unit import Unit
+from bus.wire.bodies import reply_body
 from bus.wire.commands import Nak
-from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame
+from bus.wire.framing import DLE, FrameDecoder, ReceivedFrame, encode_frame
 
 IDLE_S = 1.5 * STEP_S
 """How far the physics may lag while no request comes."""
@@ -63,7 +64,7 @@ class SimulatedLine:
     def receive(self, now: float, data: bytes, host_baud: int | None = None) -> None:
         """The host wrote ``data`` at ``now``, its port set to ``host_baud`` (None: not known)."""
         self.record.add(now, WireEventKind.CAME, EVERY_UNIT, data)
-        byte_s = byte_seconds(host_baud or self.baud, self.speedup)
+        byte_s = self._byte_s(host_baud)
         for at, value in zip(self._requests.carry(now, len(data), byte_s), data, strict=True):
             if self.faults.strikes(FaultKind.ECHO):
                 self._replies.transmit(ECHO_TALKER, at - byte_s, bytes((value,)), byte_s)
@@ -111,7 +112,7 @@ class SimulatedLine:
         while self._physics_at + behind <= now:
             self.plant.step(STEP_S)
             if self.faults.strikes(FaultKind.FLOOD):
-                byte_s = byte_seconds(self.baud, self.speedup)
+                byte_s = self._byte_s(None)
                 noise = self.faults.noise_bytes(int(STEP_S / byte_s))
                 self._send(FLOOD_TALKER, self._physics_at, noise, byte_s)
             self._physics_at += STEP_S
@@ -139,7 +140,7 @@ class SimulatedLine:
 
     def _respond(self, place: int, unit: Unit, arriving: _Arriving) -> None:
         address, at = unit.address, arriving.at
-        byte_s = byte_seconds(arriving.baud or self.baud, self.speedup)
+        byte_s = self._byte_s(arriving.baud)
         self.record.add(at, WireEventKind.RECEIVED, address, arriving.body)
         if arriving.body[0] != ALL_UNITS and self.faults.strikes(FaultKind.NAK, address):
             refusal = self.faults.refusal(arriving.body[1])
@@ -148,12 +149,10 @@ class SimulatedLine:
             turn = respond(unit, arriving.body)
         if turn.acted:
             self.record.add(at, WireEventKind.ACTED, address, arriving.body)
-        frame = encode(unit, turn)
-        if not frame:
+        if turn.reply is None:
             return
-        [event] = FrameDecoder(Dialect()).feed(frame)[:1]
-        assert isinstance(event, ReceivedFrame)
-        body = event.body
+        body = reply_body(turn.reply, unit.traits.dialect)
+        frame = encode_frame(body, unit.traits.dialect)
         begins = at + unit.turnaround() / self.speedup
         self.record.add(begins, WireEventKind.RESPONDED, address, body)
         for piece in self.faults.spoil(address, frame, body):
@@ -162,3 +161,6 @@ class SimulatedLine:
     def _send(self, talker: int, at: float, data: bytes, byte_s: float) -> None:
         ends = self._replies.transmit(talker, at, data, byte_s)
         self.record.add(ends, WireEventKind.SENT, EVERY_UNIT, data)
+
+    def _byte_s(self, host_baud: int | None) -> float:
+        return wire_seconds(1, host_baud or self.baud) / self.speedup

@@ -11,14 +11,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from bus.settings import BITS_PER_BYTE
-
 WAKE_S = 0.004
 """Bytes inside a frame may wait for each other so long, as in an adapter's buffer; its first and last not."""
-
-
-def byte_seconds(baud: int, speedup: float = 1.0) -> float:
-    return BITS_PER_BYTE / (baud * speedup)
 
 
 @dataclass(slots=True)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from bus.catalogue import numbers
 from bus.errors import UnitErrorCode
 from bus.simulator.unit import Mode, Unit, width_by_type
-from bus.wire.bodies import IllegalRequest, encode_reply, parse_request
+from bus.wire.bodies import IllegalRequest, parse_request
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -70,11 +70,6 @@ def respond(unit: Unit, body: bytes) -> Turn:
     if isinstance(request, WriteParameterRequest) and unit.traits.responds_with_written_value:
         written = request.raw.to_bytes(4, "big")
     return Turn(Ack(request.unit, written), acted=True)
-
-
-def encode(unit: Unit, turn: Turn) -> bytes:
-    """Return the frame of a reply as ``unit`` writes it, empty where the unit does not respond."""
-    return b"" if turn.reply is None else encode_reply(turn.reply, unit.traits.dialect)
 
 
 def _refuse_illegal(unit: Unit, error: IllegalRequest) -> Reply | None:

@@ -94,7 +94,9 @@ class LineServer:
         ready, _, _ = select.select([self._waked, *self.port.descriptors()], [], [], max(sleep, 0.0))
         if not ready:
             if wake.sharp and sleep > 0.0:
-                self._watch(wake.at)
+                while time.monotonic() < wake.at:
+                    pass
+                self._listening_until = wake.at + LISTEN_S
             return
         if self._waked in ready:
             os.read(self._waked, 64)
@@ -104,11 +106,6 @@ class LineServer:
             now, data = time.monotonic(), self.port.read()
             if data:
                 self.line.receive(now, data, self.port.host_baud())
-
-    def _watch(self, until: float) -> None:
-        while time.monotonic() < until:
-            pass
-        self._listening_until = until + LISTEN_S
 
 
 def _sharpen_timer() -> None:

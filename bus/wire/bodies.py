@@ -152,9 +152,14 @@ def _number(unit: int, byte: int, dialect: Dialect) -> int:
 
 def encode_reply(reply: Reply, dialect: Dialect) -> bytes:
     """The unit's frame. Raises CallerError where a field does not fit its bytes."""
+    return encode_frame(reply_body(reply, dialect), dialect)
+
+
+def reply_body(reply: Reply, dialect: Dialect) -> bytes:
+    """Return what the frame of ``reply`` carries, unstuffed. Raises CallerError like ``encode_reply``."""
     mark = NAK if isinstance(reply, Nak) else ACK
     try:
-        return encode_frame(bytes((reply.unit, mark)) + _reply_data(reply, dialect), dialect)
+        return bytes((reply.unit, mark)) + _reply_data(reply, dialect)
     except (OverflowError, ValueError) as error:
         raise CallerError(Message.of("reply_does_not_fit", reply=str(reply), error=str(error))) from error
 

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus.catalogue import numbers
-from bus.settings import Dialect
+from bus.settings import Dialect, wire_seconds
 from bus.simulator.demo import demo_line
 from bus.simulator.faults import FaultKind, Faults
 from bus.simulator.line import SimulatedLine
-from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine, byte_seconds
+from bus.simulator.pacer import WAKE_S, ReplyLine, RequestLine
 from bus.simulator.record import WireEventKind, WireRecord
 from bus.simulator.unit import ORDINARY, Mode, Traits
 from bus.wire.bodies import encode_request
@@ -82,7 +82,7 @@ def host(units: int = 3, *, traits: Traits = ORDINARY, speedup: float = 1.0, see
 def test_request_bytes_arrive_at_baud_pace_and_never_overtake(
     writes: list[tuple[float, int]], baud: int
 ) -> None:
-    line, byte_s, now = RequestLine(), byte_seconds(baud), 0.0
+    line, byte_s, now = RequestLine(), wire_seconds(1, baud), 0.0
     arrivals: list[float] = []
     for pause, count in writes:
         now += pause
@@ -95,7 +95,7 @@ def test_request_bytes_arrive_at_baud_pace_and_never_overtake(
 
 @given(st.binary(min_size=1, max_size=40), st.floats(0, 10), st.sampled_from([300, 9600]))
 def test_no_reply_byte_comes_before_its_time_and_all_come(data: bytes, at: float, baud: int) -> None:
-    line, byte_s = ReplyLine(), byte_seconds(baud)
+    line, byte_s = ReplyLine(), wire_seconds(1, baud)
     assert line.transmit(1, at, data, byte_s) == pytest.approx(at + len(data) * byte_s)
     got = b""
     while wake := line.wake():

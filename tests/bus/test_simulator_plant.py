@@ -8,16 +8,19 @@ from bus.catalogue import numbers
 from bus.settings import BusSettings
 from bus.simulator.demo import DemoLine, demo_line
 from bus.simulator.plant import STEP_S, Habit, Plant, Script
-from bus.simulator.responding import encode, respond
+from bus.simulator.responding import respond
 from bus.simulator.section import Section
 from bus.simulator.unit import Unit
+from bus.wire.bodies import encode_reply
 
 
 def responses(line: DemoLine) -> bytes:
     """Return the responses of every unit to 81h."""
     sent = b""
     for unit in line.plant.units:
-        sent += encode(unit, respond(unit, bytes((unit.address, 0x81))))
+        reply = respond(unit, bytes((unit.address, 0x81))).reply
+        assert reply is not None
+        sent += encode_reply(reply, unit.traits.dialect)
     return sent
 
 

@@ -10,9 +10,9 @@ from bus.catalogue import numbers
 from bus.catalogue.parameters import PARAMETERS
 from bus.errors import UnitErrorCode as Code
 from bus.settings import Dialect
-from bus.simulator.responding import encode, respond
+from bus.simulator.responding import respond
 from bus.simulator.unit import Inputs, Memory, Mode, Traits, Unit
-from bus.wire.bodies import encode_request, parse_reply
+from bus.wire.bodies import encode_reply, encode_request, parse_reply
 from bus.wire.commands import (
     Ack,
     ExecuteSpeedRequest,
@@ -55,10 +55,10 @@ def body_of(request: Request, dialect: Dialect = PLAIN) -> bytes:
 
 def exchange(unit: Unit, request: Request, dialect: Dialect = PLAIN) -> Reply | None:
     """Return the unit's response to ``request``, encoded and decoded as on the wire."""
-    response = encode(unit, respond(unit, body_of(request, dialect)))
-    if not response:
+    reply = respond(unit, body_of(request, dialect)).reply
+    if reply is None:
         return None
-    frame = FrameDecoder(dialect).feed(response)[0]
+    frame = FrameDecoder(dialect).feed(encode_reply(reply, unit.traits.dialect))[0]
     assert isinstance(frame, ReceivedFrame)
     return parse_reply(request, frame.body, dialect)
 
