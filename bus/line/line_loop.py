@@ -113,10 +113,12 @@ class LineLoop:
         return self._port_lost()
 
     def _next_exchange(self, now: Monotonic) -> NextExchange | None:
-        other = self._baud_search.turn(self.baud, responds=self._responds)
-        if other is not None:
-            self._retune(other)
-            self.schedule.probes.forgive(now)
+        if len(self.commands) == 0:
+            responds = len(self.schedule.poll_order) > 0
+            other = self._baud_search.turn(now, self.baud, responds=responds)
+            if other is not None:
+                self._retune(other)
+                self.schedule.probes.forgive(now)
         while (turn := self._arbiter.next_request(now)) is not None:
             try:
                 return self._prepare(turn)
@@ -253,17 +255,6 @@ class LineLoop:
         return BusLink(at=self.clock.epoch(self.clock.now()), link=link, cause=cause, baud=self.baud)
 
     # --- the rate ------------------------------------------------------------------------------
-
-    def tick(self) -> None:
-        """About once a second: a line that stopped responding may respond at the rate it was given."""
-        if not self.link.open or len(self.commands):
-            return
-        if self._baud_search.look(self.clock.now(), self.baud, responds=self._responds):
-            self._wake()
-
-    @property
-    def _responds(self) -> bool:
-        return len(self.schedule.poll_order) > 0
 
     def _retune(self, baud: int) -> None:
         self._baud_search.tuned(self.clock.now())

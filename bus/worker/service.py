@@ -184,7 +184,6 @@ class BusWorker:
         while True:
             await asyncio.sleep(FIGURES_S)
             self.clock.settle()
-            self.line.tick()
             figures = self.line.figures()
             self._figures = msgspec.structs.replace(figures, updates_lost=self.outbox.lost)
             self.outbox.put([self._figures])

@@ -18,54 +18,48 @@ def expecting_4800() -> BaudSearch:
 def at_4800() -> BaudSearch:
     """Return a search at the expected rate, after no response at 9600."""
     rate = expecting_4800()
-    assert rate.look(LONG, 9600, responds=False)
-    assert rate.turn(9600, responds=False) == 4800
+    assert rate.turn(LONG, 9600, responds=False) == 4800
     rate.tuned(LONG)
     return rate
 
 
 def test_without_an_expected_rate_a_line_without_responses_stays_at_its_rate() -> None:
-    rate = BaudSearch(0.0)
-    assert not rate.look(100.0, 9600, responds=False)
-    assert rate.turn(9600, responds=False) is None
+    assert BaudSearch(0.0).turn(100.0, 9600, responds=False) is None
 
 
 def test_a_line_without_responses_is_polled_at_both_rates_in_turn() -> None:
-    assert not expecting_4800().look(LOOK_ELSEWHERE_S, 9600, responds=False)
+    assert expecting_4800().turn(LOOK_ELSEWHERE_S, 9600, responds=False) is None
     rate = at_4800()
-    assert rate.turn(4800, responds=False) is None, "once for each look"
-    assert not rate.look(LONG + 0.1, 4800, responds=False)
-    assert rate.look(2 * LONG, 4800, responds=False)
-    assert rate.turn(4800, responds=False) == 9600
+    assert rate.turn(LONG + 0.1, 4800, responds=False) is None
+    assert rate.turn(2 * LONG, 4800, responds=False) == 9600
     rate.tuned(2 * LONG)
-    assert not rate.look(100.0, 9600, responds=True), "it was switched off, and is not at its new rate yet"
-    assert rate.look(200.0, 9600, responds=False)
-    assert rate.turn(9600, responds=False) == 4800
+    assert rate.turn(100.0, 9600, responds=True) is None, (
+        "it was switched off, and is not at its new rate yet"
+    )
+    assert rate.turn(200.0, 9600, responds=False) == 4800
 
 
 def test_a_response_at_the_expected_rate_ends_the_search() -> None:
     rate = expecting_4800()
-    assert not rate.look(100.0, 9600, responds=True), "some have not been switched off and on yet"
-    assert not rate.look(100.0, 4800, responds=True)
-    assert not rate.look(200.0, 4800, responds=False)
+    assert rate.turn(100.0, 9600, responds=True) is None, "some have not been switched off and on yet"
+    assert rate.turn(100.0, 4800, responds=True) is None
+    assert rate.turn(200.0, 4800, responds=False) is None
 
 
 def test_nor_is_one_that_was_found_there_by_looking() -> None:
     rate = at_4800()
-    assert not rate.look(LONG + 1, 4800, responds=True)
-    assert not rate.look(200.0, 4800, responds=False)
-    assert rate.turn(4800, responds=False) is None
+    assert rate.turn(LONG + 1, 4800, responds=True) is None
+    assert rate.turn(200.0, 4800, responds=False) is None
 
 
-def test_a_response_after_the_try_keeps_the_line_at_its_rate() -> None:
+def test_a_response_keeps_the_line_at_its_rate() -> None:
     rate = expecting_4800()
-    assert rate.look(LONG, 9600, responds=False)
-    assert rate.turn(9600, responds=True) is None
-    assert rate.turn(9600, responds=False) is None, "the next look decides again"
+    assert rate.turn(LONG, 9600, responds=True) is None
+    assert rate.turn(LONG, 9600, responds=False) == 4800
 
 
 @pytest.mark.parametrize("present", [9600, 2400])
 def test_a_change_that_left_every_unit_at_its_rate_ends_the_expectation(present: int) -> None:
     rate = expecting_4800()
     rate.expect(present, present)
-    assert not rate.look(100.0, present, responds=False)
+    assert rate.turn(100.0, present, responds=False) is None

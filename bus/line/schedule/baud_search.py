@@ -14,13 +14,12 @@ LOOK_ELSEWHERE_S = 3.0
 
 
 class BaudSearch:
-    """Call ``look`` regularly, and ``turn`` between two requests."""
+    """Call ``turn`` between two requests."""
 
     def __init__(self, now: Monotonic) -> None:
         self._expected: int | None = None
         self._old: int | None = None
         self._tuned_at = now
-        self._turns = False
 
     def expect(self, baud: int, present: int) -> None:
         """Units that respond at ``present`` come up at ``baud`` once they have been switched off and on; the
@@ -32,21 +31,11 @@ class BaudSearch:
         """The port goes at another rate from now on."""
         self._tuned_at = now
 
-    def look(self, now: Monotonic, baud: int, *, responds: bool) -> bool:
-        """Return whether the other rate is tried next; ``responds``: whether any unit does at ``baud``."""
-        if self._expected is None:
-            return False
-        if responds:
-            if baud == self._expected:
-                self._expected = self._old = None
-            return False
-        if now - self._tuned_at > LOOK_ELSEWHERE_S:
-            self._turns = True
-        return self._turns
-
-    def turn(self, baud: int, *, responds: bool) -> int | None:
-        """Return the rate to continue at where it is time to leave ``baud``, else None."""
-        turns, self._turns = self._turns, False
-        if not turns or responds:
+    def turn(self, now: Monotonic, baud: int, *, responds: bool) -> int | None:
+        """Return the rate to continue at where it is time to leave ``baud``, else None; ``responds``: whether
+        any unit does at ``baud``."""
+        if responds and baud == self._expected:
+            self._expected = self._old = None
+        if responds or now - self._tuned_at <= LOOK_ELSEWHERE_S:
             return None
         return self._old if baud == self._expected else self._expected
