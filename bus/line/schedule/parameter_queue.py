@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import heapq
-from collections import deque
 from collections.abc import Collection, Sequence
 
 from bus.catalogue.numbers import DECIMALS
 
+UnitParameter = tuple[int, int]
+"""A unit and the number of a parameter."""
 DECIMALS_EVERY = 4
 """This many reads of the slow scan include one #3, and a first reading of all the others still ends soon."""
 
@@ -24,11 +24,10 @@ class ParameterQueue:
     def __init__(self, numbers: Sequence[int], needed: Collection[int]) -> None:
         self._numbers = tuple(numbers)
         self._needed_numbers = frozenset(needed)
-        self._needed: list[tuple[bool, int, int, int]] = []
-        self._background: deque[tuple[int, int]] = deque()
-        self._decimals: deque[tuple[int, int]] = deque()
-        self._waiting: set[tuple[int, int]] = set()
-        self._urgent: set[tuple[int, int]] = set()
+        self._needed: dict[UnitParameter, tuple[bool, int, int]] = {}
+        """With the rank of each."""
+        self._background: dict[UnitParameter, None] = {}
+        self._decimals: dict[UnitParameter, None] = {}
         self._arrivals = 0
         self._turn = 0
 
@@ -47,29 +46,26 @@ class ParameterQueue:
 
     def forget(self, unit: int) -> None:
         """``unit`` does not respond; nothing is read from it."""
-        self._needed = [entry for entry in self._needed if entry[3] != unit]
-        heapq.heapify(self._needed)
-        self._background = deque(entry for entry in self._background if entry[0] != unit)
-        self._decimals = deque(entry for entry in self._decimals if entry[0] != unit)
-        self._waiting = {entry for entry in self._waiting if entry[0] != unit}
-        self._urgent = {entry for entry in self._urgent if entry[0] != unit}
+        for queue in (self._needed, self._background, self._decimals):
+            for entry in [entry for entry in queue if entry[0] == unit]:
+                del queue[entry]
 
-    def next_needed(self) -> tuple[int, int] | None:
+    def next_needed(self) -> UnitParameter | None:
         """Unit and number of the next needed parameter, taken from the queue."""
         if not self._needed:
             return None
-        _, number, _, unit = heapq.heappop(self._needed)
-        self._urgent.discard((unit, number))
-        return unit, number
+        entry = min(self._needed, key=self._needed.__getitem__)
+        del self._needed[entry]
+        return entry
 
-    def next_background(self) -> tuple[int, int] | None:
+    def next_background(self) -> UnitParameter | None:
         """Return unit and number of the next parameter of the slow scan, and remove it from there."""
         self._turn = (self._turn + 1) % DECIMALS_EVERY
         queue = (self._background or self._decimals) if self._turn else (self._decimals or self._background)
         if not queue:
             return None
-        entry = queue.popleft()
-        self._waiting.discard(entry)
+        entry = next(iter(queue))
+        del queue[entry]
         return entry
 
     def was_read(self, unit: int, number: int, *, available: bool) -> None:
@@ -85,13 +81,9 @@ class ParameterQueue:
             self._add_background(unit, number)
 
     def _add_needed(self, unit: int, number: int, *, later: bool) -> None:
-        if (unit, number) not in self._urgent:
-            self._urgent.add((unit, number))
-            self._arrivals += 1
-            heapq.heappush(self._needed, (later, number, self._arrivals, unit))
+        self._arrivals += 1
+        self._needed.setdefault((unit, number), (later, number, self._arrivals))
 
     def _add_background(self, unit: int, number: int) -> None:
-        if (unit, number) not in self._waiting:
-            self._waiting.add((unit, number))
-            queue = self._decimals if number == DECIMALS else self._background
-            queue.append((unit, number))
+        queue = self._decimals if number == DECIMALS else self._background
+        queue.setdefault((unit, number))
