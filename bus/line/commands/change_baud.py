@@ -60,19 +60,25 @@ class _Change:
         if failure is not None:
             return (yield from self._go_back(*failure))
         yield ReportProgress("proving", None, 0, len(self._units))
+        everyone = set(self._units)
         at_old = yield from self._responding(self._units)
-        if at_old == set(self._units):
-            return (yield from self._at_power_up())
-        yield Retune(self._new)
-        at_new = yield from self._responding([unit for unit in self._units if unit not in at_old])
-        if at_new == set(self._units):
-            return (yield from self._at_once())
-        lost = sorted(set(self._units) - at_old - at_new)
-        if lost:
-            reason = Message.of("baud_no_response", units=lost)
+        if at_old != everyone:
+            yield Retune(self._new)
+            at_new = yield from self._responding([unit for unit in self._units if unit not in at_old])
+            if at_new != everyone:
+                return (yield from self._go_back("unverified", self._disagree(at_old, at_new)))
+        missing = yield from self._not_holding(self._units, self._new)
+        if missing and at_old == everyone:
+            return (yield from self._go_back("unverified", Message.of("baud_not_held", units=missing)))
+        if missing:
+            message = Message.of("baud_readback_differs", units=missing, baud=self._new)
+            return ProcedureResult("unverified", message, self._outcomes(missing))
+        yield ExpectBaud(self._new)
+        if at_old == everyone:
+            message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
         else:
-            reason = Message.of("baud_not_followed", units=sorted(at_old), baud=self._old)
-        return (yield from self._go_back("unverified", reason))
+            message = Message.of("baud_changed", baud=self._new)
+        return ProcedureResult("verified", message, self._outcomes([]))
 
     # --- forth ---------------------------------------------------------------------------------
 
@@ -107,22 +113,11 @@ class _Change:
                 found.add(unit)
         return found
 
-    def _at_once(self) -> Procedure:
-        missing = yield from self._not_holding(self._units, self._new)
-        if missing:
-            message = Message.of("baud_readback_differs", units=missing, baud=self._new)
-            return ProcedureResult("unverified", message, self._outcomes(missing))
-        yield ExpectBaud(self._new)
-        return ProcedureResult("verified", Message.of("baud_changed", baud=self._new), self._outcomes([]))
-
-    def _at_power_up(self) -> Procedure:
-        missing = yield from self._not_holding(self._units, self._new)
-        if missing:
-            reason = Message.of("baud_not_held", units=missing)
-            return (yield from self._go_back("unverified", reason))
-        yield ExpectBaud(self._new)
-        message = Message.of("baud_at_power_up", baud=self._new, present=self._old)
-        return ProcedureResult("verified", message, self._outcomes([]))
+    def _disagree(self, at_old: set[int], at_new: set[int]) -> Message:
+        lost = sorted(set(self._units) - at_old - at_new)
+        if lost:
+            return Message.of("baud_no_response", units=lost)
+        return Message.of("baud_not_followed", units=sorted(at_old), baud=self._old)
 
     def _not_holding(self, units: Sequence[int], baud: int) -> Subprocedure[list[int]]:
         missing = []
