@@ -73,9 +73,6 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
     machine = _machine(address)
     draw = machine.draw + 0.001 * ((address - 1) // len(_MACHINES)) / max(units / 64, 1)
     changed: dict[int, int] = {
-        numbers.MAX_RPM: 1750,
-        numbers.MAX_DISPLAY: 2000,
-        numbers.DECIMALS: 1,
         numbers.ACCELERATION: machine.ramp_s * 10,
         numbers.DECELERATION: machine.ramp_s * 10,
         numbers.FOLLOWER_MODE: int(address > len(_MACHINES) and machine is _MACHINES[-1]),
@@ -83,8 +80,7 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
         numbers.OWN_ADDRESS: address,
         numbers.SPEED_SETPOINT: round(LINE_SPEED * draw),
         numbers.RATIO_SETPOINT: round(10000 * draw),
-        22: 0,
-        23: 500,
+        numbers.ANALOG_IN_HIGH: 500,
     }
     unit = Unit(Memory(changed), traits)
     unit.random.seed(seed * 1000 + address)

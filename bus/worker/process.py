@@ -24,7 +24,12 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())
-    _raise_priority()
+    # A busy machine must not leave the wire idle: go before others where the system allows it, and keep
+    # what is loaded out of every garbage collection.
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    gc.collect()
+    gc.freeze()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(_until_stopped(bus, app_url, token))
     return 0
@@ -36,13 +41,3 @@ async def _until_stopped(bus: BusSettings, app_url: str, token: str) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, leave.set)
     await run_worker(bus, app_url, token, leave=leave)
-
-
-def _raise_priority() -> None:
-    """A busy machine must not leave the wire idle: go before others where the system allows it, and keep
-    what is loaded out of every garbage collection.
-    """
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
-    gc.collect()
-    gc.freeze()
