@@ -14,7 +14,8 @@ from bus.messages import Message
 from bus.settings import Dialect
 from bus.wire.commands import (
     LARGEST_VALUE,
-    TRAITS,
+    LAYOUTS,
+    REQUESTS,
     Ack,
     ExecuteSpeedRequest,
     Nak,
@@ -23,12 +24,7 @@ from bus.wire.commands import (
     ReadStatusRequest,
     Reply,
     Request,
-    SetAndExecuteSpeedRequest,
-    StageSpeedRequest,
     StatusReply,
-    WriteAnalogOutputRequest,
-    WriteOutputRequest,
-    WriteParameterRequest,
 )
 from bus.wire.framing import ACK, NAK, encode_frame
 from bus.wire.lengths import acknowledged_lengths
@@ -55,35 +51,24 @@ def request_body(request: Request, dialect: Dialect) -> bytes:
     """Return what the frame of ``request`` carries, unstuffed. Raises CallerError like ``encode_request``."""
     lowest = 0 if isinstance(request, ExecuteSpeedRequest) else 1
     _require(Message("field_unit_address"), request.unit, lowest, 255)
-    return bytes((request.unit, request.COMMAND)) + _request_data(request, dialect)
+    body = bytes((request.unit, request.COMMAND))
+    for field, width in LAYOUTS[request.COMMAND].items():
+        body += _encoded(field, getattr(request, field), dialect).to_bytes(width, "big")
+    return body
 
 
-def _request_data(request: Request, dialect: Dialect) -> bytes:
-    match request:
-        case ReadStatusRequest() | ExecuteSpeedRequest():
-            return b""
-        case StageSpeedRequest() | SetAndExecuteSpeedRequest() | WriteAnalogOutputRequest():
-            return _value(request.raw)
-        case ReadParameterRequest():
-            return _number_byte(request.number, dialect)
-        case WriteParameterRequest():
-            return _number_byte(request.number, dialect) + _value(request.raw)
-        case WriteOutputRequest():
-            _require(Message("field_output"), request.output, 1, 6)
-            return bytes((request.output, request.on))
-
-
-def _value(raw: int) -> bytes:
-    _require(Message("field_value"), raw, 0, LARGEST_VALUE)
-    return raw.to_bytes(4, "big")
-
-
-def _number_byte(number: int, dialect: Dialect) -> bytes:
-    if dialect.parameter_numbers == "bcd":
-        _require(Message("field_parameter_number"), number, 1, 99)
-        return bytes((number // 10 * 16 + number % 10,))
-    _require(Message("field_parameter_number"), number, 1, 255)
-    return bytes((number,))
+def _encoded(field: str, value: int, dialect: Dialect) -> int:
+    match field:
+        case "raw":
+            _require(Message("field_value"), value, 0, LARGEST_VALUE)
+        case "output":
+            _require(Message("field_output"), value, 1, 6)
+        case "number" if dialect.parameter_numbers == "bcd":
+            _require(Message("field_parameter_number"), value, 1, 99)
+            return value // 10 * 16 + value % 10
+        case "number":
+            _require(Message("field_parameter_number"), value, 1, 255)
+    return value
 
 
 def _require(field: Message, value: int, lowest: int, highest: int) -> None:
@@ -95,15 +80,10 @@ def _require(field: Message, value: int, lowest: int, highest: int) -> None:
 
 # --- the unit's side of a request ----------------------------------------------------------------
 
-_VALUE_COMMANDS: dict[int, type[StageSpeedRequest | SetAndExecuteSpeedRequest | WriteAnalogOutputRequest]] = {
-    command.COMMAND: command
-    for command in (StageSpeedRequest, SetAndExecuteSpeedRequest, WriteAnalogOutputRequest)
-}
-
 
 def is_request(body: bytes) -> bool:
     """Return whether ``body`` has the shape of a request; a response has 06h or 15h as its second byte."""
-    return len(body) >= 2 and body[1] in TRAITS and TRAITS[body[1]].data_bytes == len(body) - 2
+    return len(body) >= 2 and body[1] in LAYOUTS and sum(LAYOUTS[body[1]].values()) == len(body) - 2
 
 
 def parse_request(body: bytes, dialect: Dialect) -> Request:
@@ -117,34 +97,26 @@ def parse_request(body: bytes, dialect: Dialect) -> Request:
     if not is_request(body):
         message = Message.of("command_unknown", command=f"{command:02X}")
         raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_COMMAND, message)
-    data = body[2:]
-    if command in _VALUE_COMMANDS:
-        return _VALUE_COMMANDS[command](unit, int.from_bytes(data, "big"))
-    match command:
-        case ReadStatusRequest.COMMAND:
-            return ReadStatusRequest(unit)
-        case ExecuteSpeedRequest.COMMAND:
-            return ExecuteSpeedRequest(unit)
-        case ReadParameterRequest.COMMAND:
-            return ReadParameterRequest(unit, _number(unit, data[0], dialect))
-        case WriteParameterRequest.COMMAND:
-            return WriteParameterRequest(
-                unit, _number(unit, data[0], dialect), int.from_bytes(data[1:], "big")
-            )
-    if data[1] > 1:
-        message = Message.of("output_value_illegal", value=data[1])
-        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, message)
-    return WriteOutputRequest(unit, data[0], data[1] == 1)
+    values, data = [], body[2:]
+    for field, width in LAYOUTS[command].items():
+        values.append(_decoded(unit, field, int.from_bytes(data[:width], "big"), dialect))
+        data = data[width:]
+    return REQUESTS[command](unit, *values)
 
 
-def _number(unit: int, byte: int, dialect: Dialect) -> int:
-    if dialect.parameter_numbers == "binary":
-        return byte
-    tens, ones = divmod(byte, 16)
-    if tens > 9 or ones > 9:
-        message = Message.of("number_not_bcd", byte=f"{byte:02X}")
-        raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER, message)
-    return tens * 10 + ones
+def _decoded(unit: int, field: str, value: int, dialect: Dialect) -> int:
+    if field == "on":
+        if value > 1:
+            message = Message.of("output_value_illegal", value=value)
+            raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_OUTPUT_VALUE, message)
+        return value == 1
+    if field == "number" and dialect.parameter_numbers == "bcd":
+        tens, ones = divmod(value, 16)
+        if tens > 9 or ones > 9:
+            message = Message.of("number_not_bcd", byte=f"{value:02X}")
+            raise IllegalRequest(unit, UnitErrorCode.ILLEGAL_PARAMETER_NUMBER, message)
+        return tens * 10 + ones
+    return value
 
 
 # --- responses -----------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple, get_args
 
 import msgspec
 
@@ -82,6 +83,13 @@ Request = (
     | WriteOutputRequest
     | WriteAnalogOutputRequest
 )
+REQUESTS: dict[int, Callable[..., Request]] = {kind.COMMAND: kind for kind in get_args(Request)}
+_FIELD_BYTES = {"raw": 4, "number": 1, "output": 1, "on": 1}
+LAYOUTS: dict[int, dict[str, int]] = {
+    kind.COMMAND: {field: _FIELD_BYTES[field] for field in kind.__struct_fields__ if field != "unit"}
+    for kind in get_args(Request)
+}
+"""The data of each command: its fields in their order, with the bytes of each."""
 
 
 class CommandTraits(NamedTuple):
@@ -89,7 +97,6 @@ class CommandTraits(NamedTuple):
 
     name: str
     """For programs; in words it is the message ``request_…``."""
-    data_bytes: int
     acknowledged: frozenset[int]
     """How many data bytes an acknowledgement may have."""
     refusals: frozenset[int]
@@ -98,14 +105,14 @@ class CommandTraits(NamedTuple):
 
 _NOTHING = frozenset((0,))
 TRAITS = {
-    0x81: CommandTraits("read_status", 0, frozenset((11,)), frozenset()),
-    0x82: CommandTraits("set_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
-    0x83: CommandTraits("execute_speed", 0, _NOTHING, frozenset((0x80,))),
-    0x84: CommandTraits("set_and_execute_speed", 4, _NOTHING, frozenset((0x80, 0x81))),
-    0x85: CommandTraits("read_parameter", 1, frozenset((1, 2, 4)), frozenset((0x82,))),
-    0x86: CommandTraits("write_parameter", 5, frozenset((0, 1, 2, 4)), frozenset((0x80, 0x82, 0x83))),
-    0x87: CommandTraits("write_output", 2, _NOTHING, frozenset((0x80, 0x84, 0x85))),
-    0x88: CommandTraits("write_analog_output", 4, _NOTHING, frozenset((0x80, 0x87, 0x88))),
+    0x81: CommandTraits("read_status", frozenset((11,)), frozenset()),
+    0x82: CommandTraits("set_speed", _NOTHING, frozenset((0x80, 0x81))),
+    0x83: CommandTraits("execute_speed", _NOTHING, frozenset((0x80,))),
+    0x84: CommandTraits("set_and_execute_speed", _NOTHING, frozenset((0x80, 0x81))),
+    0x85: CommandTraits("read_parameter", frozenset((1, 2, 4)), frozenset((0x82,))),
+    0x86: CommandTraits("write_parameter", frozenset((0, 1, 2, 4)), frozenset((0x80, 0x82, 0x83))),
+    0x87: CommandTraits("write_output", _NOTHING, frozenset((0x80, 0x84, 0x85))),
+    0x88: CommandTraits("write_analog_output", _NOTHING, frozenset((0x80, 0x87, 0x88))),
 }
 """By command."""
 
