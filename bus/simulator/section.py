@@ -44,7 +44,6 @@ class Section:
     reference: float = 0.0
     _unrest: float = 0.0
     _tension: float = TENSION_AT_REST
-    _potentiometer: float = 0.0
     _random: random.Random = field(init=False)
 
     def __post_init__(self) -> None:
@@ -62,7 +61,6 @@ class Section:
 
     def step(self, dt: float, master_rpm: float, upstream: Section | None) -> None:
         """``dt`` seconds pass, with the master at ``master_rpm`` and the web coming from ``upstream``."""
-        self._work_potentiometer(dt)
         self._ramp(dt, self._wanted(master_rpm))
         self._turn(dt)
         self._pull(dt, upstream)
@@ -84,18 +82,6 @@ class Section:
             ratio = 1 / ratio if ratio else 0.0
         base = memory[numbers.BASE_RATIO] / RATIO_ONE
         return abs(master_rpm) * base * ratio / max(memory[numbers.MAX_RPM], 1)
-
-    def _work_potentiometer(self, dt: float) -> None:
-        """#13 = 0 is taken for MOP: held up or down, the contact moves the setpoint itself by the ramps."""
-        unit, memory = self.unit, self.unit.memory
-        if memory[numbers.JUMP_MODE] != 0 or unit.follows or unit.inputs.up == unit.inputs.down:
-            self._potentiometer = 0.0
-            return
-        number, sign = (numbers.ACCELERATION, 1) if unit.inputs.up else (numbers.DECELERATION, -1)
-        self._potentiometer += sign * memory[numbers.MAX_DISPLAY] * dt * 10 / max(memory[number], 1)
-        integer = int(self._potentiometer)
-        self._potentiometer -= integer
-        unit.setpoint = min(max(unit.setpoint + integer, 0), unit.highest)
 
     def _ramp(self, dt: float, wanted: float) -> None:
         if not self.unit.running:

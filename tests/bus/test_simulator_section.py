@@ -104,16 +104,6 @@ def test_reverse_turns_the_motor_the_other_way_and_shows_the_same_speed() -> Non
     assert machine.rpm < 0
 
 
-def test_the_motor_potentiometer_moves_the_setpoint_by_the_ramp() -> None:
-    machine = section(SPEED_SETPOINT=500, JUMP_MODE=0, ACCELERATION=100)
-    machine.unit.inputs.up = True
-    run(machine, 1)
-    machine.unit.inputs.up = False
-    assert machine.unit.setpoint == pytest.approx(700, abs=12)
-    run(machine, 1)
-    assert machine.unit.setpoint == pytest.approx(700, abs=12)
-
-
 def test_the_web_tightens_where_a_section_runs_ahead_of_the_one_before() -> None:
     before, ahead, behind = (section(SPEED_SETPOINT=speed) for speed in (1000, 1010, 990))
     for machine in (before, ahead, behind):
