@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 
@@ -29,9 +29,7 @@ WINDOW_S = 10.0
 @dataclass(frozen=True, slots=True)
 class _Mark:
     at: Monotonic
-    busy_s: float
-    noise_bytes: int
-    echoes: int
+    wire: WireCounts
     units: dict[int, UnitFigures]
 
 
@@ -46,8 +44,10 @@ class Figures:
     ) -> BusFigures:
         """The figures of this moment: ``now`` on the line's clock, ``at`` since the epoch."""
         units = {unit: roster[unit].statistics.figures() for unit in roster.configured}
-        mark = _Mark(now, counts.busy_s, counts.noise_bytes, counts.echoes, units)
-        before = self._before(mark)
+        self._marks.append(_Mark(now, replace(counts), units))
+        while len(self._marks) > 1 and self._marks[1].at <= now - WINDOW_S:
+            self._marks.popleft()
+        before = self._marks[0]
         elapsed = now - before.at
         scan_s = schedule.scan_s()
         symptoms = [_symptoms_of(roster[unit], before.units[unit], after) for unit, after in units.items()]
@@ -55,20 +55,16 @@ class Figures:
             at=at,
             scan_hz=1.0 / scan_s if scan_s > 0 else 0.0,
             scan_s=scan_s,
-            wire_utilisation=min(1.0, (mark.busy_s - before.busy_s) / elapsed) if elapsed > 0 else 0.0,
+            wire_utilisation=min(1.0, (counts.busy_s - before.wire.busy_s) / elapsed) if elapsed > 0 else 0.0,
             scan_s_with_one_more=schedule.scan_s(1),
             noise_bytes=counts.noise_bytes,
             echoes=counts.echoes,
-            diagnosis=diagnose(symptoms, mark.noise_bytes - before.noise_bytes, mark.echoes - before.echoes),
+            diagnosis=diagnose(
+                symptoms, counts.noise_bytes - before.wire.noise_bytes, counts.echoes - before.wire.echoes
+            ),
             units=list(units.values()),
             responds_for_all=responds_for_all(symptoms),
         )
-
-    def _before(self, mark: _Mark) -> _Mark:
-        while len(self._marks) > 1 and self._marks[1].at <= mark.at - WINDOW_S:
-            self._marks.popleft()
-        self._marks.append(mark)
-        return self._marks[0]
 
 
 def _symptoms_of(record: UnitRecord, before: UnitFigures, after: UnitFigures) -> UnitSymptoms:
