@@ -93,7 +93,8 @@ class Exchange:
         """When the first byte after the request (and its echo) came, in the caller's time."""
         self.dialect = dialect
         self._before = pending or PendingResponses(request.unit, dialect)
-        self._response: bytes | None = None
+        self.frame = b""
+        """The response as it was on the wire."""
         self._pending = self._before.sent(request)
         self._unresolved: bytes | None = None
 
@@ -120,6 +121,14 @@ class Exchange:
             self._pending, self._unresolved = self._pending.received(self._unresolved), None
         return self._pending
 
+    def response_began(self, ended: Monotonic, byte_s: float) -> Monotonic:
+        """Return when the response began that was complete at ``ended``; a byte takes ``byte_s`` seconds.
+
+        A first byte that was left to gather came earlier than it was read.
+        """
+        begins = ended - len(self.frame) * byte_s
+        return begins if self.first_byte_at is None else min(begins, self.first_byte_at - byte_s)
+
     def give_up(self) -> None:
         """The deadline has passed: whatever comes now is late."""
         self.awaiting = False
@@ -131,7 +140,7 @@ class Exchange:
         if unit != self.request.unit:
             return Foreign(unit, frame)
         # A duplicate response is not evidence of a second request.
-        if not self.awaiting and frame.body == self._response:
+        if not self.awaiting and frame.wire == self.frame:
             return Duplicate(frame)
         # Resolved on demand: the next request is more urgent.
         self._pending, self._unresolved = self.pending, frame.body
@@ -146,5 +155,5 @@ class Exchange:
             return Late(frame)
         self.awaiting = False
         self.reply = reply
-        self._response = frame.body
+        self.frame = frame.wire
         return Responded(reply, frame)

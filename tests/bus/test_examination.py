@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import pytest
 
+from bus.line.exchange.send import LineNoise
 from bus.line.scan.examination import Examination, Probe, ProbeOutcome, number_for_checksum_10h
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import no_response_s
@@ -25,7 +26,7 @@ from bus.wire.commands import (
 
 Responder = Callable[[Probe], ProbeOutcome]
 NO_RESPONSE = ProbeOutcome()
-GARBAGE = ProbeOutcome(garbled=True)
+GARBAGE = ProbeOutcome(noise=LineNoise(garbled=True))
 
 
 def unit(address: int = 5, *, last: int = 40, bcd: bool = False, twice: bool = False) -> Responder:
@@ -150,20 +151,20 @@ def test_a_response_that_comes_after_its_window_is_late_and_not_doubled() -> Non
     def respond(probe: Probe) -> ProbeOutcome:
         nonlocal lost
         lost, was_late = not lost and isinstance(probe.request, ReadParameterRequest), lost
-        return NO_RESPONSE if lost else replace(unit()(probe), surplus=int(was_late))
+        return NO_RESPONSE if lost else replace(unit()(probe), noise=LineNoise(late=int(was_late)))
 
     one = found(respond)
     assert (one.kind, one.late) == ("digimax", True)
 
 
 def test_two_units_that_respond_one_after_the_other() -> None:
-    one = found(lambda probe: replace(unit()(probe), surplus=1))
+    one = found(lambda probe: replace(unit()(probe), noise=LineNoise(late=1)))
     assert one.kind == "garbled"
 
 
 def test_a_little_noise_makes_a_remark_only() -> None:
     turns = iter(range(1000))
-    one = found(lambda probe: replace(unit()(probe), garbled=next(turns) == 2))
+    one = found(lambda probe: replace(unit()(probe), noise=LineNoise(garbled=next(turns) == 2)))
     assert one.kind == "digimax"
     assert "1 of " in str(one.remarks[0])
 
@@ -180,7 +181,7 @@ def test_what_refuses_81h_is_no_digimax() -> None:
 
 
 def test_a_device_with_frames_of_another_shape_is_no_digimax() -> None:
-    one = found(lambda _: ProbeOutcome(unexpected=True))
+    one = found(lambda _: ProbeOutcome(noise=LineNoise(unexpected=True)))
     assert one.kind == "foreign"
 
 

@@ -110,9 +110,4 @@ def _outcome(probe: Probe) -> Subprocedure[ProbeOutcome]:
     sent = yield from send(Send(probe.request, max_attempts=1, dialect=probe.dialect))
     if sent.status is SendStatus.PORT_CLOSED:
         raise _LinkLostError
-    return ProbeOutcome(
-        reply=sent.reply,
-        garbled=sent.noise.garbled,
-        unexpected=sent.noise.unexpected,
-        surplus=sent.noise.late,
-    )
+    return ProbeOutcome(sent.reply, sent.noise)

@@ -20,23 +20,12 @@ class CurrentExchange(msgspec.Struct):
     last_moment: Monotonic
     """No response can come later, whenever this process receives it."""
     ended: Monotonic = Monotonic(0.0)
-    frame: bytes = b""
-    """The response, as it was on the wire."""
     is_ordinary: bool = False
     """Whether the response came alone, at a time at which it is expected."""
     garbled: bool = False
     unexpected: bool = False
     late: int = 0
     overdue: tuple[int, ...] = ()
-
-    def response_s(self, byte_s: float) -> float:
-        """Return the time in seconds from the request's last byte to the response's first.
-
-        A first byte that was left to gather came earlier than it was read.
-        """
-        begins = self.ended - len(self.frame) * byte_s
-        first = self.exchange.first_byte_at
-        return (begins if first is None else min(begins, first - byte_s)) - self.ends_sending
 
     @property
     def has_noise(self) -> bool:
@@ -55,7 +44,7 @@ class CurrentExchange(msgspec.Struct):
             self.ended,
             clock.epoch(self.ends_sending),
             responded_at,
-            b"" if exchange.secret else self.frame,
+            b"" if exchange.secret else exchange.frame,
             LineNoise(garbled, self.unexpected, self.late) if garbled or self.has_noise else NO_NOISE,
             exchange.dialect,
             self.overdue,

@@ -174,8 +174,8 @@ class Link:
         ended, self._unaccounted = self._unaccounted, None
         self._window.close()
         if ended.is_ordinary:
-            self._pace.believes(ended.ended - ended.began, self._least_s(ended, ended.frame))
-            self._note(ended.ended, "in", ended.frame, ended.exchange)
+            self._pace.believes(ended.ended - ended.began, self._least_s(ended.exchange))
+            self._note(ended.ended, "in", ended.exchange.frame, ended.exchange)
         ended.overdue, self._overdue = tuple(self._overdue), []
         self.has_responses = self.has_responses or ended.exchange.reply is not None
         self._pending.after(ended.exchange.pending)
@@ -183,12 +183,12 @@ class Link:
 
     def _count(self, ended: CurrentExchange) -> None:
         exchange = ended.exchange
-        self.counts.busy_s += (len(exchange.sent) + len(ended.frame)) * self._byte_s
+        self.counts.busy_s += self._least_s(exchange)
         if exchange.reply is not None:
-            self._last_response = ended.frame
+            self._last_response = exchange.frame
         if exchange.request.unit != 0:
-            statistics = self._roster[exchange.request.unit].statistics
-            statistics.count(exchange.request, exchange.reply, ended.response_s(self._byte_s))
+            response_s = exchange.response_began(ended.ended, self._byte_s) - ended.ends_sending
+            self._roster[exchange.request.unit].statistics.count(exchange.request, exchange.reply, response_s)
 
     def data_received(self, data: bytes) -> None:
         now = self._clock.now()
@@ -212,12 +212,12 @@ class Link:
         """Whether ``events`` are the response, when it is expected, and nothing else has come."""
         if len(events) != 1 or type(events[0]) is not Responded or current.has_noise or self._overdue:
             return False
-        current.frame = events[0].frame.wire
-        current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current, current.frame))
+        current.is_ordinary = self._pace.on_time(now - current.began, self._least_s(current.exchange))
         return current.is_ordinary
 
-    def _least_s(self, current: CurrentExchange, response: bytes) -> float:
-        return (len(current.exchange.sent) + len(response)) * self._byte_s
+    def _least_s(self, exchange: Exchange) -> float:
+        """Return what the request and its response take on the wire."""
+        return (len(exchange.sent) + len(exchange.frame)) * self._byte_s
 
     def _exchange(self, request: Request, dialect: Dialect | None, pending: PendingResponses) -> Exchange:
         return Exchange(request, dialect or self._dialect, decoder=self._decoder, pending=pending)
@@ -247,7 +247,7 @@ class Link:
                 self._take_noise(event, exchange.request.unit, now)
             self._note_stray(now, event.data, exchange, valid=False)
         elif isinstance(event, Responded):
-            self._take_response(event.frame.wire, now)
+            self._take_response(now)
             self._note(now, "in", event.frame.wire, exchange)
         else:
             self._take_stray_frame(event, exchange.request.unit)
@@ -292,14 +292,11 @@ class Link:
         if noise.reason is Fault.CHECKSUM and noise.body[0] == unit:
             self._window.shorten(now + QUIET_BYTES * self._byte_s)
 
-    def _take_response(self, wire: bytes, now: Monotonic) -> None:
+    def _take_response(self, now: Monotonic) -> None:
+        """Await another response where this one came too early to be that of the request."""
         current = self._current
-        if current is None:
+        if current is None or self._pace.believes(now - current.began, self._least_s(current.exchange)):
             return
-        if self._pace.believes(now - current.began, self._least_s(current, wire)):
-            current.frame = wire
-            return
-        current.frame = b""
         request = current.exchange.request
         self._count_late(request.unit)
         current.late += 1

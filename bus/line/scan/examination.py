@@ -16,6 +16,7 @@ from typing import Literal
 from bus.catalogue.numbers import OWN_ADDRESS
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import status_bits
+from bus.line.exchange.send import NO_NOISE, LineNoise
 from bus.line.scan.found import STRANGE, TWO_UNITS, TWO_UNITS_OR_ELSE, Checksum10h, Found, remarks_on
 from bus.messages import Message
 from bus.settings import Dialect
@@ -59,12 +60,7 @@ class ProbeOutcome:
     """What came within one window."""
 
     reply: Reply | None = None
-    garbled: bool = False
-    """Bytes that are no frame."""
-    unexpected: bool = False
-    """Good frames that are no unit's response to this request."""
-    surplus: int = 0
-    """Good frames of this unit beside the response: responses to earlier requests, or a second copy."""
+    noise: LineNoise = NO_NOISE
     checksum_10h: Checksum10h | None = None
     """How the response's checksum came, where it was 10h."""
     responded_after_s: float | None = None
@@ -73,7 +69,7 @@ class ProbeOutcome:
     @property
     def no_response(self) -> bool:
         """Nothing came at all."""
-        return self.reply is None and not (self.garbled or self.unexpected or self.surplus)
+        return self.reply is None and self.noise == NO_NOISE
 
 
 Examining = Generator[Probe, ProbeOutcome, Found | None]
@@ -103,7 +99,7 @@ class Examination:
         for number in FIRST_OF_EACH_TYPE:
             if number <= last:
                 yield from self._read(_number_byte(number, counts_in_bcd))
-        garbled, requests = sum(outcome.garbled for outcome in self.outcomes), len(self.outcomes)
+        garbled, requests = sum(outcome.noise.garbled for outcome in self.outcomes), len(self.outcomes)
         late, doubled = self._surplus()
         if (garbled + doubled) / requests > GARBLED_SHARE:
             return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS,))
@@ -209,7 +205,7 @@ class Examination:
         if refused:
             refuses = Message.of("found_refuses", error=f"{refused[0]:02X}")
             return Found(self.unit, self.baud, "foreign", remarks=(refuses,))
-        if all(outcome.unexpected for outcome in with_response):
+        if all(outcome.noise.unexpected for outcome in with_response):
             return Found(self.unit, self.baud, "foreign", remarks=(STRANGE,))
         return Found(self.unit, self.baud, "garbled", remarks=(TWO_UNITS_OR_ELSE,))
 
@@ -217,9 +213,9 @@ class Examination:
         """How many responses were late, as a unit owes one to each request, and how many none explains."""
         awaited = late = doubled = 0
         for outcome in self.outcomes:
-            paid = min(awaited, outcome.surplus)
-            late, doubled = late + paid, doubled + outcome.surplus - paid
-            awaited += (outcome.reply is None and not outcome.garbled) - paid
+            paid = min(awaited, outcome.noise.late)
+            late, doubled = late + paid, doubled + outcome.noise.late - paid
+            awaited += (outcome.reply is None and not outcome.noise.garbled) - paid
         return late, doubled
 
     def _sends_checksum_10h(self) -> Checksum10h | None:

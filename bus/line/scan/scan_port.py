@@ -19,7 +19,7 @@ from bus.line.port.open_port import OpenPort, open_port
 from bus.line.scan.examination import Probe
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
-from bus.wire.exchange import Echo, Exchange, ExchangeEvent, Responded
+from bus.wire.exchange import Echo, Exchange, ExchangeEvent
 from bus.wire.fence import PendingByUnit
 from bus.wire.framing import FrameDecoder, ReceivedFrame
 from bus.wire.lengths import longest_reply_bytes
@@ -56,11 +56,9 @@ class Collected:
     @property
     def turnaround_s(self) -> float | None:
         """Seconds from the request's last byte to the response's first, at most; None without a response."""
-        first = self.exchange.first_byte_at
-        if first is None or self.response_ends is None:
+        if self.response_ends is None:
             return None
-        length = next(len(each.frame.wire) for each in self.events if isinstance(each, Responded))
-        begins = min(first - self.byte_s, self.response_ends - length * self.byte_s)
+        begins = self.exchange.response_began(self.response_ends, self.byte_s)
         return max(0.0, begins - self.ends_sending)
 
 

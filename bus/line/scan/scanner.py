@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 
 from bus.errors import WireError
 from bus.instants import Monotonic
+from bus.line.exchange.send import LineNoise
 from bus.line.scan.examination import Examination, Probe, ProbeOutcome
 from bus.line.scan.found import Checksum10h, Found
 from bus.line.scan.passes import Passes
 from bus.line.scan.scan_port import Collected, ScanPort, scan_port
 from bus.messages import Message
 from bus.wire.commands import ReadStatusRequest
-from bus.wire.exchange import Duplicate, ExchangeEvent, Foreign, Late, Responded, Unexpected
+from bus.wire.exchange import Duplicate, Foreign, Late, Responded, Unexpected
 from bus.wire.framing import DLE, DoubledChecksum, Noise
 
 PATIENCE_S = 1.0
@@ -92,21 +93,17 @@ class Prober:
 
 def _outcome(collected: Collected) -> ProbeOutcome:
     events = collected.events
-    return ProbeOutcome(
-        reply=collected.exchange.reply,
+    noise = LineNoise(
         garbled=any(isinstance(event, Noise) for event in events),
         unexpected=any(isinstance(event, Foreign | Unexpected) for event in events),
-        surplus=sum(isinstance(event, Duplicate | Late) for event in events),
-        checksum_10h=_checksum_10h(events),
-        responded_after_s=collected.turnaround_s,
+        late=sum(isinstance(event, Duplicate | Late) for event in events),
     )
-
-
-def _checksum_10h(events: list[ExchangeEvent]) -> Checksum10h | None:
+    checksum_10h: Checksum10h | None = None
     if any(isinstance(event, DoubledChecksum) for event in events):
-        return "twice"
-    responses = [event.frame.wire for event in events if isinstance(event, Responded)]
-    return "once" if any(wire[-1] == DLE for wire in responses) else None
+        checksum_10h = "twice"
+    elif collected.exchange.frame.endswith(bytes((DLE,))):
+        checksum_10h = "once"
+    return ProbeOutcome(collected.exchange.reply, noise, checksum_10h, collected.turnaround_s)
 
 
 LISTEN_S = 0.2
