@@ -11,7 +11,7 @@ from msgspec.structs import asdict
 from bus.contract import Result
 from bus.instants import Monotonic, UnixTime
 from bus.line.commands.procedure import CommandContext, LineEffect, Procedure, ProcedureResult, Wait
-from bus.line.exchange.send import ExchangeResult, Send, SendAttempts, SendResult
+from bus.line.exchange.send import ExchangeResult, Send, SendAttempts
 from bus.line.statistics.trace import Interpreter, TracedFrame
 from bus.settings import Dialect
 from bus.wire.commands import Request
@@ -57,19 +57,14 @@ class CommandRun:
 
     def next_request(self, now: Monotonic, pending_of: Callable[[int], PendingResponses]) -> Request | None:
         """Return the request to send now; None while the command waits, and once it has a result."""
-        if self._procedure is None:
-            self._procedure = self.begin()
-            self._advance(None, now)
         while self.result is None:
-            if self.attempts is None:
-                if now < self.resume_at:
-                    return None
-                self._advance(None, now)
-                continue
-            request = self.attempts.next_request(now, pending_of(self.attempts.send.request.unit))
-            if request is not None:
-                return request
-            self._advance(self._take_result(), now)
+            if self.attempts is not None:
+                request = self.attempts.next_request(now, pending_of(self.attempts.send.request.unit))
+                if request is not None:
+                    return request
+            elif now < self.resume_at:
+                return None
+            self._advance(now)
         return None
 
     def settle(self, exchange: ExchangeResult, now: Monotonic) -> bool:
@@ -77,20 +72,15 @@ class CommandRun:
         assert self.attempts is not None
         again = self.attempts.settle(exchange)
         if self.attempts.result is not None:
-            self._advance(self._take_result(), now)
+            self._advance(now)
         return again
 
     def close(self, now: Monotonic) -> None:
         """The port is gone: every request of it ends so."""
         while self.result is None:
-            if self._procedure is None:
-                self._procedure = self.begin()
-                self._advance(None, now)
-            elif self.attempts is not None:
+            if self.attempts is not None:
                 self.attempts.close()
-                self._advance(self._take_result(), now)
-            else:
-                self._advance(None, now)
+            self._advance(now)
 
     def end(self, result: ProcedureResult) -> None:
         """End the command before its procedure has ended."""
@@ -106,16 +96,13 @@ class CommandRun:
         frames = [interpreter.frame(passed) for passed in self.frames]
         return Result(self.id, at, **asdict(self.result), frames=frames)
 
-    def _take_result(self) -> SendResult | None:
-        assert self.attempts is not None
-        result, self.attempts = self.attempts.result, None
-        return result
-
-    def _advance(self, result: SendResult | None, now: Monotonic) -> None:
+    def _advance(self, now: Monotonic) -> None:
         """Run the procedure to its next request, its next pause or its end."""
-        assert self._procedure is not None
+        if self._procedure is None:
+            self._procedure = self.begin()
+        attempts, self.attempts = self.attempts, None
         try:
-            step = self._procedure.send(result)
+            step = self._procedure.send(attempts.result if attempts is not None else None)
             while isinstance(step, LineEffect):
                 self.on_effect(step)
                 step = self._procedure.send(None)
