@@ -12,10 +12,7 @@ def requested(addresses: range, responses: dict[int, int]) -> tuple[list[int], l
     passes, seen, settled = Passes(addresses), list[int](), list[int]()
     for unit in passes:
         seen.append(unit)
-        if seen.count(unit) == responses.get(unit):
-            passes.found()
-        else:
-            passes.no_response()
+        passes.note(found=seen.count(unit) == responses.get(unit))
         settled.append(passes.settled)
     assert settled == sorted(settled)
     assert settled[-1] == PASSES * len(addresses)

@@ -62,10 +62,8 @@ def survey(first: int, last: int, pace: ScanPace, context: CommandContext) -> Pr
             one = yield from _examine(unit, pace)
         except _LinkLostError:
             return _result(found, Message.of("scan_link_lost", done=passes.done, all=of))
-        if one is None:
-            passes.no_response()
-        else:
-            passes.found()
+        passes.note(found=one is not None)
+        if one is not None:
             found.append(one)
     if context.overdue.total() >= OVERDUE:
         found = [_doubted(one) for one in found]

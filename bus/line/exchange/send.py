@@ -164,24 +164,26 @@ class SendAttempts:
 
     def settle(self, exchange: ExchangeResult) -> bool:
         """Take the exchange of the last request; return whether it is retried for lack of a response."""
+        self._noise = exchange.noise
         self._late += exchange.noise.late
-        if exchange.request != self.send.request:
-            self._noise = exchange.noise
-            self._settle_fence(responded=exchange.reply is not None)
-        else:
-            self._settle_request(exchange)
-        return self.result is None and exchange.reply is None
-
-    def _settle_request(self, exchange: ExchangeResult) -> None:
-        self._attempts += 1
-        self._sent_at = exchange.sent_at
+        is_fence = exchange.request != self.send.request
+        if not is_fence:
+            self._attempts += 1
+            self._sent_at = exchange.sent_at
         if exchange.request.unit == 0:
             self._end(SendStatus.SENT)
-        elif exchange.reply is not None:
-            self._end(SendStatus.RESPONDED, exchange)
+        elif exchange.reply is None:
+            self._without_response += 1
+            if max(self._without_response, self._attempts) >= self.send.attempts_allowed:
+                self._end(SendStatus.TIMED_OUT)
+        elif is_fence:
+            self._without_response = 0
+            self._fences += 1
+            if self._fences > MAX_FENCES:
+                self._end(SendStatus.TIMED_OUT)
         else:
-            self._noise = exchange.noise
-            self._timed_out()
+            self._end(SendStatus.RESPONDED, exchange)
+        return self.result is None and exchange.reply is None
 
     def close(self) -> None:
         """The port is gone."""
@@ -198,25 +200,10 @@ class SendAttempts:
             fence = pending.fence()
         return fence if fence != self.send.request else None
 
-    def _settle_fence(self, *, responded: bool) -> None:
-        if responded:
-            self._without_response = 0
-            self._fences += 1
-            if self._fences > MAX_FENCES:
-                self._end(SendStatus.TIMED_OUT)
-        else:
-            self._timed_out()
-
-    def _timed_out(self) -> None:
-        self._without_response += 1
-        if max(self._without_response, self._attempts) >= self.send.attempts_allowed:
-            self._end(SendStatus.TIMED_OUT)
-
-    def _end(self, status: SendStatus, exchange: ExchangeResult | None = None) -> None:
-        reply = exchange.reply if exchange is not None else None
-        responded_at = exchange.responded_at if exchange is not None else None
-        frame = exchange.frame if exchange is not None else b""
-        noise = exchange.noise if exchange is not None else self._noise
-        if noise.late != self._late:
-            noise = replace(noise, late=self._late)
-        self.result = SendResult(status, reply, self._attempts, self._sent_at, responded_at, frame, noise)
+    def _end(self, status: SendStatus, response: ExchangeResult | None = None) -> None:
+        noise = replace(self._noise, late=self._late)
+        result = SendResult(status, attempts=self._attempts, sent_at=self._sent_at, noise=noise)
+        if response is not None:
+            reply, frame = response.reply, response.frame
+            result = replace(result, reply=reply, responded_at=response.responded_at, frame=frame)
+        self.result = result

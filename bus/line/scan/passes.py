@@ -25,7 +25,7 @@ def no_response_s(baud: int, turnaround_s: float) -> float:
 
 
 class Passes:
-    """Iterates over addresses; ``found`` is called before the next one where the last responded."""
+    """Iterates over addresses; ``note`` is called with the result of each before the next one."""
 
     def __init__(self, addresses: Iterable[int]) -> None:
         self._remaining = deque(addresses)
@@ -55,11 +55,10 @@ class Passes:
             if self._done < (MAX_PASSES if self._found > found_before else PASSES):
                 self._remaining, self._without_response = self._without_response, deque()
 
-    def found(self) -> None:
-        """The last address responded."""
-        self._remaining.popleft()
-        self._found += 1
-
-    def no_response(self) -> None:
-        """The address that was given last did not."""
-        self._without_response.append(self._remaining.popleft())
+    def note(self, *, found: bool) -> None:
+        """Note whether the address that was given last responded."""
+        unit = self._remaining.popleft()
+        if found:
+            self._found += 1
+        else:
+            self._without_response.append(unit)

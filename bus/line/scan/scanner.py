@@ -151,10 +151,8 @@ async def scan_addresses(
         try:
             for unit in passes:
                 settled, one = passes.settled, await prober.examine(unit)
-                if one is None:
-                    passes.no_response()
-                else:
-                    passes.found()
+                passes.note(found=one is not None)
+                if one is not None:
                     scan.found.append(one)
                     scan.found.sort(key=lambda each: each.unit)
                 scan.echoes, scan.seconds = line.echoes, asyncio.get_running_loop().time() - began
