@@ -95,7 +95,11 @@ class Window:
             return
         now = self._clock.now()
         if self._listen_at is not None:
-            self._ring_again(now, self._ends)
+            if now < self._listen_at - TIMER_SLACK_S:
+                self._ring_at(self._listen_at)
+            else:
+                self._listen_from(None)
+                self._ring_at(max(self._ends, now + RECHECK_S))
             return
         ends = max(self._ends, min(self._quiet_at, self._last_moment))
         if now < ends - TIMER_SLACK_S:
@@ -106,14 +110,6 @@ class Window:
             self._ring_at(now + RECHECK_S)
         else:
             self._over(now)
-
-    def _ring_again(self, now: Monotonic, ends: Monotonic) -> None:
-        assert self._listen_at is not None
-        if now < self._listen_at - TIMER_SLACK_S:
-            self._ring_at(self._listen_at)
-            return
-        self._listen_from(None)
-        self._ring_at(max(ends, now + RECHECK_S))
 
 
 EARLY = 0.95
