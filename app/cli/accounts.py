@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from app.audit.keys import open_keys
+from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
-from app.auth.passwords import Passwords
 from app.cli.check_store import check_store
 from app.database import Database
 from app.database.private import make_private
@@ -22,21 +22,22 @@ from app.web.access import Person, Role
 from bus.messages import Message
 
 T = TypeVar("T")
-ORIGIN = Message("command_line")
-
-
-def who_calls() -> str | Message:
-    """The user of this machine, for the events."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return ORIGIN
 
 
 def console() -> Person:
     """The user of this machine as the caller of an act: a user who can write the store has every role."""
-    who = who_calls()
-    return Person("" if isinstance(who, Message) else who, Role.ADMIN, "console")
+    try:
+        name = getpass.getuser()
+    except (KeyError, OSError):
+        name = ""
+    return Person(name, Role.ADMIN, "console", address=Message("command_line"))
+
+
+def record(events: EventLog, kind: EventKind, what: Message, message: str | Message = "") -> None:
+    """Record in the events what the user of this machine has done."""
+    by = console()
+    who = by.name or by.address
+    asyncio.run(events.record(kind=kind, what=what, who=who, origin=by.address, message=message))
 
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
@@ -57,9 +58,9 @@ def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
     """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
     settings = load(config)
     buses = [bus.name for bus in settings.bus]
-    with site_log(settings) as (database, events), closing(Passwords()) as passwords:
+    with site_log(settings) as (database, events):
 
         async def run() -> T:
-            return await work(Accounts(database, passwords, events, buses=buses, site=settings.site.name))
+            return await work(Accounts(database, events, buses=buses, site=settings.site.name))
 
         return asyncio.run(run())

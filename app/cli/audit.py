@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -16,7 +15,7 @@ from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
-from app.cli.accounts import ORIGIN, site_log, who_calls
+from app.cli.accounts import record, site_log
 from app.cli.check_store import check_store
 from app.cli.ending import ending, report
 from app.cli.serve import LINESIDE_TOML, Config
@@ -55,8 +54,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     with ending(), site_log(load(config)) as (_, events):
         events.keys.rotate()
         # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
-        what = Message("event_audit_key_rotated")
-        asyncio.run(events.record(kind="audit", what=what, who=who_calls(), origin=ORIGIN))
+        record(events, "audit", Message("event_audit_key_rotated"))
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 

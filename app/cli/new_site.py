@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from contextlib import closing
 
 from app.audit.keys import find_key_file
-from app.cli.accounts import ORIGIN, open_log, who_calls
+from app.cli.accounts import open_log, record
 from app.cli.check_store import check_store
 from app.database import Database
 from app.database.copies import put_aside
@@ -43,5 +42,4 @@ def begin_new_site(settings: Settings) -> None:
             key.rename(key.with_name(f"{key.name}.before-{stamp}"))
     with closing(Database(store)) as database:
         what = Message.of("event_site_begun", store=_WAS[presence])
-        log = open_log(database, settings.key_files)
-        asyncio.run(log.record(kind="server", what=what, who=who_calls(), origin=ORIGIN))
+        record(open_log(database, settings.key_files), "server", what)

@@ -3,7 +3,6 @@ since stay so, blocks and limits stay in force, and an event names who restored 
 
 from __future__ import annotations
 
-import asyncio
 import sqlite3
 from collections.abc import Sequence
 from contextlib import closing
@@ -13,13 +12,11 @@ from pathlib import Path
 from app.audit.chain import Head
 from app.audit.store import head_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
-from app.cli.accounts import ORIGIN, open_log, who_calls
+from app.cli.accounts import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database
 from app.database.connection import open_for_reading
 from bus.messages import Message, joined
-
-WHAT = Message("event_stores_restored")
 
 
 def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[Path]) -> Withheld:
@@ -40,8 +37,7 @@ def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[
         if standing is not None:
             replaced = Message.of("restored_over", entry=standing.head.id, hash=standing.head.hash)
         message = joined([backup, replaced, *consequences(withheld)]) or ""
-        record = events.record(kind="server", what=WHAT, who=who_calls(), origin=ORIGIN, message=message)
-        asyncio.run(record)
+        record(events, "server", Message("event_stores_restored"), message)
     return withheld
 
 

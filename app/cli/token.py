@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated
 
 import typer
 
 from app.auth.accounts import Accounts
-from app.cli.accounts import ORIGIN, console, with_accounts
+from app.cli.accounts import console, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
-from bus.instants import UnixTime
 from bus.messages import Message
 
 token = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
@@ -36,9 +34,7 @@ def create(
         chosen = role_named(role, Role)
 
         async def work(accounts: Accounts) -> str:
-            return await accounts.create_token(
-                name, chosen, bus=bus, expires_days=expires, by=console(), origin=ORIGIN
-            )
+            return await accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console())
 
         typer.echo(with_accounts(config, work))
 
@@ -48,8 +44,7 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     with ending():
         for each in with_accounts(config, lambda accounts: accounts.tokens()):
-            day = each.expires_at
-            expires = "" if day is None else str(Message.of("token_expires", day=_day(day)))
+            expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
             columns = (each.name, each.role, each.created_by, each.bus or "", expires)
             typer.echo("\t".join(columns).rstrip())
 
@@ -58,8 +53,4 @@ def list_all(config: Config = LINESIDE_TOML) -> None:
 def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
     with ending():
-        with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console(), origin=ORIGIN))
-
-
-def _day(at: UnixTime) -> str:
-    return datetime.fromtimestamp(float(at), UTC).date().isoformat()
+        with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.accounts import ORIGIN, console, with_accounts
+from app.cli.accounts import console, with_accounts
 from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import PEOPLE_ROLES, role_named
@@ -31,9 +31,7 @@ def add(
     """Add a user."""
     with ending():
         chosen, password = role_named(role), _password(password_stdin)
-        with_accounts(
-            config, lambda accounts: accounts.add_user(name, chosen, password, by=console(), origin=ORIGIN)
-        )
+        with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
 
 
 @user.command(name="list")
@@ -51,14 +49,14 @@ def password(name: UserName, password_stdin: FromInput = False, config: Config =
     """Set a new password of a user; every session of that user ends."""
     with ending():
         new = _password(password_stdin)
-        with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console(), origin=ORIGIN))
+        with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
 
 
 @user.command()
 def remove(name: UserName, config: Config = LINESIDE_TOML) -> None:
     """Remove a user; the events of that user are kept."""
     with ending():
-        with_accounts(config, lambda accounts: accounts.remove_user(name, by=console(), origin=ORIGIN))
+        with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
 
 def _password(from_input: bool) -> str:
