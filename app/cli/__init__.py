@@ -49,7 +49,8 @@ def loading() -> Iterator[None]:
 
 
 class Lazy(TyperGroup):
-    """Knows every command by name and imports none before it is called."""
+    """Knows every command by name and imports none before it is called. The errors of a command end in one
+    line and an exit code here."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -67,6 +68,12 @@ class Lazy(TyperGroup):
         else:
             cli.command(cmd_name)(named)
         return get_group(cli).commands[cmd_name]
+
+    def invoke(self, ctx: Any) -> Any:
+        from app.cli.ending import ending  # not for --help and --version, which take no command
+
+        with ending():
+            return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         with formatter.section("Commands"):

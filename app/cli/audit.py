@@ -17,7 +17,7 @@ from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
 from app.cli.accounts import record, site_log
 from app.cli.check_store import check_store
-from app.cli.ending import ending, report
+from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.words import in_words
@@ -36,12 +36,11 @@ AnchorFile = Annotated[
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
     """Verify chain, seals and anchors of the log, and that the store has the signatures of shifts that the
     log names. Exit 0 when all is intact, 1 with the first altered entry."""
-    with ending():
-        settings = load(config)
-        verdict, anchors = _verdict(settings, anchor)
-        if verdict.broken is not None:
-            fault = in_english(verdict.fault)
-            raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
+    settings = load(config)
+    verdict, anchors = _verdict(settings, anchor)
+    if verdict.broken is not None:
+        fault = in_english(verdict.fault)
+        raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
     report(Message.of("audit_whole", n=verdict.entries))
     for remark in _remarks(verdict, anchors):
         report(remark)
@@ -51,7 +50,7 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""
-    with ending(), site_log(load(config)) as (_, events):
+    with site_log(load(config)) as (_, events):
         events.keys.rotate()
         # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
         record(events, "audit", Message("event_audit_key_rotated"))
