@@ -24,7 +24,7 @@ from app.audit.anchor import key_anchor_of, put_aside
 from app.audit.keys import find_key_file
 from app.auth.withheld import Withheld
 from app.cli.backup_archive import MANIFEST, STORES, open_archive
-from app.cli.ending import ending, report
+from app.cli.ending import report
 from app.cli.restored_store import consequences, make_ready
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
@@ -45,8 +45,7 @@ def backup_store(
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
-    with ending():
-        names = write_backup(load(config).server.data, file)
+    names = write_backup(load(config).server.data, file)
     report(Message.of("stores_backed_up", file=str(file), names=[*names]))
 
 
@@ -57,15 +56,12 @@ def restore_store(
 ) -> None:
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
-    with ending():
-        settings = load(config)
-        server = settings.server
-        if not yes:
-            typer.confirm(
-                str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True
-            )
-        anchor = settings.audit.anchor
-        done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
+    settings = load(config)
+    server = settings.server
+    if not yes:
+        typer.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
+    anchor = settings.audit.anchor
+    done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
     report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
     for aside in done.anchors:
         report(Message.of("anchor_put_aside", path=str(aside)))

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from app.cli.check_store import check_store
-from app.cli.ending import ending
 from app.cli.listening import listen
 from app.settings import load
 from bus.messages import Message
@@ -24,15 +23,14 @@ def serve(
     ] = False,
 ) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
-    with ending():
-        settings = load(config)
-        check_store(settings, new=new)
-        choose = Message.of("choose_port_configured", file=str(config))
-        with listen(settings.server.host, settings.server.port, choose) as port:
-            from app.cli.hosting import host
+    settings = load(config)
+    check_store(settings, new=new)
+    choose = Message.of("choose_port_configured", file=str(config))
+    with listen(settings.server.host, settings.server.port, choose) as port:
+        from app.cli.hosting import host
 
-            if new:
-                from app.cli.new_site import begin_new_site
+        if new:
+            from app.cli.new_site import begin_new_site
 
-                begin_new_site(settings)
-            host(settings, config.resolve(), port)
+            begin_new_site(settings)
+        host(settings, config.resolve(), port)

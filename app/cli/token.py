@@ -8,7 +8,6 @@ import typer
 
 from app.auth.accounts import Accounts
 from app.cli.accounts import console, with_accounts
-from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import Role, role_named
 from bus.messages import Message
@@ -30,27 +29,24 @@ def create(
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Create a bearer token and print it once."""
-    with ending():
-        chosen = role_named(role, Role)
+    chosen = role_named(role, Role)
 
-        async def work(accounts: Accounts) -> str:
-            return await accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console())
+    async def work(accounts: Accounts) -> str:
+        return await accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console())
 
-        typer.echo(with_accounts(config, work))
+    typer.echo(with_accounts(config, work))
 
 
 @token.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
-    with ending():
-        for each in with_accounts(config, lambda accounts: accounts.tokens()):
-            expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
-            columns = (each.name, each.role, each.created_by, each.bus or "", expires)
-            typer.echo("\t".join(columns).rstrip())
+    for each in with_accounts(config, lambda accounts: accounts.tokens()):
+        expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
+        columns = (each.name, each.role, each.created_by, each.bus or "", expires)
+        typer.echo("\t".join(columns).rstrip())
 
 
 @token.command()
 def revoke(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
-    with ending():
-        with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))
+    with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from app.cli.accounts import console, with_accounts
-from app.cli.ending import ending
 from app.cli.serve import LINESIDE_TOML, Config
 from app.web.access import PEOPLE_ROLES, role_named
 from bus.messages import Message
@@ -29,34 +28,30 @@ def add(
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Add a user."""
-    with ending():
-        chosen, password = role_named(role), _password(password_stdin)
-        with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
+    chosen, password = role_named(role), _password(password_stdin)
+    with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
 
 
 @user.command(name="list")
 def list_all(config: Config = LINESIDE_TOML) -> None:
     """List every user: name, role, and whether it is a panel or disabled."""
-    with ending():
-        for each in with_accounts(config, lambda accounts: accounts.users()):
-            states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
-            marks = [str(Message(code)) for code, is_so in states if is_so]
-            typer.echo("\t".join([each.name, each.role, *marks]))
+    for each in with_accounts(config, lambda accounts: accounts.users()):
+        states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
+        marks = [str(Message(code)) for code, is_so in states if is_so]
+        typer.echo("\t".join([each.name, each.role, *marks]))
 
 
 @user.command()
 def password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
     """Set a new password of a user; every session of that user ends."""
-    with ending():
-        new = _password(password_stdin)
-        with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
+    new = _password(password_stdin)
+    with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
 
 
 @user.command()
 def remove(name: UserName, config: Config = LINESIDE_TOML) -> None:
     """Remove a user; the events of that user are kept."""
-    with ending():
-        with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
+    with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
 
 def _password(from_input: bool) -> str:
