@@ -17,6 +17,7 @@ from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
+from app.server.fair_queue import TooManyWaitingError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.shape import message_shown, reason_shown
@@ -106,6 +107,11 @@ def _detail(request: Request, problem: Problem) -> str:
     return templates_of(request).language_of(request).t(problem.message)
 
 
+def too_many_requests() -> Problem:
+    """The refusal of a request where too many of its account or address wait for their turn."""
+    return Problem(429, "too_many", Message("too_many_requests")).with_headers(Retry_After="2")
+
+
 def _place(location: Sequence[int | str]) -> str:
     return ".".join(str(step) for step in location if step not in ("body", "query", "path")) or "body"
 
@@ -172,6 +178,8 @@ async def _on_error(request: Request, error: Exception) -> Response:
     match error:
         case CallerError():
             problem = Problem(422, "invalid", error.message)
+        case TooManyWaitingError():
+            problem = too_many_requests()
         case TooCostlyError():
             problem = Problem(503, "too_costly", error.message)
         case StoreError():
@@ -191,5 +199,6 @@ def install(app: FastAPI) -> None:
     app.exception_handler(Problem)(_on_problem)
     app.add_exception_handler(HTTPException, _on_http)
     app.add_exception_handler(RequestValidationError, _on_invalid)
-    for kind in (CallerError, StoreError, UnicodeDecodeError, json.JSONDecodeError, Exception):
+    texts = (UnicodeDecodeError, json.JSONDecodeError)
+    for kind in (CallerError, StoreError, TooManyWaitingError, *texts, Exception):
         app.add_exception_handler(kind, _on_error)
