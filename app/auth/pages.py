@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form
 from starlette.background import BackgroundTask
@@ -159,15 +159,17 @@ async def _login_form(
     *,
     refused: bool = False,
 ) -> HTMLResponse:
-    context: dict[str, Any] = {"next": _own(next), "panel": panel, "problem": problem, "name": name}
     return render(
         request,
         "auth/login.html",
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
+        next=_own(next),
+        panel=panel,
+        problem=problem,
+        name=name,
         refused=refused,
         no_users=await sign_in.has_no_users(),
-        **context,
     )
 
 
