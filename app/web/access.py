@@ -186,7 +186,6 @@ def not_signed_in() -> Problem:
 
 
 Viewer = Annotated[Person, Depends(Requires(Role.VIEWER))]
-Operator = Annotated[Person, Depends(Requires(Role.OPERATOR))]
 Engineer = Annotated[Person, Depends(Requires(Role.ENGINEER))]
 Admin = Annotated[Person, Depends(Requires(Role.ADMIN))]
 Worker = Annotated[Person, Depends(Requires(Role.WORKER))]
