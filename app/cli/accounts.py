@@ -14,7 +14,7 @@ from app.audit.kinds import EventKind
 from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth.accounts import Accounts
-from app.cli.check_store import check_store
+from app.cli.serve import check_store
 from app.database import Database
 from app.database.private import make_private
 from app.settings import Settings, load

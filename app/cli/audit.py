@@ -16,9 +16,8 @@ from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
 from app.cli.accounts import record, site_log
-from app.cli.check_store import check_store
 from app.cli.ending import report
-from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.serve import LINESIDE_TOML, Config, check_store
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError

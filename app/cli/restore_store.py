@@ -8,7 +8,7 @@ import sqlite3
 import tempfile
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -67,8 +67,8 @@ class Restored:
     ``anchors`` of the log that it replaced, under their new names."""
 
     names: list[str]
-    withheld: Withheld | None = None
-    anchors: tuple[Path, ...] = ()
+    withheld: Withheld | None
+    anchors: tuple[Path, ...]
 
 
 def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path | None = None) -> Restored:
@@ -87,17 +87,18 @@ def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path 
                 _prove(fresh, file)
             for store in (data / name for name in STORES):
                 _refuse_while_open(store)
-            done = Restored([fresh.name for fresh in proved])
+            withheld: Withheld | None = None
+            anchors: tuple[Path, ...] = ()
             if (fresh := Path(folder) / STORE_FILE) in proved:
                 try:
                     withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
                 except (sqlite3.Error, ValueError) as error:
                     raise _unsound(file, STORE_FILE, str(error)) from error
                 # Before the stores: a log without an anchor is not taken for one that was cut off.
-                done = replace(done, withheld=withheld, anchors=_anchors_put_aside(key_files, anchor))
+                anchors = _anchors_put_aside(key_files, anchor)
             for fresh in proved:
                 _put(fresh, data / fresh.name)
-    return done
+    return Restored([fresh.name for fresh in proved], withheld, anchors)
 
 
 def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:

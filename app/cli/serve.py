@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
-from app.cli.check_store import check_store
+from app.audit.keys import find_key_file
 from app.cli.listening import listen
-from app.settings import load
+from app.database.presence import presence_of, refusal_to_start
+from app.errors import StoreError
+from app.settings import Settings, load
 from bus.messages import Message
 
 Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
@@ -34,3 +36,12 @@ def serve(
 
             begin_new_site(settings)
         host(settings, config.resolve(), port)
+
+
+def check_store(settings: Settings, *, new: bool = False) -> None:
+    """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
+    with ``new`` where one is there."""
+    store = settings.server.store
+    refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
+    if refusal is not None:
+        raise StoreError(refusal)
