@@ -16,9 +16,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from io import BufferedReader
+from io import BufferedIOBase, BufferedReader
 from pathlib import Path
-from typing import Annotated, BinaryIO, cast
+from typing import Annotated
 
 import msgspec
 
@@ -137,7 +137,7 @@ def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
     """By name where each member is, none beyond the end of the file, which is ``size``."""
     members: dict[str, Extent] = {}
     try:
-        with tarfile.TarFile(fileobj=cast(BinaryIO, _Headers(file))) as archive:
+        with tarfile.TarFile(fileobj=_Headers(file)) as archive:
             for info in archive:
                 _check(info, archive.pax_headers)
                 if not 0 <= info.size <= size - info.offset_data:
@@ -168,18 +168,19 @@ def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
         raise ArchiveError("archive_foreign")
 
 
-class _Headers:
+class _Headers(BufferedIOBase):
     """The file as `tarfile` reads headers in it, which can never be more than a few: a forged one may state
     any length, and `tarfile` would follow."""
 
     def __init__(self, file: BufferedReader) -> None:
         self._file = file
         self._left = MAX_HEADER_BYTES
-        self.seek = file.seek
-        self.tell = file.tell
 
-    def read(self, count: int) -> bytes:
-        if not 0 <= count <= self._left:
+    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
+        return self._file.seek(place, whence)
+
+    def read(self, count: int | None = -1) -> bytes:
+        if count is None or not 0 <= count <= self._left:
             raise ArchiveError("archive_header_too_large")
         self._left -= count
         return self._file.read(count)
