@@ -15,9 +15,9 @@ from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
-from app.cli.accounts import record, site_log
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config, check_store
+from app.cli.site_log import record, site_log
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError

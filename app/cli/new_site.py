@@ -6,8 +6,8 @@ import time
 from contextlib import closing
 
 from app.audit.keys import find_key_file
-from app.cli.accounts import open_log, record
 from app.cli.serve import check_store
+from app.cli.site_log import open_log, record
 from app.database import Database
 from app.database.copies import put_aside
 from app.database.presence import Presence, presence_of

@@ -19,11 +19,11 @@ from app.audit.chain import Head
 from app.audit.keys import find_key_file
 from app.audit.store import head_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
-from app.cli.accounts import open_log, record
 from app.cli.backup_archive import STORES, open_archive
 from app.cli.backup_store import fault_of
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.site_log import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import Database
 from app.database.connection import open_for_reading
