@@ -117,17 +117,17 @@ class Accounts:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
         it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
         secret, now = rules.new_secret(), self._clock()
-
-        def add(connection: sqlite3.Connection) -> None:
-            rules.check_distinct(name, (each.name for each in store.tokens(connection)))
-            store.add_token(connection, rules.secret_hash(secret), token)
-
         act, of_bus = (acts.CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (acts.CREATE_TOKEN, {})
         async with self._performing(act, by, name=name, role=term(role), **of_bus):
             rules.check_name(name)
             rules.check_token_bus(role, bus, self.buses)
             expires_at = rules.token_expiry(now, expires_days)
             token = Token(0, name, role, by.name or str(by.address), now, None, bus or None, expires_at)
+
+            def add(connection: sqlite3.Connection) -> None:
+                rules.check_distinct(name, (each.name for each in store.tokens(connection)))
+                store.add_token(connection, rules.secret_hash(secret), token)
+
             await self._write_new(add, Message.of("token_exists", name=name))
         return secret
 
