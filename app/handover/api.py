@@ -33,7 +33,7 @@ from app.handover.signing import ShiftSignRequest, Signing
 from app.web.access import Person, Viewer, address_of
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.services import service
 from app.web.shape import Instant, StrictBody, iso
 from app.web.turns import SEARCH

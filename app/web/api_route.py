@@ -18,7 +18,7 @@ from typing_extensions import is_typeddict
 
 from app.errors import Problem
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, parse_apart
-from app.web.schema_problem import usual_problems
+from app.web.schema import usual_problems
 from bus.messages import Message
 
 MAX_MEMBERS = 1000
