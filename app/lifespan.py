@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import structlog
 
@@ -18,6 +18,7 @@ RESTART_AFTER_S = 1.0
 MAX_FINISH_S = 1.0
 """How long the end waits for backlogs to be written, all of them together."""
 Step = Callable[[], Awaitable[None]]
+Running = Callable[[], Coroutine[Any, Any, None]]
 log = structlog.get_logger()
 
 
@@ -25,28 +26,13 @@ class StartError(LinesideError):
     """A part of the server could not start; the message names it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What a service does in the lifespan of the server. ``works`` run from the last start to the end and are
-    restarted where they fail; ``once`` runs beside them and is not restarted.
-
-    ``finish`` waits, while the works still run, until they have written their backlog. ``end`` is called
-    after the works, if the part has started; what was added earlier still runs then.
-    """
-
-    name: str
-    works: tuple[Step, ...] = ()
-    start: Step | None = None
-    once: Step | None = None
-    finish: Step | None = None
-    end: Step | None = None
-
-
 class Lifespan:
     """The parts of the server, each added where its service is made, after those that it needs."""
 
     def __init__(self) -> None:
-        self._parts: list[Part] = []
+        self._parts: list[tuple[str, Step | None, Step | None]] = []
+        self._works: list[Running] = []
+        self._finishing: list[Running] = []
 
     def add(
         self,
@@ -57,31 +43,35 @@ class Lifespan:
         finish: Step | None = None,
         end: Step | None = None,
     ) -> None:
-        """Add a :class:`Part`; its errors are logged with ``name``."""
-        self._parts.append(Part(name, works, start, once, finish, end))
+        """Add what a service does; its errors are logged with ``name``. ``works`` run from the last start to
+        the end and are restarted where they fail; ``once`` runs beside them and is not restarted.
+
+        ``finish`` waits, while the works still run, until they have written their backlog. ``end`` is called
+        after the works, if the part has started; what was added earlier still runs then.
+        """
+        self._parts.append((name, start, end))
+        self._works += [partial(_restarted, name, work) for work in works]
+        if once is not None:
+            self._works.append(partial(_run_once, name, once))
+        if finish is not None:
+            self._finishing.append(partial(_ended, name, partial(_within, finish)))
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """From the first start to the last end. Raises StartError; the parts that have started are ended."""
         async with AsyncExitStack() as stack:
-            for part in self._parts:
-                if part.start is not None:
-                    await _start(part.name, part.start)
-                if part.end is not None:
-                    stack.push_async_callback(_ended, part.name, part.end)
-            stack.push_async_callback(_cancel, self._begin_works())
+            for name, start, end in self._parts:
+                if start is not None:
+                    await _start(name, start)
+                if end is not None:
+                    stack.push_async_callback(_ended, name, end)
+            stack.push_async_callback(_cancel, [asyncio.create_task(work()) for work in self._works])
             stack.push_async_callback(self._finish)
             yield
 
-    def _begin_works(self) -> list[asyncio.Task[None]]:
-        works = [_restarted(part.name, work) for part in self._parts for work in part.works]
-        works += [_run_once(part.name, part.once) for part in self._parts if part.once is not None]
-        return [asyncio.create_task(work) for work in works]
-
     async def _finish(self) -> None:
         """Wait for every backlog, together: one that cannot be written takes no time from the others."""
-        finishing = [(part.name, part.finish) for part in self._parts if part.finish is not None]
-        await asyncio.gather(*(_ended(name, partial(_within, finish)) for name, finish in finishing))
+        await asyncio.gather(*(finish() for finish in self._finishing))
 
 
 async def _start(name: str, start: Step) -> None:

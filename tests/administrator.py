@@ -6,5 +6,5 @@ from typing import Any
 
 from app.web.access import Person, Role
 
-BY: dict[str, Any] = {"by": Person("test", Role.ADMIN, "console"), "origin": "test"}
+BY: dict[str, Any] = {"by": Person("test", Role.ADMIN, "console", address="test")}
 """For every change of :class:`app.auth.accounts.Accounts`."""

@@ -45,7 +45,7 @@ async def events_page(
     """A form's empty fields do not narrow; the days are days at the site."""
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
     templates = templates_of(request)
-    site_zone, formats = templates.time_zone, templates.formats(templates.language_of(request).tag)
+    site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
     wanted = Filter(
         before=parse_integer(before),
         kind=kind or None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from urllib.parse import quote, urlsplit
 
@@ -17,12 +17,12 @@ from starlette.websockets import WebSocketDisconnect
 from app.audit.log import EventLog
 from app.auth.identity import ExpiredTokenError, Identity
 from app.auth.lasting import Rechecks, run_while_allowed
+from app.auth.signin import count_refusal
 from app.errors import Problem, StoreError
-from app.server.addresses import source_of
 from app.server.client_connection import client_connection
 from app.server.handshakes import Handshakes
 from app.server.refusal_log import REFUSED, RefusalLog
-from app.web.access import Person, Role, account_shown, not_signed_in
+from app.web.access import Person, Role, account_shown, address_of, not_signed_in
 from app.web.problems import is_fragment, problem_json, wants_json
 from app.web.security import LOOPBACK, refuse
 from bus.instants import monotonic_now
@@ -62,13 +62,14 @@ class Identify:
         except StoreError as error:
             await refuse(scope, receive, send, Problem(503, "store", error.message))
             return
-        if person is None and not _is_public(scope["path"]):
-            await _turn_away(connection, receive, send)
-            return
-        scope["person"] = person
         if person is None:
+            path = scope["path"]
+            if path not in PUBLIC_PATHS and not path.startswith(PUBLIC_PREFIX):
+                await _turn_away(connection, receive, send)
+                return
             await self._app(scope, receive, send)
             return
+        scope["person"] = replace(person, address=address_of(connection))
         client_connection(scope).identify(person.account)
         withdrawal = partial(
             self._rechecks.until_withdrawn, person.account, partial(self._is_still, connection, person), seen
@@ -91,17 +92,14 @@ class Identify:
     async def _person(self, connection: HTTPConnection, *, is_use: bool = True) -> Person | None:
         scheme, _, bearer = connection.headers.get("authorization", "").partition(" ")
         if scheme.lower() == "bearer":
-            return await self._by_bearer(bearer.strip())
+            program = await self._identity.by_token(bearer.strip())
+            if program is None:
+                raise not_signed_in()
+            return program
         cookie = connection.cookies.get(COOKIE)
         person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
-        return person
-
-    async def _by_bearer(self, bearer: str) -> Person:
-        person = await self._identity.by_token(bearer)
-        if person is None:
-            raise not_signed_in()
         return person
 
 
@@ -141,17 +139,11 @@ def _login_url(next_page: str, *, refused: bool) -> str:
     return "/login" + ("?" + "&".join(query) if query else "")
 
 
-def _is_public(path: str) -> bool:
-    return path in PUBLIC_PATHS or path.startswith(PUBLIC_PREFIX)
-
-
 def _is_loopback(connection: HTTPConnection) -> bool:
     """From this machine and under its own name: a foreign name for 127.0.0.1 is an attack."""
-    client = connection.client.host if connection.client else ""
-    return client in LOOPBACK and connection.url.hostname in LOOPBACK
+    return address_of(connection) in LOOPBACK and connection.url.hostname in LOOPBACK
 
 
-UNKNOWN_TOKEN = Message("unknown_token")
 REFUSED_ACCOUNT = "refused_account"
 """Key in the scope: the account of an expired token."""
 
@@ -173,44 +165,30 @@ class RecordRefusals:
             status = message.get("status", status)
             await send(message)
 
+        address: str = (scope.get("client") or ("", 0))[0]
         try:
             await self._app(scope, receive, watching)
         except WebSocketDisconnect:  # before its handshake had a response
-            self._log.note(_address_of(scope), "incomplete", scope["path"])
+            self._log.note(address, "incomplete", scope["path"])
             return
         if status not in REFUSED or (status == 401 and not Headers(scope=scope).get("authorization")):
             return
-        self._log.note(_address_of(scope), str(status), scope["path"])
-        # Without an event a refusal is as good: the disk may be full.
-        with suppress(StoreError):
-            if status == 403:
-                await self._count_forbidden(scope)
-            elif status == 401:
-                account: str | None = scope.get(REFUSED_ACCOUNT)
-                who = account_shown(account) if account else UNKNOWN_TOKEN
-                await self._count(Message("event_token_refused"), who, scope)
-
-    async def _count_forbidden(self, scope: Scope) -> None:
-        person: Person | None = scope.get("person")
-        if person is None:
-            await self._count(Message("event_foreign_page_refused"), "", scope)
-        else:
-            await self._count(
-                Message("event_access_refused"), account_shown(person.account), scope, _requested(scope)
-            )
-
-    async def _count(self, what: Message, who: str | Message, scope: Scope, message: str = "") -> None:
-        # Of IPv6 the subnet: a sender has as many of its addresses as it likes.
-        origin = source_of(_address_of(scope))
-        await self._events.repeated.count("access_refused", what, who=who, origin=origin, message=message)
+        self._log.note(address, str(status), scope["path"])
+        if status in (401, 403):
+            what, who, requested = _event_of(status, scope)
+            await count_refusal(self._events, "access_refused", what, who, address, requested)
 
 
-def _address_of(scope: Scope) -> str:
-    client: tuple[str, int] = scope.get("client") or ("", 0)
-    return client[0]
-
-
-def _requested(scope: Scope) -> str:
-    """The method and the path of the route, without what the request filled into it."""
+def _event_of(status: int, scope: Scope) -> tuple[Message, str | Message, str]:
+    """What the events have of a refusal, whose request it was, and its method and the path of its route,
+    without what the request filled into it."""
+    if status == 401:
+        account: str | None = scope.get(REFUSED_ACCOUNT)
+        who = account_shown(account) if account else Message("unknown_token")
+        return Message("event_token_refused"), who, ""
+    person: Person | None = scope.get("person")
+    if person is None:
+        return Message("event_foreign_page_refused"), "", ""
     path = getattr(scope.get("route"), "path_format", "")
-    return f"{scope.get('method', 'GET')} {path}" if path else ""
+    requested = f"{scope.get('method', 'GET')} {path}" if path else ""
+    return Message("event_access_refused"), account_shown(person.account), requested

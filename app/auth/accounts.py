@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Collection
+from collections.abc import AsyncIterator, Callable, Collection
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from app.audit.act import Performed
+from app.audit.act import Act
 from app.audit.log import EventLog
 from app.auth import acts, rules, store, strength
-from app.auth.passwords import Passwords
+from app.auth.passwords import hash_secret
 from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem
 from app.web.access import AccountSubscriber, Person, Role, account_of, name_of
 from bus.errors import CallerError
-from bus.instants import Clock, UnixTime, unix_now
-from bus.messages import Message, term
+from bus.instants import Clock, unix_now
+from bus.messages import Message, ParamValue, term
 
 
 @dataclass(eq=False, repr=False)
 class Accounts:
-    """Every change takes ``by``: who makes it, whose role is checked here, and ``origin``: the address of a
-    page, or the command line. ``buses``: those of the configuration, for the tokens of workers; ``site``: its
-    name, which no password may contain. A change raises Problem 403 for a person without its role."""
+    """Every change takes ``by``: who makes it, whose role is checked here. ``buses``: those of the
+    configuration, for the tokens of workers; ``site``: its name, which no password may contain. A change
+    raises Problem 403 for a person without its role."""
 
     _database: Database
-    _passwords: Passwords
     _events: EventLog
     _clock: Clock = unix_now
     buses: Collection[str] = ()
     site: str = ""
     _subscribers: list[AccountSubscriber] = field(default_factory=list)
-
-    def now(self) -> UnixTime:
-        """Unix time as this service has it, by which tokens expire."""
-        return self._clock()
 
     def on_changed(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` after each change. It gets the account of a user who chose another password and
@@ -65,32 +61,18 @@ class Accounts:
 
         return await self._database.read(find)
 
-    async def add_user(
-        self, name: str, role: Role, password: str, *, by: Person, origin: str | Message
-    ) -> None:
+    async def add_user(self, name: str, role: Role, password: str, *, by: Person) -> None:
         """Add a person who signs in by a password. Raises CallerError."""
-        acts.ADD_USER.check(by)
-        rules.check_name(name)
-        strength.check_password(password, user=name, site=self.site)
-        user = User(name, role, False, "/", "", False, self._clock(), None)
-        await self._add(user, password)
-        await self._record(acts.ADD_USER.by(by, name=name, role=term(role)), origin)
+        async with self._performing(acts.ADD_USER, by, name=name, role=term(role)):
+            await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
-    async def add_panel(
-        self, name: str, role: Role, pin: str, home: str, *, by: Person, origin: str | Message
-    ) -> None:
+    async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: Person) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
-        acts.ADD_PANEL.check(by)
-        rules.check_name(name)
-        rules.check_panel_role(role)
-        strength.check_pin(pin)
-        rules.check_home(home)
-        await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
-        await self._record(acts.ADD_PANEL.by(by, name=name, role=term(role)), origin)
+        async with self._performing(acts.ADD_PANEL, by, name=name, role=term(role)):
+            await self._add(User(name, role, True, home, "", False, self._clock(), None), pin)
 
-    async def set_role(self, name: str, role: Role, *, by: Person, origin: str | Message) -> None:
+    async def set_role(self, name: str, role: Role, *, by: Person) -> None:
         """Raises CallerError for an unknown user, for the last admin, and for a panel above operator."""
-        acts.SET_ROLE.check(by)
 
         def change(connection: sqlite3.Connection) -> bool:
             found = store.user(connection, name)
@@ -98,38 +80,31 @@ class Accounts:
                 rules.check_panel_role(role)
             return store.set_role(connection, name, role)
 
-        await self._change(name, change)
-        await self._record(acts.SET_ROLE.by(by, name=name, role=term(role)), origin)
+        async with self._performing(acts.SET_ROLE, by, name=name, role=term(role)):
+            await self._change(name, change)
 
-    async def set_disabled(self, name: str, disabled: bool, *, by: Person, origin: str | Message) -> None:
+    async def set_disabled(self, name: str, disabled: bool, *, by: Person) -> None:
         """Refuse a user, or admit again. Raises CallerError for an unknown user and for the last admin."""
-        act = acts.DISABLE_USER if disabled else acts.ENABLE_USER
-        act.check(by)
-        await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
-        await self._record(act.by(by, name=name), origin)
+        async with self._performing(acts.DISABLE_USER if disabled else acts.ENABLE_USER, by, name=name):
+            await self._change(name, lambda connection: store.set_disabled(connection, name, disabled))
 
-    async def remove_user(self, name: str, *, by: Person, origin: str | Message) -> None:
+    async def remove_user(self, name: str, *, by: Person) -> None:
         """Raises CallerError for an unknown user and for the last admin."""
-        acts.REMOVE_USER.check(by)
-        await self._change(name, lambda connection: store.remove_user(connection, name))
-        await self._record(acts.REMOVE_USER.by(by, name=name), origin)
+        async with self._performing(acts.REMOVE_USER, by, name=name):
+            await self._change(name, lambda connection: store.remove_user(connection, name))
 
-    async def set_password(self, name: str, password: str, *, by: Person, origin: str | Message) -> None:
+    async def set_password(self, name: str, password: str, *, by: Person) -> None:
         """Set the password of a user, or the PIN of a panel. Every session of the user ends. Raises
         CallerError."""
-        acts.SET_PASSWORD.check(by)
-        await self._set_password(name, password)
-        await self._record(acts.SET_PASSWORD.by(by, name=name), origin)
+        async with self._performing(acts.SET_PASSWORD, by, name=name):
+            await self._set_password(name, password)
 
-    async def change_own_password(
-        self, password: str, *, by: Person, origin: str | Message, keep: bytes
-    ) -> None:
+    async def change_own_password(self, password: str, *, by: Person, keep: bytes) -> None:
         """Set the password of the user who requests it. The session with the hash ``keep`` stays, every other
         one of the user ends. Raises CallerError."""
-        acts.CHANGE_OWN_PASSWORD.check(by)
-        check_has_own_password(by)
-        await self._set_password(by.name, password, keep)
-        await self._record(acts.CHANGE_OWN_PASSWORD.by(by, name=by.name), origin, kept=by.name)
+        async with self._performing(acts.CHANGE_OWN_PASSWORD, by, kept=by.name, name=by.name):
+            check_has_own_password(by)
+            await self._set_password(by.name, password, keep)
 
     async def set_language(self, person: Person, language: str) -> None:
         """The language that the user chose; empty: that of the browser. Raises Problem 403 for a program."""
@@ -137,65 +112,72 @@ class Accounts:
         await self._database.write(lambda connection: store.set_language(connection, person.name, language))
 
     async def create_token(
-        self,
-        name: str,
-        role: Role,
-        *,
-        bus: str = "",
-        expires_days: int | None = None,
-        by: Person,
-        origin: str | Message,
+        self, name: str, role: Role, *, bus: str = "", expires_days: int | None = None, by: Person
     ) -> str:
         """Create a token for a program, or with ``bus`` for the worker of that bus; without ``expires_days``
         it holds until it is revoked. Returns the secret, which is stored nowhere. Raises CallerError."""
-        act = acts.CREATE_WORKER_TOKEN if bus else acts.CREATE_TOKEN
-        act.check(by)
-        rules.check_name(name)
-        rules.check_token_bus(role, bus, self.buses)
         secret, now = rules.new_secret(), self._clock()
-        expires_at = rules.token_expiry(now, expires_days)
-        token = Token(0, name, role, by.name or str(origin), now, None, bus or None, expires_at)
+        act, of_bus = (acts.CREATE_WORKER_TOKEN, {"bus": bus}) if bus else (acts.CREATE_TOKEN, {})
+        async with self._performing(act, by, name=name, role=term(role), **of_bus):
+            rules.check_name(name)
+            rules.check_token_bus(role, bus, self.buses)
+            expires_at = rules.token_expiry(now, expires_days)
+            token = Token(0, name, role, by.name or str(by.address), now, None, bus or None, expires_at)
 
-        def add(connection: sqlite3.Connection) -> None:
-            rules.check_distinct(name, (each.name for each in store.tokens(connection)))
-            store.add_token(connection, rules.secret_hash(secret), token)
+            def add(connection: sqlite3.Connection) -> None:
+                rules.check_distinct(name, (each.name for each in store.tokens(connection)))
+                store.add_token(connection, rules.secret_hash(secret), token)
 
-        try:
-            await self._database.write(add)
-        except sqlite3.IntegrityError:
-            raise CallerError(Message.of("token_exists", name=name)) from None
-        of_bus = {"bus": bus} if bus else {}
-        await self._record(act.by(by, name=name, role=term(role), **of_bus), origin)
+            await self._write_new(add, Message.of("token_exists", name=name))
         return secret
 
-    async def revoke_token(self, name: str, *, by: Person, origin: str | Message) -> None:
+    async def revoke_token(self, name: str, *, by: Person) -> None:
         """Raises CallerError for one that is not there."""
-        acts.REVOKE_TOKEN.check(by)
-        if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
-            raise CallerError(Message.of("no_such_token", name=name[:80]))
-        await self._record(acts.REVOKE_TOKEN.by(by, name=name), origin)
+        async with self._performing(acts.REVOKE_TOKEN, by, name=name):
+            if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
+                raise CallerError(Message.of("no_such_token", name=name[:80]))
+
+    @asynccontextmanager
+    async def _performing(
+        self, act: Act, by: Person, *, kept: str = "", **params: ParamValue
+    ) -> AsyncIterator[None]:
+        """Check the role of ``by`` before an act; record the act once it is done, with ``params``, and call
+        the subscribers with ``kept``."""
+        act.check(by)
+        yield
+        performed = act.by(by, **params)
+        # A user of the machine who calls the command line may have no name.
+        performed["who"], performed["origin"] = by.name or by.address, by.address
+        await self._events.record(**performed)
+        for subscriber in self._subscribers:
+            await subscriber(kept)
 
     async def _add(self, user: User, secret: str) -> None:
-        hashed = await self._passwords.hash(secret)
+        rules.check_name(user.name)
+        if user.panel:
+            rules.check_panel_role(user.role)
+        strength.check_secret(secret, user=user.name, panel=user.panel, site=self.site)
+        rules.check_home(user.home)
+        hashed = await hash_secret(secret)
 
         def add(connection: sqlite3.Connection) -> None:
             rules.check_distinct(user.name, (each.name for each in store.users(connection)))
             store.add_user(connection, user, hashed)
 
+        await self._write_new(add, Message.of("user_exists", name=user.name))
+
+    async def _write_new(self, add: Callable[[sqlite3.Connection], None], exists: Message) -> None:
         try:
             await self._database.write(add)
         except sqlite3.IntegrityError:
-            raise CallerError(Message.of("user_exists", name=user.name)) from None
+            raise CallerError(exists) from None
 
     async def _set_password(self, name: str, password: str, keep: bytes = b"") -> None:
         found = await self._database.read(lambda connection: store.user(connection, name))
         if found is None:
             raise CallerError(Message.of("no_such_user", name=name[:80]))
-        if found[0].panel:
-            strength.check_pin(password)
-        else:
-            strength.check_password(password, user=name, site=self.site)
-        hashed = await self._passwords.hash(password)
+        strength.check_secret(password, user=name, panel=found[0].panel, site=self.site)
+        hashed = await hash_secret(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
 
     async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
@@ -207,13 +189,6 @@ class Accounts:
                 raise CallerError(Message.of("last_admin", name=name))
 
         await self._database.write(guarded)
-
-    async def _record(self, performed: Performed, origin: str | Message, kept: str = "") -> None:
-        # A user of the machine who calls the command line may have no name.
-        performed["who"], performed["origin"] = performed["who"] or origin, origin
-        await self._events.record(**performed)
-        for subscriber in self._subscribers:
-            await subscriber(kept)
 
 
 def check_is_user(person: Person) -> None:

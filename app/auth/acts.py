@@ -17,17 +17,7 @@ CREATE_WORKER_TOKEN = Act("create_worker_token", Role.ADMIN, "token", "event_tok
 REVOKE_TOKEN = Act("revoke_token", Role.ADMIN, "token", "event_token_revoked")
 CHANGE_OWN_PASSWORD = Act("change_own_password", Role.VIEWER, "user", "event_password_changed")
 LOG_OUT = Act("log_out", Role.VIEWER, "logout", "event_signed_out")
-ACTS = (
-    ADD_USER,
-    ADD_PANEL,
-    SET_ROLE,
-    DISABLE_USER,
-    ENABLE_USER,
-    SET_PASSWORD,
-    REMOVE_USER,
-    CREATE_TOKEN,
-    CREATE_WORKER_TOKEN,
-    REVOKE_TOKEN,
-    CHANGE_OWN_PASSWORD,
-    LOG_OUT,
-)
+
+_OF_USERS = (ADD_USER, ADD_PANEL, SET_ROLE, DISABLE_USER, ENABLE_USER, SET_PASSWORD, REMOVE_USER)
+_OF_TOKENS = (CREATE_TOKEN, CREATE_WORKER_TOKEN, REVOKE_TOKEN)
+ACTS = (*_OF_USERS, *_OF_TOKENS, CHANGE_OWN_PASSWORD, LOG_OUT)

@@ -7,12 +7,10 @@ import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from app.auth import rules, store
-from app.auth.rights import credential_of_token, credential_of_user
 from app.auth.signin import SignIn
-from app.auth.store import Session, Token
+from app.auth.store import Token
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, account_of
@@ -37,7 +35,7 @@ class Identity:
         hash_ = rules.secret_hash(cookie)
         session = await self._database.read(lambda connection: store.session(connection, hash_))
         now = self._clock()
-        if session is None or session.user.disabled or _has_too_many_rights(session):
+        if session is None or session.user.disabled or session.user.is_refused_panel:
             return None
         lifetime = self._sign_in.lifetime_of(session.user)
         if min(session.expires_at, lifetime.ends_at(session.created_at, session.used_at)) <= now:
@@ -55,7 +53,7 @@ class Identity:
             user.panel,
             user.home,
             user.created_at,
-            credential=credential_of_user(user),
+            credential=user.credential,
         )
 
     async def by_token(self, bearer: str) -> Person | None:
@@ -79,7 +77,7 @@ class Identity:
             "token",
             created_at=token.created_at,
             bus=token.bus or "",
-            credential=credential_of_token(token),
+            credential=token.credential,
         )
 
     async def _note(self, work: Callable[[sqlite3.Connection], None]) -> None:
@@ -88,17 +86,12 @@ class Identity:
             await self._database.write(work)
 
 
-def _has_too_many_rights(session: Session) -> bool:
-    """A panel from before panels were operators at most."""
-    return session.user.panel and not Role.OPERATOR.includes(session.user.role)
-
-
 class ExpiredTokenError(Problem):
     """401 for the holder of an expired token; a stranger does not get it. ``account``: the token's."""
 
     def __init__(self, token: Token) -> None:
-        day = datetime.fromtimestamp(float(token.expires_at or 0.0), UTC).date().isoformat()
-        super().__init__(401, "unauthorized", Message.of("token_expired", called=token.name, day=day))
+        expired = Message.of("token_expired", called=token.name, day=token.last_day)
+        super().__init__(401, "unauthorized", expired)
         self.account = account_of(token.name, token=True)
         # RFC 6750, 3.1
         self.with_headers(

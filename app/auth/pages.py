@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Form
 from starlette.background import BackgroundTask
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
@@ -15,7 +15,7 @@ from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
 from app.auth.signin import SignIn, WrongSecretError
 from app.errors import Problem
-from app.web.access import Person, Viewer, person_of, public
+from app.web.access import Person, Viewer, address_of, person_of, public
 from app.web.services import service
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
@@ -32,10 +32,6 @@ DEVICE_COOKIE = "lineside_device"
 DEVICE_KNOWN_S = 365 * rules.DAY
 LONGEST_NAME = 64
 """The stored part of a typed name; no user has one so long."""
-
-
-def address_of(connection: HTTPConnection) -> str:
-    return connection.client.host if connection.client else ""
 
 
 @router.get("/login", dependencies=[Depends(public)])
@@ -75,7 +71,7 @@ async def log_out(
     """End the session and forget the cookie."""
     cookie = request.cookies.get(COOKIE)
     if cookie:
-        await sign_in.sign_out(cookie, person, address_of(request))
+        await sign_in.sign_out(cookie, person)
     response = RedirectResponse("/login", 303)
     response.delete_cookie(COOKIE, path="/")
     return response
@@ -110,12 +106,12 @@ async def change_password(
 ) -> Response:
     """Change the own password; every other session of the user ends."""
     check_has_own_password(person)
-    address, this_one = address_of(request), rules.secret_hash(request.cookies[COOKIE])
+    this_one = rules.secret_hash(request.cookies[COOKIE])
     try:
-        await sign_in.check_present(person.name, present, address, _device_of(request))
+        await sign_in.check_present(person.name, present, address_of(request), _device_of(request))
         if password != again:
             raise CallerError(Message("new_passwords_differ"))
-        await accounts.change_own_password(password, by=person, origin=address, keep=this_one)
+        await accounts.change_own_password(password, by=person, keep=this_one)
     except CallerError as fault:
         return _account(request, fault=fault)
     return RedirectResponse("/account?done=password", 303)
@@ -163,15 +159,17 @@ async def _login_form(
     *,
     refused: bool = False,
 ) -> HTMLResponse:
-    context: dict[str, Any] = {"next": _own(next), "panel": panel, "problem": problem, "name": name}
     return render(
         request,
         "auth/login.html",
         status=problem.status if problem else 200,
         headers=problem.headers if problem else None,
+        next=_own(next),
+        panel=panel,
+        problem=problem,
+        name=name,
         refused=refused,
         no_users=await sign_in.has_no_users(),
-        **context,
     )
 
 

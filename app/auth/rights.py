@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import InitVar, dataclass, field
-from typing import Protocol
 
 import structlog
 
 from app.auth import store
 from app.auth.lasting import Rechecks
-from app.auth.store import Token, User
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import AccountSubscriber, Person, Role, account_of
@@ -43,16 +41,6 @@ class Standing:
     credential: str
 
 
-def credential_of_user(user: User) -> str:
-    """A text that differs once the user was added again, or has another password."""
-    return f"{user.created_at} {user.secret_serial}"
-
-
-def credential_of_token(token: Token) -> str:
-    """A text that differs once the token was revoked and created again."""
-    return f"{token.id} {token.created_at}"
-
-
 def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
     """Why what a person began must stop; None while it may go on. ``standing``: of the account now."""
     is_token = person.via == "token"
@@ -63,19 +51,13 @@ def why_withdrawn(person: Person, standing: Standing | None) -> Message | None:
     return None if standing.role.includes(person.role) else ROLE_LOWERED
 
 
-class AccountChanges(Protocol):
-    """Publishes the changes that this process makes to accounts."""
-
-    def on_changed(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` after each change, with the account whose own session stays, if any."""
-
-
 @dataclass(eq=False, repr=False)
 class Rights:
-    """Holds the rights of every account. ``rechecks``: makes open connections check theirs again."""
+    """Holds the rights of every account. ``on_changed`` takes what is called after each change that this
+    process makes to accounts. ``rechecks``: makes open connections check theirs again."""
 
     _database: Database
-    accounts: InitVar[AccountChanges]
+    on_changed: InitVar[Callable[[AccountSubscriber], None]]
     rechecks: Rechecks = field(default_factory=Rechecks)
     clock: Clock = unix_now
     monotonic: MonotonicClock = monotonic_now
@@ -83,8 +65,8 @@ class Rights:
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
 
-    def __post_init__(self, accounts: AccountChanges) -> None:
-        accounts.on_changed(self._on_account_change)
+    def __post_init__(self, on_changed: Callable[[AccountSubscriber], None]) -> None:
+        on_changed(self._on_account_change)
 
     def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with each account that may do less than before."""
@@ -144,11 +126,11 @@ class Rights:
     def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:
         now = self.clock()
         return {
-            user.name: Standing(user.role, credential_of_user(user))
+            user.name: Standing(user.role, user.credential)
             for user in store.users(connection)
             if not user.disabled
         } | {
-            account_of(token.name, token=True): Standing(token.role, credential_of_token(token))
+            account_of(token.name, token=True): Standing(token.role, token.credential)
             for token in store.tokens(connection)
             if token.is_good(now)
         }

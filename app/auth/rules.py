@@ -37,17 +37,11 @@ class Lifetime:
         return min(used_at + self.idle_s, created_at + self.absolute_s)
 
 
-@dataclass(frozen=True)
-class Lifetimes:
-    """How long the sign-ins of people and of panels last."""
-
-    person: Lifetime
-    panel: Lifetime
-
-    @classmethod
-    def of(cls, sessions: Sessions) -> Lifetimes:
-        person = Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
-        return cls(person, Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY))
+def lifetime(sessions: Sessions, *, panel: bool) -> Lifetime:
+    """How long the sign-in of a person, or of a panel, lasts."""
+    if panel:
+        return Lifetime(sessions.panel_idle_days * DAY, sessions.panel_total_days * DAY)
+    return Lifetime(sessions.idle_hours * HOUR, sessions.total_days * DAY)
 
 
 MAX_TOKEN_DAYS = 3650

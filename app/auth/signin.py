@@ -13,15 +13,15 @@ from app.audit.log import EventLog
 from app.auth import rules, store, strength
 from app.auth.acts import LOG_OUT
 from app.auth.lasting import Rechecks
-from app.auth.passwords import Passwords, is_outdated
-from app.auth.rules import Lifetimes
+from app.auth.passwords import hash_secret, is_outdated, verify_secret
+from app.auth.settings import Sessions
 from app.auth.store import User
 from app.auth.throttle import Attempt, Throttle
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
-from app.web.access import AccountSubscriber, Person, Role
+from app.web.access import AccountSubscriber, Person
 from bus.errors import CallerError
 from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message, term
@@ -29,7 +29,7 @@ from bus.messages import Message, term
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
 """The error for a person, and for a panel."""
 MAX_HASHED_AT_ONCE = 2
-"""As many as there are threads for it; each takes 20 ms of a core."""
+"""Each takes 20 ms of a core."""
 MAX_WAITING_OF_PLACE = 5
 MAX_WAITING = 200
 """Two seconds' worth; half of them at most from places that never signed in."""
@@ -54,9 +54,8 @@ class SignIn:
     connections of a session that ended check their rights."""
 
     _database: Database
-    _passwords: Passwords
     _events: EventLog
-    lifetimes: Lifetimes
+    sessions: Sessions
     _clock: Clock = unix_now
     _monotonic: MonotonicClock = monotonic_now
     site: str = ""
@@ -81,34 +80,39 @@ class SignIn:
         Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 with the time to wait
         after too many, 403 for a panel that has more rights than a panel may have.
         """
-        user = await self._right(name, secret, address, device, panel=panel)
-        if user.panel and not Role.OPERATOR.includes(user.role):
-            raise Problem(
-                403,
-                "forbidden",
-                Message.of("panel_with_higher_role", called=user.name, role=term(user.role)),
-            )
+        user = await self.identify(name, secret, address, panel=panel, device=device)
+        if user.is_refused_panel:
+            refusal = Message.of("panel_with_higher_role", called=user.name, role=term(user.role))
+            raise Problem(403, "forbidden", refusal)
         return await self._begin(user, secret, address, device)
 
-    async def identify(self, name: str, secret: str, address: str) -> User:
-        """The user whose password it is, who signs at the page of another, with the same limits as a sign-in.
+    async def identify(
+        self, name: str, secret: str, address: str, *, panel: bool = False, device: str = ""
+    ) -> User:
+        """The user whose password or PIN it is: who signs in, or signs at the page of another.
 
         Raises WrongSecretError, after which the caller owes `note_refusal`; Problem 429 after too many."""
-        return await self._right(name, secret, address, "", panel=False)
+        if not name or not secret:
+            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
+            raise Problem(401, "unauthorized", _WRONG[panel])
+        user = await self._checked(name, secret, address, device, panel)
+        if user is None:
+            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
+        return user
 
     async def check_present(self, name: str, secret: str, address: str, device: str = "") -> None:
         """Check the present password of who wants to change it, with the same limits as a sign-in. Raises
         CallerError where it is wrong, Problem 429 after too many."""
         if await self._checked(name, secret, address, device, panel=False) is None:
-            await self._count_refusal("user", Message("event_password_change_refused"), name, address)
+            await count_refusal(self._events, "user", Message("event_password_change_refused"), name, address)
             raise CallerError(Message("present_password_wrong"))
 
-    async def sign_out(self, cookie: str, person: Person, address: str) -> None:
+    async def sign_out(self, cookie: str, person: Person) -> None:
         """End the session of a cookie, which is of this person. Raises Problem 403."""
         LOG_OUT.check(person)
         await self.end(rules.secret_hash(cookie), person.name)
         performed = LOG_OUT.by(person)
-        performed["origin"] = address
+        performed["origin"] = person.address
         await self._events.record(**performed)
 
     async def has_no_users(self) -> bool:
@@ -128,16 +132,7 @@ class SignIn:
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
-        return self.lifetimes.panel if user.panel else self.lifetimes.person
-
-    async def _right(self, name: str, secret: str, address: str, device: str, *, panel: bool) -> User:
-        if not name or not secret:
-            # No user has an empty name or secret: it is not checked, costs nothing, and is no event.
-            raise Problem(401, "unauthorized", _WRONG[panel])
-        user = await self._checked(name, secret, address, device, panel)
-        if user is None:
-            raise WrongSecretError(401, "unauthorized", _WRONG[panel])
-        return user
+        return rules.lifetime(self.sessions, panel=user.panel)
 
     async def _checked(self, name: str, secret: str, address: str, device: str, panel: bool) -> User | None:
         """The user whose secret it is, within the limits. Raises Problem 429."""
@@ -159,10 +154,7 @@ class SignIn:
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
         is_own, is_used = await self._database.read(
-            lambda connection: (
-                store.is_place_of(connection, name, browser),
-                store.is_place(connection, network),
-            )
+            lambda connection: store.are_places(connection, name, browser, network)
         )
         if device and is_own:
             return Attempt(name, browser, panel, own_browser=True)
@@ -176,12 +168,12 @@ class SignIn:
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         user, stored = await self._user_or_decoy(name)
         secret = secret[: strength.LONGEST_PASSWORD + 1]
-        if not await self._passwords.verify(stored, secret):
+        if not await verify_secret(stored, secret):
             return None
         if user is None or user.panel is not panel or user.disabled:
             return None
         if is_outdated(stored):
-            hashed = await self._passwords.hash(secret)
+            hashed = await hash_secret(secret)
             await self._database.write(lambda c: store.replace_hash(c, name, stored, hashed))
         return user
 
@@ -215,10 +207,7 @@ class SignIn:
     def _is_weak(self, user: User, secret: str) -> bool:
         """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
         try:
-            if user.panel:
-                strength.check_pin(secret)
-            else:
-                strength.check_password(secret, user=user.name, site=self.site)
+            strength.check_secret(secret, user=user.name, panel=user.panel, site=self.site)
         except CallerError:
             return True
         return False
@@ -229,12 +218,16 @@ class SignIn:
         known = await self._database.read(lambda connection: store.user(connection, name))
         # A password typed into the field for the name must not end up in the log.
         who = name if known else Message("unknown_name")
-        await self._count_refusal("login_refused", Message("event_sign_in_refused"), who, address)
+        await count_refusal(self._events, "login_refused", Message("event_sign_in_refused"), who, address)
 
-    async def _count_refusal(self, kind: EventKind, what: Message, who: str | Message, address: str) -> None:
-        # Without an event a refusal is as good: the disk may be full.
-        with suppress(StoreError):
-            await self._events.repeated.count(kind, what, who=who, origin=source_of(address))
+
+async def count_refusal(
+    events: EventLog, kind: EventKind, what: Message, who: str | Message, address: str, message: str = ""
+) -> None:
+    """Count a refusal in the events. Of an IPv6 address the subnet: a sender has as many of its addresses as
+    it likes. Without an event a refusal is as good: the disk may be full."""
+    with suppress(StoreError):
+        await events.repeated.count(kind, what, who=who, origin=source_of(address), message=message)
 
 
 def _browser(device: str) -> str:
@@ -242,9 +235,5 @@ def _browser(device: str) -> str:
 
 
 def _too_soon(seconds: int) -> Problem:
-    problem = Problem(
-        429,
-        "too_many",
-        Message.of("too_many_sign_ins", seconds=seconds),
-    )
+    problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
     return problem.with_headers(Retry_After=str(seconds))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from app.web.access import Role
 from bus.instants import UnixTime
@@ -30,6 +31,16 @@ class User:
     secret_serial: int = 0
     """How many passwords or PINs the user has had before this one."""
 
+    @property
+    def credential(self) -> str:
+        """A text that differs once the user was added again, or has another password."""
+        return f"{self.created_at} {self.secret_serial}"
+
+    @property
+    def is_refused_panel(self) -> bool:
+        """Whether it is a panel with more rights than a panel may have, from before that was checked."""
+        return self.panel and not Role.OPERATOR.includes(self.role)
+
 
 @dataclass(frozen=True)
 class Session:
@@ -54,6 +65,18 @@ class Token:
     bus: str | None = None
     """The one bus that a worker's token is for."""
     expires_at: UnixTime | None = None
+
+    @property
+    def credential(self) -> str:
+        """A text that differs once the token was revoked and created again."""
+        return f"{self.id} {self.created_at}"
+
+    @property
+    def last_day(self) -> str:
+        """The day on which it expires, ISO 8601 in UTC; empty for one that does not."""
+        if self.expires_at is None:
+            return ""
+        return datetime.fromtimestamp(float(self.expires_at), UTC).date().isoformat()
 
     def is_good(self, now: UnixTime) -> bool:
         return self.expires_at is None or now < self.expires_at
@@ -165,16 +188,14 @@ def begin_session(
     connection.execute(change, (now, weak_secret, name))
 
 
-def is_place_of(connection: sqlite3.Connection, name: str, place: str) -> bool:
-    """Whether this user has signed in from the place."""
-    query = "SELECT 1 FROM known_places WHERE name = ? AND place = ?"
-    return connection.execute(query, (name, place)).fetchone() is not None
-
-
-def is_place(connection: sqlite3.Connection, place: str) -> bool:
-    """Whether anyone has signed in from the place."""
-    query = "SELECT 1 FROM known_places WHERE place = ? LIMIT 1"
-    return connection.execute(query, (place,)).fetchone() is not None
+def are_places(connection: sqlite3.Connection, name: str, browser: str, network: str) -> tuple[bool, bool]:
+    """Whether this user has signed in in the browser, and whether anyone has from the network."""
+    query = (
+        "SELECT EXISTS (SELECT 1 FROM known_places WHERE name = ? AND place = ?), "
+        "EXISTS (SELECT 1 FROM known_places WHERE place = ?)"
+    )
+    is_own, is_used = connection.execute(query, (name, browser, network)).fetchone()
+    return bool(is_own), bool(is_used)
 
 
 def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: UnixTime) -> None:

@@ -59,6 +59,14 @@ LONGEST_EASY_BLOCK = 7
 """Characters of a block that a text only repeats, where that makes it easy to guess."""
 
 
+def check_secret(secret: str, *, user: str, panel: bool, site: str) -> None:
+    """Raises CallerError for a password, or a PIN of a panel, that ``user`` may not choose at ``site``."""
+    if panel:
+        check_pin(secret)
+    else:
+        check_password(secret, user=user, site=site)
+
+
 def check_password(password: str, *, user: str, site: str) -> None:
     """Raises CallerError for a password that ``user`` may not choose at ``site``."""
     if not SHORTEST_PASSWORD <= len(password) <= LONGEST_PASSWORD:

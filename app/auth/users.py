@@ -3,87 +3,90 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter
-from starlette.requests import Request
+from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import acts
 from app.auth.accounts import Accounts
-from app.auth.pages import AccountsService, FormText, address_of
+from app.auth.pages import FormText
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
+from app.web.services import looked_up, service_of
 from app.web.templating import render
 from bus.errors import CallerError
 from bus.messages import Message
 
-
-async def users_view(
-    request: Request,
-    accounts: Accounts,
-    *,
-    fault: CallerError | None = None,
-    token_name: str = "",
-    token: str = "",
-) -> HTMLResponse:
-    """Every user and every token; ``fault``: why a change was refused; ``token``: the secret
-    of the one just created, ``token_name``, which is shown once."""
-    return render(
-        request,
-        "users/page.html",
-        status=422 if fault else 200,
-        users=await accounts.users(),
-        tokens=await accounts.tokens(),
-        roles=PEOPLE_ROLES,
-        buses=accounts.buses,
-        now=accounts.now(),
-        fault=fault,
-        token_name=token_name,
-        token=token,
-    )
-
-
-async def change_response(request: Request, accounts: Accounts, change: Awaitable[None]) -> Response:
-    """Back to the page; with the reason on it, or in the dialog, when the change was refused."""
-    in_dialog = is_fragment(request)
-    try:
-        await change
-    except CallerError as error:
-        if in_dialog:
-            raise
-        return await users_view(request, accounts, fault=error)
-    return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
-
-
 router = APIRouter(include_in_schema=False)
 
 
+@dataclass(frozen=True, slots=True)
+class UsersPage:
+    """The page in one request, and the accounts that it shows and changes."""
+
+    request: HTTPConnection
+    accounts: Accounts
+
+    async def render(
+        self, *, fault: CallerError | None = None, token_name: str = "", token: str = ""
+    ) -> HTMLResponse:
+        """Every user and every token; ``fault``: why a change was refused; ``token``: the secret
+        of the one just created, ``token_name``, which is shown once."""
+        return render(
+            self.request,
+            "users/page.html",
+            status=422 if fault else 200,
+            users=await self.accounts.users(),
+            tokens=await self.accounts.tokens(),
+            roles=PEOPLE_ROLES,
+            buses=self.accounts.buses,
+            fault=fault,
+            token_name=token_name,
+            token=token,
+        )
+
+    async def after(self, change: Awaitable[None]) -> Response:
+        """Back to the page; with the reason on it, or in the dialog, when the change was refused."""
+        in_dialog = is_fragment(self.request)
+        try:
+            await change
+        except CallerError as error:
+            if in_dialog:
+                raise
+            return await self.render(fault=error)
+        return Response(headers={"HX-Redirect": "/users"}) if in_dialog else RedirectResponse("/users", 303)
+
+
+OfUsers = Annotated[
+    UsersPage, looked_up(lambda connection: UsersPage(connection, service_of(connection, Accounts)))
+]
+
+
 @router.get("/users")
-async def users_page(request: Request, _: Admin, accounts: AccountsService) -> HTMLResponse:
+async def users_page(_: Admin, page: OfUsers) -> HTMLResponse:
     """Every user, and every token."""
-    return await users_view(request, accounts)
+    return await page.render()
 
 
 @router.post("/users")
 async def add_user(
-    request: Request,
-    person: Annotated[Person, acts.ADD_USER.permitted],
-    accounts: AccountsService,
+    by: Annotated[Person, acts.ADD_USER.permitted],
+    page: OfUsers,
     name: FormText = "",
     role: FormText = "viewer",
     password: FormText = "",
 ) -> Response:
     """Add a person, who signs in by password."""
-    add = accounts.add_user(name.strip(), role_named(role), password, by=person, origin=address_of(request))
-    return await change_response(request, accounts, add)
+    return await page.after(page.accounts.add_user(name.strip(), role_named(role), password, by=by))
 
 
 @router.post("/users/panels")
 async def add_panel(
-    request: Request,
-    person: Annotated[Person, acts.ADD_PANEL.permitted],
-    accounts: AccountsService,
+    by: Annotated[Person, acts.ADD_PANEL.permitted],
+    page: OfUsers,
     panel: FormText = "",
     panel_role: FormText = "viewer",
     pin: FormText = "",
@@ -91,122 +94,82 @@ async def add_panel(
 ) -> Response:
     """Add a panel on the wall, which signs in by PIN; it is a viewer unless it is given another role."""
     role, begins = role_named(panel_role), home.strip() or "/"
-    add = accounts.add_panel(panel.strip(), role, pin, begins, by=person, origin=address_of(request))
-    return await change_response(request, accounts, add)
+    return await page.after(page.accounts.add_panel(panel.strip(), role, pin, begins, by=by))
 
 
 @router.post("/users/{name}/role")
 async def set_role(
-    request: Request,
-    person: Annotated[Person, acts.SET_ROLE.permitted],
-    accounts: AccountsService,
-    name: str,
-    role: FormText = "",
+    by: Annotated[Person, acts.SET_ROLE.permitted], page: OfUsers, name: str, role: FormText = ""
 ) -> Response:
     """Change the role of a user."""
-    change = accounts.set_role(name, role_named(role), by=person, origin=address_of(request))
-    return await change_response(request, accounts, change)
+    return await page.after(page.accounts.set_role(name, role_named(role), by=by))
 
 
 @router.post("/users/{name}/disable")
-async def disable(
-    request: Request,
-    person: Annotated[Person, acts.DISABLE_USER.permitted],
-    accounts: AccountsService,
-    name: str,
-) -> Response:
+async def disable(by: Annotated[Person, acts.DISABLE_USER.permitted], page: OfUsers, name: str) -> Response:
     """Disable a user; every session ends."""
-    change = accounts.set_disabled(name, True, by=person, origin=address_of(request))
-    return await change_response(request, accounts, change)
+    return await page.after(page.accounts.set_disabled(name, True, by=by))
 
 
 @router.post("/users/{name}/enable")
-async def enable(
-    request: Request,
-    person: Annotated[Person, acts.ENABLE_USER.permitted],
-    accounts: AccountsService,
-    name: str,
-) -> Response:
+async def enable(by: Annotated[Person, acts.ENABLE_USER.permitted], page: OfUsers, name: str) -> Response:
     """Enable a user again."""
-    change = accounts.set_disabled(name, False, by=person, origin=address_of(request))
-    return await change_response(request, accounts, change)
+    return await page.after(page.accounts.set_disabled(name, False, by=by))
 
 
 @router.post("/users/{name}/password")
 async def reset_password(
-    request: Request,
-    person: Annotated[Person, acts.SET_PASSWORD.permitted],
-    accounts: AccountsService,
-    name: str,
-    password: FormText = "",
+    by: Annotated[Person, acts.SET_PASSWORD.permitted], page: OfUsers, name: str, password: FormText = ""
 ) -> Response:
     """Set a new password, or the PIN of a panel; every session of the user ends."""
-    reset = accounts.set_password(name, password, by=person, origin=address_of(request))
-    return await change_response(request, accounts, reset)
+    return await page.after(page.accounts.set_password(name, password, by=by))
 
 
 @router.get("/users/{name}/remove")
-async def review_removal(request: Request, _: Admin, name: str) -> HTMLResponse:
+async def review_removal(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
     """The consequences of removing a user, before it is done."""
-    return render(request, "users/_review_remove.html", name=name)
+    return render(page.request, "users/_review_remove.html", name=name)
 
 
 @router.post("/users/{name}/remove")
-async def remove(
-    request: Request,
-    person: Annotated[Person, acts.REMOVE_USER.permitted],
-    accounts: AccountsService,
-    name: str,
-) -> Response:
+async def remove(by: Annotated[Person, acts.REMOVE_USER.permitted], page: OfUsers, name: str) -> Response:
     """Remove a user, whose actions stay in the events."""
-    return await change_response(
-        request, accounts, accounts.remove_user(name, by=person, origin=address_of(request))
-    )
+    return await page.after(page.accounts.remove_user(name, by=by))
 
 
 @router.post("/users/tokens")
 async def create_token(
-    request: Request,
-    person: Annotated[Person, acts.CREATE_TOKEN.permitted],
-    accounts: AccountsService,
+    by: Annotated[Person, acts.CREATE_TOKEN.permitted],
+    page: OfUsers,
     token: FormText = "",
     token_role: FormText = "viewer",
     token_bus: FormText = "",
     expires: FormText = "",
 ) -> HTMLResponse:
     """Create a token, which is in this one response and nowhere else."""
+    name, create = token.strip(), page.accounts.create_token
     try:
-        secret = await accounts.create_token(
-            token.strip(),
-            role_named(token_role, Role),
-            bus=token_bus,
-            expires_days=_days(expires),
-            by=person,
-            origin=address_of(request),
-        )
+        role, days = role_named(token_role, Role), _days(expires)
+        secret = await create(name, role, bus=token_bus, expires_days=days, by=by)
     except CallerError as error:
-        return await users_view(request, accounts, fault=error)
-    return await users_view(request, accounts, token_name=token.strip(), token=secret)
+        return await page.render(fault=error)
+    return await page.render(token_name=name, token=secret)
 
 
 @router.get("/users/tokens/{name}/revoke")
-async def review_revocation(request: Request, _: Admin, accounts: AccountsService, name: str) -> HTMLResponse:
+async def review_revocation(_: Admin, page: OfUsers, name: str) -> HTMLResponse:
     """What revoking a token means, and whether a program has been using it, before it is done."""
-    token = next((token for token in await accounts.tokens() if token.name == name), None)
-    return render(request, "users/_review_revoke.html", name=name, used_at=token.used_at if token else None)
+    token = next((token for token in await page.accounts.tokens() if token.name == name), None)
+    used_at = token.used_at if token else None
+    return render(page.request, "users/_review_revoke.html", name=name, used_at=used_at)
 
 
 @router.post("/users/tokens/{name}/revoke")
 async def revoke_token(
-    request: Request,
-    person: Annotated[Person, acts.REVOKE_TOKEN.permitted],
-    accounts: AccountsService,
-    name: str,
+    by: Annotated[Person, acts.REVOKE_TOKEN.permitted], page: OfUsers, name: str
 ) -> Response:
     """Revoke a token, which is refused from the next request on."""
-    return await change_response(
-        request, accounts, accounts.revoke_token(name, by=person, origin=address_of(request))
-    )
+    return await page.after(page.accounts.revoke_token(name, by=by))
 
 
 def _days(typed: str) -> int | None:

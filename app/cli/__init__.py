@@ -23,14 +23,14 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "decode": ("decode", "Decode the frames in some bytes."),
     "check": ("check", "Check the configuration and list its faults."),
     "status": ("status", "Show whether the dashboard of a configuration runs."),
-    "user": ("user", "Manage users: add, list, password, remove."),
-    "token": ("token", "Manage tokens of programs: create, list, revoke."),
+    "user": ("accounts", "Manage users: add, list, password, remove."),
+    "token": ("accounts", "Manage tokens of programs: create, list, revoke."),
     "audit": ("audit", "Verify the event log: verify, rotate-key."),
     "backup": ("backup", "Write the parameters of a unit or a bus to a file."),
     "diff": ("diff", "Show the differences of a unit and a file, or of two files."),
     "restore": ("restore", "Write the rows of a file that differ to a unit."),
     "backup-store": ("backup_store", "Copy the stores of a running dashboard into one file."),
-    "restore-store": ("backup_store", "Replace the current stores with a backup."),
+    "restore-store": ("restore_store", "Replace the current stores with a backup."),
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a
 ``typer.Typer`` for a command with subcommands."""
@@ -49,7 +49,8 @@ def loading() -> Iterator[None]:
 
 
 class Lazy(TyperGroup):
-    """Knows every command by name and imports none before it is called."""
+    """Knows every command by name and imports none before it is called. The errors of a command end in one
+    line and an exit code here."""
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
@@ -67,6 +68,12 @@ class Lazy(TyperGroup):
         else:
             cli.command(cmd_name)(named)
         return get_group(cli).commands[cmd_name]
+
+    def invoke(self, ctx: Any) -> Any:
+        from app.cli.ending import ending  # not for --help and --version, which take no command
+
+        with ending():
+            return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         with formatter.section("Commands"):

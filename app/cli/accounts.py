@@ -1,65 +1,114 @@
-"""The store of users and tokens from the command line, whether the dashboard runs or not."""
+"""``lineside user`` and ``lineside token``: who may sign in, and keys for programs. The dashboard may run."""
 
 from __future__ import annotations
 
 import asyncio
-import getpass
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+import sys
+from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar
 
-from app.audit.keys import open_keys
-from app.audit.log import EventLog
-from app.audit.store import head_of
+import typer
+
 from app.auth.accounts import Accounts
-from app.auth.passwords import Passwords
-from app.cli.check_store import check_store
-from app.database import Database
-from app.database.private import make_private
-from app.settings import Settings, load
-from app.web.access import Person, Role
+from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.site_log import console, site_log
+from app.settings import load
+from app.web.access import PEOPLE_ROLES, Role, role_named
 from bus.messages import Message
 
 T = TypeVar("T")
-ORIGIN = Message("command_line")
+LONGEST_LINE = 10_000
+
+user = typer.Typer(help="Manage users.", no_args_is_help=True)
+token = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
+
+UserName = Annotated[str, typer.Argument(help="The name to log in with.")]
+FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
+TokenName = Annotated[str, typer.Argument(help="Name of the token; unique.")]
 
 
-def who_calls() -> str | Message:
-    """The user of this machine, for the events."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):
-        return ORIGIN
-
-
-def console() -> Person:
-    """The user of this machine as the caller of an act: a user who can write the store has every role."""
-    who = who_calls()
-    return Person("" if isinstance(who, Message) else who, Role.ADMIN, "console")
-
-
-def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
-    """The event log of a store, with its keys. Raises KeyFileError."""
-    return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(head_of)))
-
-
-@contextmanager
-def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
-    """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
-    check_store(settings)
-    make_private(settings.server.data)
-    with closing(Database(settings.server.store, checkpoints=False)) as database:
-        yield database, open_log(database, settings.key_files)
-
-
-def with_accounts(config: Path, work: Callable[[Accounts], Awaitable[T]]) -> T:
+def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:
     """Run ``work`` on the accounts. Raises ConfigurationError, StoreError, CallerError in words."""
     settings = load(config)
     buses = [bus.name for bus in settings.bus]
-    with site_log(settings) as (database, events), closing(Passwords()) as passwords:
+    with site_log(settings) as (database, events):
+        return asyncio.run(work(Accounts(database, events, buses=buses, site=settings.site.name)))
 
-        async def run() -> T:
-            return await work(Accounts(database, passwords, events, buses=buses, site=settings.site.name))
 
-        return asyncio.run(run())
+@user.command(name="add")
+def add_user(
+    name: UserName,
+    role: Annotated[str, typer.Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
+    password_stdin: FromInput = False,
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Add a user."""
+    chosen, password = role_named(role), _password(password_stdin)
+    with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
+
+
+@user.command(name="list")
+def list_users(config: Config = LINESIDE_TOML) -> None:
+    """List every user: name, role, and whether it is a panel or disabled."""
+    for each in with_accounts(config, lambda accounts: accounts.users()):
+        states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
+        marks = [str(Message(code)) for code, is_so in states if is_so]
+        typer.echo("\t".join([each.name, each.role, *marks]))
+
+
+@user.command(name="password")
+def set_password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
+    """Set a new password of a user; every session of that user ends."""
+    new = _password(password_stdin)
+    with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
+
+
+@user.command(name="remove")
+def remove_user(name: UserName, config: Config = LINESIDE_TOML) -> None:
+    """Remove a user; the events of that user are kept."""
+    with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
+
+
+def _password(from_input: bool) -> str:
+    """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
+    any case: it must not wait without a prompt."""
+    if from_input and not sys.stdin.isatty():
+        return sys.stdin.readline(LONGEST_LINE).rstrip("\r\n")
+    typed: str = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
+    return typed
+
+
+@token.command(name="create")
+def create_token(
+    name: TokenName,
+    role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
+    bus: Annotated[str, typer.Option(help="Bus of a token with the role worker.")] = "",
+    expires: Annotated[
+        int | None,
+        typer.Option(metavar="DAYS", help="Days until it expires; without it, the token does not expire."),
+    ] = None,
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Create a bearer token and print it once."""
+    chosen = role_named(role, Role)
+    secret = with_accounts(
+        config,
+        lambda accounts: accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console()),
+    )
+    typer.echo(secret)
+
+
+@token.command(name="list")
+def list_tokens(config: Config = LINESIDE_TOML) -> None:
+    """List every token: name, role, creator, bus of a worker, day on which it expires."""
+    for each in with_accounts(config, lambda accounts: accounts.tokens()):
+        expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
+        columns = (each.name, each.role, each.created_by, each.bus or "", expires)
+        typer.echo("\t".join(columns).rstrip())
+
+
+@token.command(name="revoke")
+def revoke_token(name: TokenName, config: Config = LINESIDE_TOML) -> None:
+    """Revoke a token."""
+    with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -16,10 +15,9 @@ from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
 from app.audit.walk import Verdict
-from app.cli.accounts import ORIGIN, site_log, who_calls
-from app.cli.check_store import check_store
-from app.cli.ending import ending, report
-from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.ending import report
+from app.cli.serve import LINESIDE_TOML, Config, check_store
+from app.cli.site_log import record, site_log
 from app.database.connection import open_for_reading
 from app.database.words import in_words
 from app.errors import StoreError
@@ -37,12 +35,11 @@ AnchorFile = Annotated[
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
     """Verify chain, seals and anchors of the log, and that the store has the signatures of shifts that the
     log names. Exit 0 when all is intact, 1 with the first altered entry."""
-    with ending():
-        settings = load(config)
-        verdict, anchors = _verdict(settings, anchor)
-        if verdict.broken is not None:
-            fault = in_english(verdict.fault)
-            raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
+    settings = load(config)
+    verdict, anchors = _verdict(settings, anchor)
+    if verdict.broken is not None:
+        fault = in_english(verdict.fault)
+        raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
     report(Message.of("audit_whole", n=verdict.entries))
     for remark in _remarks(verdict, anchors):
         report(remark)
@@ -52,11 +49,10 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""
-    with ending(), site_log(load(config)) as (_, events):
+    with site_log(load(config)) as (_, events):
         events.keys.rotate()
         # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
-        what = Message("event_audit_key_rotated")
-        asyncio.run(events.record(kind="audit", what=what, who=who_calls(), origin=ORIGIN))
+        record(events, "audit", Message("event_audit_key_rotated"))
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 

@@ -13,7 +13,7 @@ import typer
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
-from app.cli.ending import ending, report
+from app.cli.ending import report
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
@@ -40,7 +40,7 @@ def backup(
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
-    with ending(), dashboard(url, bearer_token(token, token_file)) as there:
+    with dashboard(url, bearer_token(token, token_file)) as there:
         _check_place(out)
         wanted = [unit] if unit is not None else list(there.units(bus))
         read, missing = _read(there, bus, wanted)

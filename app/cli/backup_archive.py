@@ -1,15 +1,14 @@
 """The archive of backup-store, read as a file that anyone may have forged: the known names alone, plain files
 alone, every size checked before anything is read. No path of the archive is ever used.
 
-`tarfile` reads the headers, one at a time, and writes nothing: extracting follows what an archive states, and
-its filters are not in Python 3.11.2, which Debian 12 ships.
+`tarfile` reads the headers, within a bound, and writes nothing: extracting follows what an archive states,
+and its filters are not in Python 3.11.2, which Debian 12 ships.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-import re
 import shutil
 import stat
 import tarfile
@@ -17,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from io import BufferedReader
+from io import BufferedIOBase, BufferedReader
 from pathlib import Path
 from typing import Annotated
 
@@ -37,14 +36,12 @@ STORES = (HISTORY, STORE_FILE, PICTURES)
 has its pictures."""
 MAX_ARCHIVE_BYTES = 256 * 2**30
 MAX_MANIFEST_BYTES = 65_536
-MAX_HEADER_BYTES = 65_536
-"""Of the extended header of a member: `tarfile` writes one of some 30 bytes for its time."""
+MAX_HEADER_BYTES = 16_384
+"""Of all members together: `tarfile` writes at most 1,536 for each, its time in an extended header."""
 MAX_PADDING_BYTES = 2**20
 """After the last member; GNU tar fills up records of at most 512 kB."""
 _EXTENDED = frozenset(("mtime", "atime", "ctime", "size", "uid", "gid", "uname", "gname"))
 """What an extended header may state. It could also give another path, or holes."""
-_RECORD = re.compile(rb"([0-9]{1,6}) ([a-z]+)=")
-_BLOCK = tarfile.BLOCKSIZE
 _CHUNK = 2**20
 _Digest = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$")]
 
@@ -139,56 +136,54 @@ def _read(file: BufferedReader, path: Path) -> BackupArchive:
 def _members(file: BufferedReader, size: int) -> dict[str, Extent]:
     """By name where each member is, none beyond the end of the file, which is ``size``."""
     members: dict[str, Extent] = {}
-    at = 0
-    while any(header := _read_at(file, at, _BLOCK, size)):
-        name, extent = _member(file, header, at, size)
-        if name in members:
-            raise ArchiveError("archive_holds_twice", name=name)
-        members[name] = extent
-        at = _next_block(extent)
-    if size - at > MAX_PADDING_BYTES:
+    try:
+        with tarfile.TarFile(fileobj=_Headers(file)) as archive:
+            for info in archive:
+                _check(info, archive.pax_headers)
+                if not 0 <= info.size <= size - info.offset_data:
+                    raise ArchiveError("archive_cut_off")
+                if info.name in members:
+                    raise ArchiveError("archive_holds_twice", name=info.name)
+                members[info.name] = Extent(info.offset_data, info.size)
+            end = archive.offset
+    except (tarfile.TarError, ValueError, RecursionError) as error:
+        raise ArchiveError("archive_not_tar") from error
+    file.seek(end)
+    last = file.read(tarfile.BLOCKSIZE)
+    if len(last) < tarfile.BLOCKSIZE:
+        raise ArchiveError("archive_cut_off")
+    if any(last):
+        raise ArchiveError("archive_not_tar")
+    if size - end > MAX_PADDING_BYTES:
         raise ArchiveError("archive_goes_on")
     return members
 
 
-def _member(file: BufferedReader, header: bytes, at: int, size: int) -> tuple[str, Extent]:
-    """The member whose first header is at ``at``; it may have an extended one before its own."""
-    info, stated_size = _parsed(header), None
-    if info.type == tarfile.XHDTYPE:
-        extended = Extent(at + _BLOCK, info.size)
-        if not 0 <= info.size <= MAX_HEADER_BYTES:
-            raise ArchiveError("archive_header_too_large")
-        stated_size = _stated_size(_read_at(file, extended.start, extended.size, size))
-        at = _next_block(extended)
-        info = _parsed(_read_at(file, at, _BLOCK, size))
-    if info.type not in (tarfile.REGTYPE, tarfile.AREGTYPE) or info.name not in (MANIFEST, *STORES):
+def _check(info: tarfile.TarInfo, of_all: Mapping[str, str]) -> None:
+    """Raises ArchiveError for a member that backup-store does not write. ``of_all``: what a header states for
+    all members."""
+    is_plain = info.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and info.sparse is None
+    is_known = info.name in (MANIFEST, *STORES)
+    if of_all or not is_plain or not is_known or info.pax_headers.keys() - _EXTENDED:
         raise ArchiveError("archive_foreign")
-    extent = Extent(at + _BLOCK, info.size if stated_size is None else stated_size)
-    if not 0 <= extent.size <= size - extent.start:
-        raise ArchiveError("archive_cut_off")
-    return info.name, extent
 
 
-def _parsed(header: bytes) -> tarfile.TarInfo:
-    try:
-        return tarfile.TarInfo.frombuf(header, "utf-8", "surrogateescape")
-    except (tarfile.HeaderError, ValueError) as error:
-        raise ArchiveError("archive_not_tar") from error
+class _Headers(BufferedIOBase):
+    """The file as `tarfile` reads headers in it, which can never be more than a few: a forged one may state
+    any length, and `tarfile` would follow."""
 
+    def __init__(self, file: BufferedReader) -> None:
+        self._file = file
+        self._left = MAX_HEADER_BYTES
 
-def _stated_size(extended: bytes) -> int | None:
-    """The size of the member in an extended header, where one is stated: lines of LENGTH, a space, KEY=VALUE
-    (POSIX.1-2001, pax). Raises ArchiveError where it states a path, holes or anything else unexpected."""
-    size = None
-    while extended:
-        found = _RECORD.match(extended)
-        length = int(found[1]) if found else 0
-        if not found or found[2].decode() not in _EXTENDED or not found.end() < length <= len(extended):
-            raise ArchiveError("archive_foreign")
-        value, extended = extended[found.end() : length - 1], extended[length:]
-        if found[2] == b"size":
-            size = int(value) if re.fullmatch(rb"[0-9]{1,18}", value) else -1
-    return size
+    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
+        return self._file.seek(place, whence)
+
+    def read(self, count: int | None = -1) -> bytes:
+        if count is None or not 0 <= count <= self._left:
+            raise ArchiveError("archive_header_too_large")
+        self._left -= count
+        return self._file.read(count)
 
 
 def _manifest(file: BufferedReader, extent: Extent | None) -> Manifest:
@@ -198,16 +193,6 @@ def _manifest(file: BufferedReader, extent: Extent | None) -> Manifest:
         return msgspec.json.decode(b"".join(_chunks(file, extent)), type=Manifest)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise ArchiveError("archive_manifest_damaged") from error
-
-
-def _next_block(extent: Extent) -> int:
-    return extent.start + -(-extent.size // _BLOCK) * _BLOCK
-
-
-def _read_at(file: BufferedReader, at: int, count: int, size: int) -> bytes:
-    if at + count > size:
-        raise ArchiveError("archive_cut_off")
-    return b"".join(_chunks(file, Extent(at, count)))
 
 
 def _chunks(file: BufferedReader, extent: Extent) -> Iterator[bytes]:

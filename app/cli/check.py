@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from app.cli.ending import complain, ending, report
+from app.cli.ending import complain, report
 from app.cli.findings import findings
 from app.cli.notification_findings import notification_findings
 from app.cli.serve import LINESIDE_TOML, Config
@@ -15,16 +15,15 @@ from bus.messages import Message
 
 def check(config: Config = LINESIDE_TOML) -> None:
     """Check the configuration and this machine; faults are listed by file and line. Exit 0 or 1."""
-    with ending():
-        settings = load(config)
-        report(Message.of("check_configuration", file=str(config), site=settings.site.name))
-        faults = 0
-        found = (*findings(settings), *store_findings(settings), *notification_findings(settings.notify))
-        for finding in found:
-            faults += finding.is_fault
-            if finding.is_fault:
-                complain(finding.message)
-            else:
-                typer.echo(f"  {finding.message}")
-        if faults:
-            raise typer.Exit(1)
+    settings = load(config)
+    report(Message.of("check_configuration", file=str(config), site=settings.site.name))
+    faults = 0
+    found = (*findings(settings), *store_findings(settings), *notification_findings(settings.notify))
+    for finding in found:
+        faults += finding.is_fault
+        if finding.is_fault:
+            complain(finding.message)
+        else:
+            typer.echo(f"  {finding.message}")
+    if faults:
+        raise typer.Exit(1)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.ending import complain, ending
+from app.cli.ending import complain
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
@@ -32,8 +32,7 @@ def decode(
     as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
 ) -> None:
     """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
-    with ending():
-        found = decode_text(_given_text(hex_bytes or [], file))
+    found = decode_text(_given_text(hex_bytes or [], file))
     frames = [item for item in found if isinstance(item, Described)]
     if as_json:
         typer.echo(json.dumps([frame.as_json() for frame in frames]))

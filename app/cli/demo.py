@@ -9,11 +9,10 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from app.cli.ending import ending
 from app.cli.listening import listen
 from app.errors import StoreError
 from app.settings import load
@@ -32,7 +31,6 @@ def demo(
 ) -> None:
     """Run a simulated line and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (
-        ending(),
         listen("127.0.0.1", port, CHOOSE) as listening,
         tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
     ):
@@ -71,27 +69,22 @@ def _simulator(units: int, link: Path) -> Iterator[Callable[[], None]]:
 
 
 def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
-    """The lineside.toml of a demo. JSON's strings and numbers are TOML's too."""
-    lines = [
-        "[site]",
-        'name = "Demo line"',
-        "simulated = true",
-        "[server]",
-        f"port = {port}",
-        "[[bus]]",
-        'name = "demo"',
-        f"port = {json.dumps(str(line))}",
-    ]
-    for unit in units:
-        lines += ["[[bus.unit]]", f"id = {unit.id}", f"name = {json.dumps(unit.name)}"]
-        lines += [f"group = {json.dumps(unit.group)}", "[bus.unit.labels]", *_labels(unit)]
-    return "\n".join(lines) + "\n"
+    """The lineside.toml of a demo."""
+    unit = [each.model_dump(exclude_defaults=True) for each in units]
+    sections = {
+        "site": {"name": "Demo line", "simulated": True},
+        "server": {"port": port},
+        "bus": [{"name": "demo", "port": str(line), "unit": unit}],
+    }
+    return "".join(f"{name} = {_toml(value)}\n" for name, value in sections.items())
 
 
-def _labels(unit: UnitSettings) -> Iterator[str]:
-    labels = unit.labels.model_dump(exclude_defaults=True)
-    for name, value in labels.items():
-        if isinstance(value, dict):
-            yield from (f"{name}.{key} = {json.dumps(word)}" for key, word in value.items())
-        else:
-            yield f"{name} = {json.dumps(value)}"
+def _toml(value: Any) -> str:
+    """A value in one line of TOML, which has the strings, numbers and truth values of JSON."""
+    match value:
+        case dict():
+            return "{" + ", ".join(f"{json.dumps(key)} = {_toml(each)}" for key, each in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ", ".join(_toml(each) for each in value) + "]"
+        case _:
+            return json.dumps(value)

@@ -11,7 +11,6 @@ import typer
 from app.cli.backup import AsJson
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
-from app.cli.ending import ending
 from app.errors import system_error
 from app.sets.compare import ParameterDifference, differences
 from app.sets.document import MAX_DOCUMENT, read_document
@@ -36,15 +35,12 @@ def diff(
     as_json: AsJson = False,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
-    with ending():
-        if len(files) == 2:
-            pairs = _two_files(files)
-        else:
-            pairs = [_with_live(files, url, (token, token_file), bus, unit)]
-        found = [(right.unit, row) for left, right in pairs for row in differences(left, right, tolerance)]
-        typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
-        if found:
-            raise typer.Exit(1)
+    live = len(files) != 2
+    pairs = [_with_live(files, url, (token, token_file), bus, unit)] if live else _two_files(files)
+    found = [(right.unit, row) for left, right in pairs for row in differences(left, right, tolerance)]
+    typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
+    if found:
+        raise typer.Exit(1)
 
 
 def load(path: Path) -> ParameterSet:

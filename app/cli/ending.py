@@ -22,6 +22,8 @@ def ending() -> Iterator[None]:
     except LinesideError as error:
         complain(error.message)
         raise typer.Exit(1) from error
+    except BrokenPipeError:
+        raise  # the reader of the output has left: click ends without a message
     except OSError as error:
         complain(Message.of("system_error", error=str(error)))
         raise typer.Exit(1) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from app.cli.ending import ending, report
+from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.errors import system_error
 from bus.errors import LinesideError
@@ -15,23 +15,18 @@ BY_ID = Path("/dev/serial/by-id")
 STARTER = Path(__file__).with_name("starter.toml")
 
 
-class InitError(LinesideError):
-    """The file was not written; the text gives the reason and what to do."""
-
-
 def init(config: Config = LINESIDE_TOML) -> None:
     """Write a commented lineside.toml to start from. An existing file is never overwritten."""
-    with ending():
-        try:
-            with config.open("x", encoding="utf-8") as file:
-                file.write(starter(config, likely_port()))
-        except FileExistsError as error:
-            raise InitError(Message.of("configuration_exists", file=str(config))) from error
-        except OSError as error:
-            raise InitError(
-                Message.of("configuration_not_writable", file=str(config), error=system_error(error))
-            ) from error
-        report(Message.of("configuration_written", file=str(config)))
+    try:
+        with config.open("x", encoding="utf-8") as file:
+            file.write(starter(config, likely_port()))
+    except FileExistsError as error:
+        raise LinesideError(Message.of("configuration_exists", file=str(config))) from error
+    except OSError as error:
+        raise LinesideError(
+            Message.of("configuration_not_writable", file=str(config), error=system_error(error))
+        ) from error
+    report(Message.of("configuration_written", file=str(config)))
 
 
 def likely_port(folder: Path = BY_ID) -> str:

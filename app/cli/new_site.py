@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from contextlib import closing
 
 from app.audit.keys import find_key_file
-from app.cli.accounts import ORIGIN, open_log, who_calls
-from app.cli.check_store import check_store
+from app.cli.serve import check_store
+from app.cli.site_log import open_log, record
 from app.database import Database
 from app.database.copies import put_aside
-from app.database.presence import Presence, presence_of
+from app.database.presence import presence_of
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings
 from bus.messages import Message
-
-_WAS: dict[Presence, Message] = {
-    "missing": Message("store_was_missing"),
-    "empty": Message("store_was_empty"),
-    "damaged": Message("store_was_damaged"),
-}
 
 
 def begin_new_site(settings: Settings) -> None:
@@ -42,6 +35,5 @@ def begin_new_site(settings: Settings) -> None:
             stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
             key.rename(key.with_name(f"{key.name}.before-{stamp}"))
     with closing(Database(store)) as database:
-        what = Message.of("event_site_begun", store=_WAS[presence])
-        log = open_log(database, settings.key_files)
-        asyncio.run(log.record(kind="server", what=what, who=who_calls(), origin=ORIGIN))
+        what = Message.of("event_site_begun", store=Message(f"store_was_{presence}"))
+        record(open_log(database, settings.key_files), "server", what)

@@ -13,7 +13,7 @@ from app.cli.backup import AsJson, Bus, Url
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
-from app.cli.ending import complain, ending, report
+from app.cli.ending import complain, report
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
 from bus.messages import Message, ParamValue
@@ -44,7 +44,7 @@ def restore(
 
     Exit 0 only when the unit equals the file in every row that was to be written; rows left out are listed.
     """
-    with ending(), dashboard(url, bearer_token(token, token_file)) as there:
+    with dashboard(url, bearer_token(token, token_file)) as there:
         chosen = {"include": include or [], "exclude": exclude or [], "ticked": tick or []}
         planned = _plan(there, bus, unit, file, chosen)
         typer.echo(_plan_text(planned), err=as_json)

@@ -7,10 +7,11 @@ from typing import Annotated
 
 import typer
 
-from app.cli.check_store import check_store
-from app.cli.ending import ending
+from app.audit.keys import find_key_file
 from app.cli.listening import listen
-from app.settings import load
+from app.database.presence import presence_of, refusal_to_start
+from app.errors import StoreError
+from app.settings import Settings, load
 from bus.messages import Message
 
 Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
@@ -24,15 +25,23 @@ def serve(
     ] = False,
 ) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
-    with ending():
-        settings = load(config)
-        check_store(settings, new=new)
-        choose = Message.of("choose_port_configured", file=str(config))
-        with listen(settings.server.host, settings.server.port, choose) as port:
-            from app.cli.hosting import host
+    settings = load(config)
+    check_store(settings, new=new)
+    choose = Message.of("choose_port_configured", file=str(config))
+    with listen(settings.server.host, settings.server.port, choose) as port:
+        from app.cli.hosting import host
 
-            if new:
-                from app.cli.new_site import begin_new_site
+        if new:
+            from app.cli.new_site import begin_new_site
 
-                begin_new_site(settings)
-            host(settings, config.resolve(), port)
+            begin_new_site(settings)
+        host(settings, config.resolve(), port)
+
+
+def check_store(settings: Settings, *, new: bool = False) -> None:
+    """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
+    with ``new`` where one is there."""
+    store = settings.server.store
+    refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
+    if refusal is not None:
+        raise StoreError(refusal)

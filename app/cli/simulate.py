@@ -10,8 +10,9 @@ from typing import Annotated, get_args
 import typer
 from pydantic import ValidationError
 
-from app.cli.ending import complain, wrong_option
+from app.cli.ending import wrong_option
 from bus.catalogue import numbers
+from bus.errors import LinesideError
 from bus.messages import Message
 from bus.settings import BAUDS, Baud, Dialect
 from bus.simulator.control import control_port
@@ -105,9 +106,6 @@ def _open(tcp: int | None, link: Path | None, baud: int) -> Port:
         return PtyPort(link, baud) if tcp is None else TcpLinePort(tcp)
     except OSError as error:
         why = str(error.strerror)
-        complain(
-            Message.of("simulator_link_refused", link=str(link), error=why)
-            if tcp is None
-            else Message.of("simulator_port_refused", port=tcp, error=why)
-        )
-        raise typer.Exit(1) from error
+        if tcp is None:
+            raise LinesideError(Message.of("simulator_link_refused", link=str(link), error=why)) from error
+        raise LinesideError(Message.of("simulator_port_refused", port=tcp, error=why)) from error

@@ -10,7 +10,7 @@ import typer
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
-from app.cli.ending import ending, report
+from app.cli.ending import report
 from app.cli.listening import url_of
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import load
@@ -18,10 +18,6 @@ from bus.errors import LinesideError
 from bus.messages import Message
 
 WITHIN_S = 5.0
-
-
-class NotServingError(LinesideError):
-    """No dashboard responds at the configured address."""
 
 
 def status(
@@ -35,21 +31,20 @@ def status(
 
     Exit 0 when it serves, else 1.
     """
-    with ending():
-        settings, bearer = load(config), bearer_token(token, token_file, required=False)
-        url = url_of(settings.server.host, settings.server.port)
-        serves = is_serving(url)
-        buses, degraded = _state(url, bearer) if serves and bearer else (None, None)
-        if as_json:
-            typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses, "degraded": degraded}))
-        elif serves:
-            report(Message.of("dashboard_serves", site=settings.site.name, url=url))
-            for bus in buses or ():
-                report(_line(bus))
-            for fault in degraded or ():
-                report(Message.of("site_degraded", fault=fault["message"]))
-        if not serves:
-            raise NotServingError(Message.of("not_serving", url=url, config=str(config)))
+    settings, bearer = load(config), bearer_token(token, token_file, required=False)
+    url = url_of(settings.server.host, settings.server.port)
+    serves = is_serving(url)
+    buses, degraded = _state(url, bearer) if serves and bearer else (None, None)
+    if as_json:
+        typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses, "degraded": degraded}))
+    elif serves:
+        report(Message.of("dashboard_serves", site=settings.site.name, url=url))
+        for bus in buses or ():
+            report(_line(bus))
+        for fault in degraded or ():
+            report(Message.of("site_degraded", fault=fault["message"]))
+    if not serves:
+        raise LinesideError(Message.of("not_serving", url=url, config=str(config)))
 
 
 def is_serving(url: str) -> bool:

@@ -6,9 +6,9 @@ import asyncio
 import os
 import random
 import sys
-from asyncio.subprocess import Process
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import structlog
@@ -70,11 +70,14 @@ class WorkerProcesses:
         """Start one, watch it and wait for its end; return its exit code."""
         called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
         # In its own process group: Ctrl-C reaches it through the parent.
-        with _readable(self._tokens[bus]) as token:
-            process = await asyncio.create_subprocess_exec(
-                sys.executable, *called, "--child", stdin=token, env=self._environment, preexec_fn=os.setpgrp
-            )
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, *called, "--child", stdin=PIPE, env=self._environment, preexec_fn=os.setpgrp
+        )
         self._processes[bus] = process
+        # Unlike arguments and environment, no listing of processes shows what passes through a pipe.
+        assert process.stdin is not None
+        process.stdin.write(f"{self._tokens[bus]}\n".encode())
+        process.stdin.close()
         watchdog = Watchdog()
         while True:
             with suppress(TimeoutError):
@@ -84,19 +87,6 @@ class WorkerProcesses:
                 log.error("bus worker does not respond, killed", bus=bus, after_looks=watchdog.missed)
                 # A stopped process acts on no other signal. Its end frees the port.
                 process.kill()
-
-
-@contextmanager
-def _readable(secret: str) -> Iterator[int]:
-    """A descriptor to read the secret from: unlike arguments and environment, no listing of processes shows
-    what passes through a pipe. Its buffer holds a secret, so the write does not wait."""
-    reading, writing = os.pipe()
-    try:
-        os.write(writing, f"{secret}\n".encode())
-        os.close(writing)
-        yield reading
-    finally:
-        os.close(reading)
 
 
 def _log_failure(task: asyncio.Task[None]) -> None:

@@ -12,7 +12,6 @@ from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
 
-from app.auth.pages import address_of
 from app.errors import Problem
 from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.document import APART, SheetDocuments
@@ -31,10 +30,10 @@ from app.handover.sheet import (
     signed_json,
 )
 from app.handover.signing import ShiftSignRequest, Signing
-from app.web.access import Person, Viewer
+from app.web.access import Person, Viewer, address_of
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.bounds import MAX_BODY_BYTES
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.services import service
 from app.web.shape import Instant, StrictBody, iso
 from app.web.turns import SEARCH

@@ -15,7 +15,6 @@ from starlette.responses import RedirectResponse, Response
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
-from app.auth.pages import address_of
 from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
 from app.handover.document import APART
@@ -26,7 +25,7 @@ from app.handover.sheet import notes_json
 from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
 from app.handover.signing import ShiftSignRequest
-from app.web.access import Person, Viewer
+from app.web.access import Person, Viewer, address_of
 from app.web.bounds import MAX_BODY_BYTES
 from app.web.services import service
 from app.web.templating import render

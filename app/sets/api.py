@@ -22,7 +22,7 @@ from app.sets.model import ParameterSetSummary
 from app.sets.schedule import SetSchedule
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.services import bus_service, bus_service_of
 from app.web.shape import StrictBody, UnitAddresses
 from bus.messages import Message

@@ -16,7 +16,7 @@ from app.sets.restore_view import RestoreShown, restore_json
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.bounds import MAX_BODY_BYTES
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.shape import Numbers, StrictBody
 
 router = APIRouter(prefix="/api/v1", tags=["parameter sets"], route_class=ApiRoute)

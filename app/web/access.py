@@ -82,6 +82,8 @@ class Person:
     """The one bus that a worker speaks for."""
     credential: str = field(default="", repr=False, compare=False)
     """Identifies the credential, distinct from an earlier one of the same account."""
+    address: str | Message = field(default="", compare=False)
+    """Where the request came from: the address of its client, or the command line."""
 
     @property
     def has_account(self) -> bool:
@@ -117,6 +119,11 @@ def account_shown(account: str) -> str | Message:
 def name_of(account: str) -> tuple[str, bool]:
     """The name of an account, and whether it is a token."""
     return account.removesuffix(_TOKEN), account.endswith(_TOKEN)
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """The address of the client; empty where the server knows none."""
+    return connection.client.host if connection.client else ""
 
 
 def person_of(connection: HTTPConnection) -> Person | None:
@@ -179,7 +186,6 @@ def not_signed_in() -> Problem:
 
 
 Viewer = Annotated[Person, Depends(Requires(Role.VIEWER))]
-Operator = Annotated[Person, Depends(Requires(Role.OPERATOR))]
 Engineer = Annotated[Person, Depends(Requires(Role.ENGINEER))]
 Admin = Annotated[Person, Depends(Requires(Role.ADMIN))]
 Worker = Annotated[Person, Depends(Requires(Role.WORKER))]

@@ -9,11 +9,11 @@ from starlette.types import Message as AsgiMessage
 from app.errors import Problem
 from app.server.addresses import source_of
 from app.server.admission import HEALTH
-from app.server.fair_queue import FairQueue
-from app.web.access import person_of
+from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.web.access import address_of, person_of
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, BoundedBody
+from app.web.problems import too_many_requests
 from app.web.security import refuse
-from app.web.turns import turn_of
 
 MAX_AT_ONCE, AT_ONCE_OF_ADDRESS = 2, 1
 MAX_WAITING, MAX_WAITING_OF_ADDRESS = 512, 64
@@ -45,14 +45,16 @@ class AnonymousLimiter:
             await self._bounded(scope, receive, send)
         except Problem as problem:
             await refuse(scope, receive, send, problem)
+        except TooManyWaitingError:
+            await refuse(scope, receive, send, too_many_requests())
 
     async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
+        connection = Request(scope, receive)
         try:
-            body = await Request(scope, receive).body()
+            body = await connection.body()
         except ClientDisconnect:
             return
-        client = HTTPConnection(scope).client
-        async with turn_of(self._turns, source_of(client.host if client else ""), known=False):
+        async with self._turns.turn(source_of(address_of(connection)), known=False):
             await self._app(scope, _replaying(body, receive), send)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Any, cast, get_args, get_origin
 
@@ -17,11 +18,12 @@ from typing_extensions import is_typeddict
 
 from app.errors import Problem
 from app.web.bounds import MAX_PLAIN_BODY_BYTES, parse_apart
-from app.web.schema_problem import usual_problems
+from app.web.schema import usual_problems
 from bus.messages import Message
 
 MAX_MEMBERS = 1000
 """Members of a JSON object; the largest has one for each of 255 units. An unknown one is a fault each."""
+_HALF_PAIR = re.compile("[\ud800-\udfff]")
 RouteHandler = Callable[[Request], Coroutine[Any, Any, Response]]
 RequestKey = Annotated[
     str | None,
@@ -93,34 +95,21 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
             raise _twice(ascii(name))
         made[name] = value
     for name in made:
-        if not _is_text(name):
+        # Pydantic ignores a key with half a surrogate pair, even where unknown ones are forbidden.
+        if _HALF_PAIR.search(name):
             raise Problem(422, "invalid", Message.of("field_unknown", name=ascii(name)))
     return made
-
-
-def _is_text(name: str) -> bool:
-    """Whether UTF-8 can encode it. Pydantic ignores a key with half a surrogate pair, even where
-    unknown ones are forbidden."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _check_query(query: QueryParams, known: Mapping[str, bool]) -> None:
     """``known``: by name whether it may be given several times. Raises Problem 422."""
     for name in query:
         if name not in known:
-            raise _unknown(name, known)
+            names = {"known": ", ".join(known)} if known else {}
+            code = "parameter_unknown" if known else "parameter_unknown_none"
+            raise Problem(422, "invalid", Message.of(code, name=name, **names))
         if not known[name] and len(query.getlist(name)) > 1:
             raise _twice(name)
-
-
-def _unknown(name: str, known: Mapping[str, bool]) -> Problem:
-    if not known:
-        return Problem(422, "invalid", Message.of("parameter_unknown_none", name=name))
-    return Problem(422, "invalid", Message.of("parameter_unknown", name=name, known=", ".join(known)))
 
 
 def _twice(name: str) -> Problem:

@@ -61,18 +61,10 @@ def _program_sent_at(connection: HTTPConnection) -> UnixTime | None:
         return None
     at = _moment(given[0]) if len(given) == 1 else None
     if at is None:
-        raise Problem(
-            422,
-            "invalid",
-            Message("sent_at_malformed"),
-        )
+        raise Problem(422, "invalid", Message("sent_at_malformed"))
     ahead_s = at - unix_now()
     if ahead_s > MAX_AHEAD_S:
-        raise Problem(
-            422,
-            "invalid",
-            Message.of("sent_at_in_future", ahead=number(f"{ahead_s:.1f}")),
-        )
+        raise Problem(422, "invalid", Message.of("sent_at_in_future", ahead=number(f"{ahead_s:.1f}")))
     return at
 
 
@@ -121,13 +113,6 @@ class Deadline:
         left_s = self.left_s if now is None else self.made_at + self.timeout_s - now
         if left_s > 0:
             return
-        raise Problem(
-            503,
-            "not_sent",
-            Message.of(
-                "came_too_late",
-                age=number(f"{self.timeout_s - left_s:.1f}"),
-                allowed=number(f"{self.timeout_s:.3g}"),
-            ),
-            outcome="not_sent",
-        )
+        age, allowed = number(f"{self.timeout_s - left_s:.1f}"), number(f"{self.timeout_s:.3g}")
+        reason = Message.of("came_too_late", age=age, allowed=allowed)
+        raise Problem(503, "not_sent", reason, outcome="not_sent")

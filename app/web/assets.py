@@ -20,7 +20,6 @@ from bus.messages import Message
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKED = Path(__file__).resolve().parents[1] / "_assets"
-_FOREVER = "public, max-age=31536000, immutable"
 _STYLES_IMPORT = re.compile(rb'^@import "([\w./-]+)";$', re.MULTILINE)
 _MODULE_IMPORT = re.compile(r'^(?:import|export)\b(?!\()[^;]*?"(\.[\w./-]+)";$', re.MULTILINE)
 _TEXT = ("text/", "application/javascript", "application/json", "application/manifest+json", "image/svg+xml")
@@ -143,7 +142,3 @@ class Assets:
     def pack(self, name: str) -> None:
         """What the first request of a file would wait for. Raises Problem 404."""
         _ = self.get(name).packed
-
-    def response(self, request: Request, name: str, *, forever: bool) -> Response:
-        """The file, gzipped for a browser that takes it. ``forever``: its address names its version."""
-        return self.get(name).response(request, _FOREVER if forever else "no-cache")

@@ -21,13 +21,14 @@ router = APIRouter(dependencies=[Depends(public)], include_in_schema=False)
 KEPT = ("css/lineside.css", "js/theme.js", "js/offline.js", "icons/sprite.svg")
 """What the service worker keeps, for the page for no connection."""
 OFFLINE = "/offline"
+FOREVER = "public, max-age=31536000, immutable"
 
 
 @router.get("/static/{version}/{name:path}")
 async def static_file(request: Request, version: str, name: str) -> Response:
     """A file under the address that names its version; under another version it is not kept."""
     assets = service_of(request, Assets)
-    return assets.response(request, name, forever=version == assets.version)
+    return assets.get(name).response(request, FOREVER if version == assets.version else "no-cache")
 
 
 @router.get("/healthz")

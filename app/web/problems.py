@@ -17,6 +17,7 @@ from starlette.routing import Match
 from starlette.websockets import WebSocket
 
 from app.errors import Problem, ProblemCode, StoreError, TooCostlyError
+from app.server.fair_queue import TooManyWaitingError
 from app.server.security_headers import HEADERS
 from app.web.access import person_of
 from app.web.shape import message_shown, reason_shown
@@ -89,7 +90,7 @@ async def refuse_socket(socket: WebSocket, problem: Problem) -> None:
         await socket.close(4000 + problem.status, problem.code)
 
 
-def respond(request: Request, problem: Problem) -> Response:
+def respond(request: HTTPConnection, problem: Problem) -> Response:
     """The problem in the form that the client can read."""
     if wants_json(request):
         return problem_json(problem, _detail(request, problem))
@@ -97,13 +98,18 @@ def respond(request: Request, problem: Problem) -> Response:
     return render(request, template, status=problem.status, headers=problem.headers, problem=problem)
 
 
-def _detail(request: Request, problem: Problem) -> str:
+def _detail(request: HTTPConnection, problem: Problem) -> str:
     """A page that calls the API shows the text to a person, in that person's language; a program with a
     token gets it in English."""
     person = person_of(request)
     if person is None or person.via != "session":
         return problem.detail
     return templates_of(request).language_of(request).t(problem.message)
+
+
+def too_many_requests() -> Problem:
+    """The refusal of a request where too many of its account or address wait for their turn."""
+    return Problem(429, "too_many", Message("too_many_requests")).with_headers(Retry_After="2")
 
 
 def _place(location: Sequence[int | str]) -> str:
@@ -120,76 +126,71 @@ def invalid(errors: Sequence[Any]) -> Problem:
     return Problem(422, "invalid", Message.of("fields_malformed", errors=faults), errors=named)
 
 
-async def _on_problem(request: Request | WebSocket, error: Exception) -> Response | None:
-    assert isinstance(error, Problem)
-    if isinstance(request, WebSocket):
-        await refuse_socket(request, error)
-        return None
-    return respond(request, error)
-
-
-async def _on_http(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    # The client went away in the middle of its body: no page is needed.
-    if error.status_code in (204, 304) or isinstance(error.__cause__, ClientDisconnect):
-        return Response(status_code=error.status_code)
-    if isinstance(error.__cause__, Problem):
-        return respond(request, error.__cause__)
-    if error.status_code == 400:
-        return respond(request, Problem(422, "invalid", Message("body_not_readable")))
-    code = _CODES.get(error.status_code, "refused")
-    problem = Problem(error.status_code, code, _http_message(request, error))
-    problem.headers.update(error.headers or {})
-    if error.status_code == 405:
-        problem.with_headers(Allow=", ".join(_methods(request)))
-    return respond(request, problem)
-
-
-def _http_message(request: Request, error: HTTPException) -> Message:
-    path = request.url.path
-    match error.status_code:
-        case 404:
-            return Message.of("nothing_at_path", path=path)
-        case 405:
-            return Message.of("method_not_for_path", method=request.method, path=path)
-        case _:
-            return Message.of("http_refused", reason=str(error.detail))
-
-
-def _methods(request: Request) -> list[str]:
+def _methods(request: HTTPConnection) -> list[str]:
     """All that the path takes: the router names only those of the first route that it finds there."""
     routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
     methods = {method for route in routes for method in getattr(route, "methods", None) or ()}
     return sorted(methods | ({"HEAD"} if "GET" in methods else set()))
 
 
-async def _on_invalid(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
-    return respond(request, invalid(error.errors()))
+def _of_http(request: HTTPConnection, error: HTTPException) -> Problem:
+    """What Starlette and FastAPI refuse."""
+    path = request.url.path
+    match error.status_code:
+        case _ if isinstance(error.__cause__, Problem):
+            return error.__cause__
+        case 400:
+            return Problem(422, "invalid", Message("body_not_readable"))
+        case 404:
+            message = Message.of("nothing_at_path", path=path)
+        case 405:
+            message = Message.of("method_not_for_path", method=request.scope["method"], path=path)
+        case _:
+            message = Message.of("http_refused", reason=str(error.detail))
+    problem = Problem(error.status_code, _CODES.get(error.status_code, "refused"), message)
+    problem.headers.update(error.headers or {})
+    if error.status_code == 405:
+        problem.with_headers(Allow=", ".join(_methods(request)))
+    return problem
 
 
-async def _on_error(request: Request, error: Exception) -> Response:
+def _problem_of(request: HTTPConnection, error: Exception) -> Problem:
     match error:
+        case Problem():
+            return error
         case CallerError():
-            problem = Problem(422, "invalid", error.message)
+            return Problem(422, "invalid", error.message)
+        case TooManyWaitingError():
+            return too_many_requests()
         case TooCostlyError():
-            problem = Problem(503, "too_costly", error.message)
+            return Problem(503, "too_costly", error.message)
         case StoreError():
             log.error("store", path=request.url.path, error=str(error))
-            problem = Problem(503, "store", error.message)
+            return Problem(503, "store", error.message)
+        case RequestValidationError():
+            return invalid(error.errors())
+        case HTTPException():
+            return _of_http(request, error)
         case UnicodeDecodeError() | json.JSONDecodeError():
-            problem = Problem(422, "invalid", Message("body_not_utf8"))
-        case _:
-            # Starlette raises it again, for the server to log. It calls this outside of every middleware, so
-            # the headers of all others are set here.
-            problem = Problem(500, "failed", Message("server_failed")).with_headers(**HEADERS)
-    return respond(request, problem)
+            return Problem(422, "invalid", Message("body_not_utf8"))
+    # Starlette raises it again, for the server to log. It calls this outside of every middleware, so the
+    # headers of all others are set here.
+    return Problem(500, "failed", Message("server_failed")).with_headers(**HEADERS)
+
+
+async def _on_error(request: Request | WebSocket, error: Exception) -> Response | None:
+    if isinstance(error, Problem) and isinstance(request, WebSocket):
+        await refuse_socket(request, error)
+        return None
+    # The client went away in the middle of its body: no page is needed.
+    is_gone = isinstance(error.__cause__, ClientDisconnect)
+    if isinstance(error, HTTPException) and (is_gone or error.status_code in (204, 304)):
+        return Response(status_code=error.status_code)
+    return respond(request, _problem_of(request, error))
 
 
 def install(app: FastAPI) -> None:
     """Responds to every kind of failure."""
-    app.exception_handler(Problem)(_on_problem)
-    app.add_exception_handler(HTTPException, _on_http)
-    app.add_exception_handler(RequestValidationError, _on_invalid)
-    for kind in (CallerError, StoreError, UnicodeDecodeError, json.JSONDecodeError, Exception):
-        app.add_exception_handler(kind, _on_error)
+    refusals = (Problem, CallerError, StoreError, TooManyWaitingError, HTTPException, RequestValidationError)
+    for kind in (*refusals, UnicodeDecodeError, json.JSONDecodeError, Exception):
+        app.exception_handler(kind)(_on_error)

@@ -48,15 +48,12 @@ def _calls(dependant: Any) -> Iterator[Any]:
         yield from _calls(dependency)
 
 
-def _declared(route: Any) -> list[Any]:
-    dependant = getattr(route, "dependant", None)
-    calls = _calls(dependant) if dependant is not None else ()
-    return [call for call in calls if isinstance(call, Requires) or call is public]
-
-
 def required(app: FastAPI) -> Iterator[tuple[RouteContext, list[Any]]]:
     """Each route with what it declares: its `Requires`, or that it is `public`; an empty list: nothing."""
-    return ((route, _declared(route)) for route in iter_route_contexts(app.routes))
+    for route in iter_route_contexts(app.routes):
+        dependant = getattr(route, "dependant", None)
+        calls = _calls(dependant) if dependant is not None else ()
+        yield route, [call for call in calls if isinstance(call, Requires) or call is public]
 
 
 def demands(app: FastAPI) -> list[tuple[RouteContext, set[Role | None]]]:

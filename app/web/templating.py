@@ -86,32 +86,24 @@ class Templates:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.globals.update(self._globals(language))
-        return environment
-
-    def _globals(self, language: Language) -> Mapping[str, Any]:
-        return {
+        environment.globals |= {
             "t": language.t,
             "tn": language.tn,
             "language": language,
             "languages": self.languages,
-            "formats": self.formats(language.tag),
+            "formats": self.formats(tag),
             "asset": self._assets.url,
             "imports": self._assets.imports,
             "site": self.site,
             "demo": self._demo,
             "Role": Role,
         }
+        return environment
 
     @property
     def is_unreal(self) -> bool:
         """Whether no drive is connected, in a demonstration or by the configuration."""
         return self._demo or self.site.simulated
-
-    @property
-    def time_zone(self) -> str:
-        """The IANA name of the site's."""
-        return self.site.zone
 
     def formats(self, tag: str) -> Formats:
         """Number and time formatting of a language."""

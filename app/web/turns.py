@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -13,11 +13,9 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.types import Message as AsgiMessage
 
-from app.errors import Problem
-from app.server.fair_queue import FairQueue, TooManyWaitingError
+from app.server.fair_queue import FairQueue
 from app.web.access import Viewer, person_of
 from app.web.services import service_of
-from bus.messages import Message
 
 MAX_AT_ONCE = 2
 MAX_WAITING = 30
@@ -25,19 +23,6 @@ MAX_WAITING = 30
 MAX_READS = 6
 MAX_WAITING_READS = 200
 """How many other reads of an account may wait."""
-
-
-@asynccontextmanager
-async def turn_of(turns: FairQueue[str], key: str, *, known: bool = True) -> AsyncIterator[None]:
-    """Wait for a turn of an account or an address, and have it. Raises Problem 429 where too many wait."""
-    async with AsyncExitStack() as stack:
-        try:
-            await stack.enter_async_context(turns.turn(key, known=known))
-        except TooManyWaitingError:
-            raise Problem(429, "too_many", Message("too_many_requests")).with_headers(
-                Retry_After="2"
-            ) from None
-        yield
 
 
 @dataclass(frozen=True)
@@ -54,7 +39,7 @@ def _in_turn(queue_of: Callable[[Turns], FairQueue[str]]) -> Any:
     """``dependencies=[SEARCH]`` of a route: one turn from before it runs until its response is sent."""
 
     async def take_turn(connection: HTTPConnection, person: Viewer) -> AsyncIterator[None]:
-        async with turn_of(queue_of(service_of(connection, Turns)), person.account):
+        async with queue_of(service_of(connection, Turns)).turn(person.account):
             yield
 
     return Depends(take_turn)
@@ -84,5 +69,5 @@ class ReadLimiter:
                 await turn.aclose()
                 await send(message)
 
-            await turn.enter_async_context(turn_of(self._turns, person.account))
+            await turn.enter_async_context(self._turns.turn(person.account))
             await self._app(scope, receive, sending)

@@ -28,7 +28,6 @@ from app.auth.acts import (
     SET_PASSWORD,
     SET_ROLE,
 )
-from app.auth.passwords import Passwords
 from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
@@ -43,9 +42,8 @@ ANN = Person("ann", Role.OPERATOR, "session")
 
 @pytest.fixture
 async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
-    database, passwords = Database(tmp_path / "lineside.db"), Passwords()
-    yield Accounts(database, passwords, EventLog(database))
-    passwords.close()
+    database = Database(tmp_path / "lineside.db")
+    yield Accounts(database, EventLog(database))
     database.close()
 
 
@@ -144,22 +142,22 @@ async def test_every_change_is_an_event_with_its_author(accounts: Accounts) -> N
 CHANGES: dict[str, Callable[[Accounts, Person], Awaitable[object]]] = {
     act.name: change
     for act, change in (
-        (ADD_USER, lambda accounts, by: accounts.add_user("eve", Role.ADMIN, PASSWORD, by=by, origin="t")),
-        (ADD_PANEL, lambda accounts, by: accounts.add_panel("p2", Role.VIEWER, PIN, "/", by=by, origin="t")),
-        (SET_ROLE, lambda accounts, by: accounts.set_role("ann", Role.ADMIN, by=by, origin="t")),
-        (DISABLE_USER, lambda accounts, by: accounts.set_disabled("ann", True, by=by, origin="t")),
-        (ENABLE_USER, lambda accounts, by: accounts.set_disabled("off", False, by=by, origin="t")),
-        (SET_PASSWORD, lambda accounts, by: accounts.set_password("ann", PASSWORD, by=by, origin="t")),
-        (REMOVE_USER, lambda accounts, by: accounts.remove_user("ann", by=by, origin="t")),
-        (CREATE_TOKEN, lambda accounts, by: accounts.create_token("t", Role.ADMIN, by=by, origin="t")),
+        (ADD_USER, lambda accounts, by: accounts.add_user("eve", Role.ADMIN, PASSWORD, by=by)),
+        (ADD_PANEL, lambda accounts, by: accounts.add_panel("p2", Role.VIEWER, PIN, "/", by=by)),
+        (SET_ROLE, lambda accounts, by: accounts.set_role("ann", Role.ADMIN, by=by)),
+        (DISABLE_USER, lambda accounts, by: accounts.set_disabled("ann", True, by=by)),
+        (ENABLE_USER, lambda accounts, by: accounts.set_disabled("off", False, by=by)),
+        (SET_PASSWORD, lambda accounts, by: accounts.set_password("ann", PASSWORD, by=by)),
+        (REMOVE_USER, lambda accounts, by: accounts.remove_user("ann", by=by)),
+        (CREATE_TOKEN, lambda accounts, by: accounts.create_token("t", Role.ADMIN, by=by)),
         (
             CREATE_WORKER_TOKEN,
-            lambda accounts, by: accounts.create_token("t", Role.WORKER, bus="b", by=by, origin="t"),
+            lambda accounts, by: accounts.create_token("t", Role.WORKER, bus="b", by=by),
         ),
-        (REVOKE_TOKEN, lambda accounts, by: accounts.revoke_token("plc", by=by, origin="t")),
+        (REVOKE_TOKEN, lambda accounts, by: accounts.revoke_token("plc", by=by)),
         (
             CHANGE_OWN_PASSWORD,
-            lambda accounts, by: accounts.change_own_password(PASSWORD, by=by, origin="t", keep=b""),
+            lambda accounts, by: accounts.change_own_password(PASSWORD, by=by, keep=b""),
         ),
     )
 }
@@ -206,7 +204,7 @@ async def test_a_user_of_the_machine_without_a_name_is_recorded_as_the_command_l
     accounts: Accounts,
 ) -> None:
     line = Message("command_line")
-    await accounts.create_token("plc", Role.VIEWER, by=Person("", Role.ADMIN, "console"), origin=line)
+    await accounts.create_token("plc", Role.VIEWER, by=Person("", Role.ADMIN, "console", address=line))
     events, _ = await accounts._events.page(Filter(kind="token"), 1)
     assert (events[0]["who"], (await accounts.tokens())[0].created_by) == (str(line), str(line))
 
@@ -220,7 +218,7 @@ async def test_subscribers_get_each_change_and_the_session_that_is_kept(accounts
     accounts.on_changed(receive)
     await accounts.add_user("ann", Role.VIEWER, PASSWORD, **BY)
     await accounts.set_role("ann", Role.OPERATOR, **BY)
-    await accounts.change_own_password("another good one", keep=b"session", by=ANN, origin="test")
+    await accounts.change_own_password("another good one", keep=b"session", by=ANN)
     await accounts.create_token("plc", Role.VIEWER, **BY)
     await accounts.revoke_token("plc", **BY)
     assert received == ["", "", "ann", "", ""]

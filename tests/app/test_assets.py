@@ -47,13 +47,13 @@ def test_the_address_changes_with_any_file(folder: Path) -> None:
 
 
 def test_text_is_packed_for_who_takes_it(folder: Path) -> None:
-    packed = Assets(folder).response(request(), "js/a.js", forever=True)
+    packed = Assets(folder).get("js/a.js").response(request(), "no-cache")
     assert packed.headers["content-encoding"] == "gzip"
     assert packed.headers["vary"] == "Accept-Encoding"
     assert gzip.decompress(bytes(packed.body)) == (folder / "js" / "a.js").read_bytes()
-    plain = Assets(folder).response(request(""), "js/a.js", forever=True)
+    plain = Assets(folder).get("js/a.js").response(request(""), "no-cache")
     assert "content-encoding" not in plain.headers
-    picture = Assets(folder).response(request(), "logo.png", forever=True)
+    picture = Assets(folder).get("logo.png").response(request(), "no-cache")
     assert "content-encoding" not in picture.headers
 
 

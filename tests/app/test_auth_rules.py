@@ -101,11 +101,9 @@ def test_what_each_role_includes(role: Role, includes: str) -> None:
 
 
 def test_lifetimes_are_in_seconds() -> None:
-    lifetimes = rules.Lifetimes.of(
-        Sessions(idle_hours=2, total_days=3, panel_idle_days=4, panel_total_days=5)
-    )
-    assert lifetimes.person == rules.Lifetime(7_200, 259_200)
-    assert lifetimes.panel == rules.Lifetime(345_600, 432_000)
+    sessions = Sessions(idle_hours=2, total_days=3, panel_idle_days=4, panel_total_days=5)
+    assert rules.lifetime(sessions, panel=False) == rules.Lifetime(7_200, 259_200)
+    assert rules.lifetime(sessions, panel=True) == rules.Lifetime(345_600, 432_000)
 
 
 @pytest.mark.parametrize("role", Role)

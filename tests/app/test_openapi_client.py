@@ -16,7 +16,7 @@ from openapi_python_client.config import Config, ConfigFile, MetaType
 
 from app.database import Database
 from app.main import create_app
-from app.web.schema import openapi_document
+from app.web.schema import openapi_document, with_published_names
 from bus.contract import UnitOutcome
 from tests.app.complete_app import settings_in
 from tests.app.stage import PlayedWorker, Stage, responding
@@ -270,8 +270,6 @@ def test_numbers_in_responses_have_their_unit_or_range(document: dict[str, Any])
 
 
 def test_two_schemas_of_one_name_are_refused() -> None:
-    from app.web.schema_names import with_published_names
-
     schemas: dict[str, Any] = {"SpeedShown": {}, "Speed": {}}
     with pytest.raises(ValueError, match="one published name"):
         with_published_names({"components": {"schemas": schemas}})

@@ -60,7 +60,9 @@ class Scene:
     withdrawn: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.rights = Rights(self.database, self, clock=lambda: self.now, monotonic=lambda: self.now)
+        self.rights = Rights(
+            self.database, self.on_changed, clock=lambda: self.now, monotonic=lambda: self.now
+        )
         self.rights.on_withdrawn(self._note)
 
     def on_changed(self, _subscriber: Callable[[str], Awaitable[None]]) -> None:

@@ -10,7 +10,6 @@ import pytest
 from app.audit.log import EventLog
 from app.auth import rules
 from app.auth.accounts import Accounts
-from app.auth.passwords import Passwords
 from app.auth.rights import Rights
 from app.database import Database
 from app.web.access import Person, Role
@@ -24,13 +23,11 @@ class House:
 
     def __init__(self, path: Path) -> None:
         self.now = 1_000_000.0
-        self.passwords = Passwords()
         self.stores = [Database(path), Database(path, checkpoints=False)]
         self.here, self.elsewhere = (
-            Accounts(each, self.passwords, EventLog(each), lambda: self.now, buses=("dry-end",))
-            for each in self.stores
+            Accounts(each, EventLog(each), lambda: self.now, buses=("dry-end",)) for each in self.stores
         )
-        self.rights = Rights(self.stores[0], self.here, clock=lambda: self.now)
+        self.rights = Rights(self.stores[0], self.here.on_changed, clock=lambda: self.now)
         self.notified: list[str] = []
 
         async def receive(account: str) -> None:
@@ -39,7 +36,6 @@ class House:
         self.rights.on_withdrawn(receive)
 
     def close(self) -> None:
-        self.passwords.close()
         for store in self.stores:
             store.close()
 
@@ -106,7 +102,7 @@ async def test_an_own_new_password_withdraws_nothing(house: House) -> None:
     """A password that its owner changes keeps the session, and with it control of a line."""
     keep = rules.secret_hash("session")
     ann = Person("ann", Role.ENGINEER, "session")
-    await house.here.change_own_password("another good one", keep=keep, by=ann, origin="t")
+    await house.here.change_own_password("another good one", keep=keep, by=ann)
     await house.rights.refresh()
     await house.elsewhere.create_token("hmi", Role.VIEWER, **BY)
     await house.rights.refresh()

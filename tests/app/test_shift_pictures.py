@@ -19,7 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.cli import backup_store
-from app.cli.backup_store import read_backup, write_backup
+from app.cli.backup_store import write_backup
+from app.cli.restore_store import read_backup
 from app.database import Database
 from app.errors import StoreError
 from app.handover.pictures import FILE, MIGRATIONS

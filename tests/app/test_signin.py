@@ -13,9 +13,7 @@ from app.audit.store import Filter
 from app.auth import passwords, rules, store
 from app.auth.accounts import Accounts
 from app.auth.identity import Identity
-from app.auth.passwords import Passwords
 from app.auth.rights import Rights
-from app.auth.rules import Lifetimes
 from app.auth.settings import Sessions
 from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
@@ -27,7 +25,7 @@ from tests.administrator import BY
 
 PASSWORD = "correct horse"
 PIN = "471193"
-LIFETIME = Lifetimes.of(Sessions()).person
+LIFETIME = rules.lifetime(Sessions(), panel=False)
 OWN = {"dry-end": "token-of-dry-end", "wet-end": "token-of-wet-end"}
 
 
@@ -37,18 +35,10 @@ class House:
     def __init__(self, database: Database) -> None:
         self.now, self.running = 1_000_000.0, 0.0
         self.database = database
-        self.passwords = Passwords()
         self.log = EventLog(database, lambda: self.now)
-        self.accounts = Accounts(database, self.passwords, self.log, lambda: self.now, buses=OWN)
-        lifetimes = Lifetimes.of(Sessions())
+        self.accounts = Accounts(database, self.log, lambda: self.now, buses=OWN)
         self.sign_in = SignIn(
-            database,
-            self.passwords,
-            self.log,
-            lifetimes,
-            lambda: self.now,
-            lambda: self.running,
-            site="Mill 7",
+            database, self.log, Sessions(), lambda: self.now, lambda: self.running, site="Mill 7"
         )
         self.identity = Identity(database, self.sign_in, OWN, lambda: self.now)
 
@@ -80,7 +70,6 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
     database = Database(tmp_path / "lineside.db")
     house = House(database)
     yield house
-    house.passwords.close()
     database.close()
 
 
@@ -188,7 +177,7 @@ async def test_the_present_password_is_guessed_no_faster(house: House) -> None:
 
 async def test_a_secret_that_todays_rules_refuse_works_and_is_noted(house: House) -> None:
     await house.add()
-    hashed = await house.passwords.hash("short")
+    hashed = await passwords.hash_secret("short")
     await house.database.write(lambda c: c.execute("UPDATE users SET secret_hash = ?", (hashed,)))
     await house.enter(password="short")
     assert (await house.accounts.users())[0].weak_secret
@@ -234,7 +223,7 @@ async def test_a_hash_of_an_earlier_version_is_replaced_at_the_next_sign_in(hous
     assert await stored_hash(house) == before
     await house.enter()
     after = await stored_hash(house)
-    assert extract_parameters(after) == extract_parameters(await house.passwords.hash("new"))
+    assert extract_parameters(after) == extract_parameters(await passwords.hash_secret("new"))
     await house.enter()
     assert await stored_hash(house) == after, "once is enough"
 
@@ -244,14 +233,14 @@ async def test_a_replaced_hash_withdraws_no_rights(house: House) -> None:
     await house.add()
     cookie = await house.enter()
     await hashed_by_an_earlier_version(house)
-    person, rights = await house.identity.by_cookie(cookie), Rights(house.database, house.accounts)
+    person, rights = await house.identity.by_cookie(cookie), Rights(house.database, house.accounts.on_changed)
     assert person is not None
     await house.enter()
     await rights.check(person)
     assert await house.identity.by_cookie(cookie) == person
     await house.accounts.set_password("ann", "another good one", **BY)
     with pytest.raises(Problem, match="the password was changed"):
-        await Rights(house.database, house.accounts).check(person)
+        await Rights(house.database, house.accounts.on_changed).check(person)
 
 
 async def test_a_password_that_was_changed_meanwhile_is_not_put_back(house: House) -> None:
@@ -289,7 +278,7 @@ async def test_signing_out_ends_this_session_only(house: House) -> None:
     one, other = await house.enter(), await house.enter()
     person = await house.identity.by_cookie(one)
     assert person is not None
-    await house.sign_in.sign_out(one, person, "a")
+    await house.sign_in.sign_out(one, person)
     assert await house.identity.by_cookie(one) is None
     assert await house.identity.by_cookie(other)
 
@@ -347,7 +336,7 @@ async def test_a_worker_has_no_session_to_end(house: House) -> None:
     await house.add()
     cookie = await house.enter()
     with pytest.raises(Problem, match="role viewer"):
-        await house.sign_in.sign_out(cookie, Person("ann", Role.WORKER, "token"), "a")
+        await house.sign_in.sign_out(cookie, Person("ann", Role.WORKER, "token"))
     assert await house.identity.by_cookie(cookie)
 
 
@@ -356,7 +345,7 @@ async def test_a_changed_password_ends_the_other_sessions_only(house: House) -> 
     this, other = await house.enter(), await house.enter()
     keep = rules.secret_hash(this)
     ann = Person("ann", Role.OPERATOR, "session")
-    await house.accounts.change_own_password("another good one", keep=keep, by=ann, origin="t")
+    await house.accounts.change_own_password("another good one", keep=keep, by=ann)
     assert await house.identity.by_cookie(this)
     assert await house.identity.by_cookie(other) is None
 
@@ -364,7 +353,7 @@ async def test_a_changed_password_ends_the_other_sessions_only(house: House) -> 
 async def test_shorter_lifetimes_hold_for_sessions_that_are_open(house: House) -> None:
     await house.add()
     cookie = await house.enter()
-    house.sign_in.lifetimes = Lifetimes.of(Sessions(idle_hours=0.5))
+    house.sign_in.sessions = Sessions(idle_hours=0.5)
     house.now += 1799
     assert await house.identity.by_cookie(cookie, is_use=False)
     house.now += 1
@@ -430,7 +419,7 @@ async def test_the_last_signing_out_is_reported_and_no_other(house: House, gone:
     for cookie, notified in ((first, []), (second, ["ann"])):
         person = await house.identity.by_cookie(cookie)
         assert person is not None
-        await house.sign_in.sign_out(cookie, person, "a")
+        await house.sign_in.sign_out(cookie, person)
         assert gone == notified
 
 

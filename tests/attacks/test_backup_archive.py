@@ -217,6 +217,58 @@ def large_header(site: Site) -> None:
     os.truncate(site.archive, 2**30 + 10_240)
 
 
+def stated_by_header(site: Site, **header: str) -> None:
+    info = plain(MAIN, site.store())
+    info.pax_headers = header
+    site.write((info, site.store()))
+
+
+def large_by_header(site: Site) -> None:
+    stated_by_header(site, size=str(2**40))
+
+
+def negative_by_header(site: Site) -> None:
+    stated_by_header(site, size="-1024")
+
+
+def odd_size_by_header(site: Site) -> None:
+    stated_by_header(site, size="1e9")
+
+
+def named_by_header(site: Site) -> None:
+    """With a name that it may have."""
+    stated_by_header(site, path=MAIN)
+
+
+def stated_for_all(site: Site) -> None:
+    site.write((plain(MAIN, site.store()), site.store()))
+    header = tarfile.TarInfo("x").create_pax_global_header({"comment": "x"})
+    site.archive.write_bytes(header + site.archive.read_bytes())
+
+
+def many_sparse_parts(site: Site) -> None:
+    """A map of holes that goes on for a megabyte."""
+    content = b"9999999\n" + b"0\n" * 2**19
+    info = plain(MAIN, content)
+    info.pax_headers = {"GNU.sparse.major": "1", "GNU.sparse.minor": "0", "GNU.sparse.name": MAIN}
+    site.write((info, content))
+
+
+def no_end(site: Site) -> None:
+    """Cut off after the last member."""
+    site.write((plain(MAIN, site.store()), site.store()))
+    with tarfile.open(site.archive) as archive:
+        end = max(each.offset_data + -(-each.size // 512) * 512 for each in archive)
+    os.truncate(site.archive, end)
+
+
+def other_end(site: Site) -> None:
+    """Something else after the last member."""
+    no_end(site)
+    with site.archive.open("ab") as archive:
+        archive.write(b"something else " * 1000)
+
+
 def renamed_by_header(site: Site) -> None:
     info = plain(MAIN, site.store())
     info.pax_headers = {"path": "/" + "x" * 200}
@@ -279,6 +331,8 @@ FORGERIES: tuple[Callable[[Site], None], ...] = (
     *(odd_manifest, odd_time, odd_digest, deep_manifest, large_manifest, renamed_by_header),
     *(link, hard_link, fifo, device, folder, sparse, old_sparse, sparse_file, long_tail),
     *(beyond_the_end, negative_size, many_headers, large_header),
+    *(large_by_header, negative_by_header, odd_size_by_header, named_by_header, stated_for_all),
+    *(many_sparse_parts, no_end, other_end),
     *(no_database, foreign_database, odd_tables, not_tar, empty, compressed),
     *(a_fifo_itself, a_folder_itself, absent),
 )

@@ -17,7 +17,6 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.auth import store
 from app.auth.accounts import Accounts
-from app.auth.passwords import Passwords
 from app.cli import cli
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
@@ -39,14 +38,13 @@ class Plant:
         self.backup = folder / "monday.tar"
 
     def change(self, work: Callable[[Accounts, Database], Awaitable[None]]) -> None:
-        database, passwords = Database(self.store), Passwords()
+        database = Database(self.store)
 
         async def run() -> None:
             keys = open_keys(load(self.config).key_files, self.store, await database.read(head_of))
-            await work(Accounts(database, passwords, EventLog(database, keys=keys)), database)
+            await work(Accounts(database, EventLog(database, keys=keys)), database)
 
         asyncio.run(run())
-        passwords.close()
         database.close()
 
     def command(self, *arguments: str) -> Result:
@@ -118,7 +116,7 @@ def test_what_was_withdrawn_since_stays_so(plant: Plant) -> None:
 
 
 def test_an_event_names_who_restored_which_backup(plant: Plant, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.cli.restored_store.who_calls", lambda: "root")
+    monkeypatch.setattr("getpass.getuser", lambda: "root")
     plant.change(withdrawals)
     plant.restore()
     [(who, origin, what, message)] = plant.rows(

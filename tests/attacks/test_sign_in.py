@@ -19,7 +19,6 @@ from app.auth import passwords
 from app.auth.accounts import Accounts
 from app.auth.lasting import NO_LONGER_SIGNED_IN, Rechecks
 from app.auth.pages import DEVICE_COOKIE
-from app.auth.passwords import Passwords
 from app.auth.rules import SECRET_LENGTH
 from app.auth.signin import SignIn
 from app.auth.throttle import FREE, OF_ADDRESS, OF_NAME
@@ -305,11 +304,10 @@ async def test_a_response_in_pieces_ends_with_the_rights_of_its_person(house: Ho
 
 def elsewhere(folder: Path, change: Callable[[Accounts], object]) -> None:
     """Do what ``lineside token …`` or ``lineside user …`` does in a separate process."""
-    database, passwords = Database(folder / "data" / "lineside.db", checkpoints=False), Passwords()
+    database = Database(folder / "data" / "lineside.db", checkpoints=False)
     try:
-        asyncio.run(change(Accounts(database, passwords, EventLog(database))))  # type: ignore[arg-type]
+        asyncio.run(change(Accounts(database, EventLog(database))))  # type: ignore[arg-type]
     finally:
-        passwords.close()
         database.close()
 
 

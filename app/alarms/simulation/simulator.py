@@ -17,7 +17,6 @@ from app.history.series.scaling import ParameterStep
 from app.history.service import History
 from app.history.store import tables
 from app.server.fair_queue import FairQueue
-from app.web.turns import turn_of
 from bus.instants import UnixTime
 from bus.settings import BusSettings
 
@@ -39,8 +38,8 @@ class Simulator:
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
     ) -> Simulated:
         """What an alarm would have done from ``start`` to ``end``. Raises StoreError where history cannot be
-        read, and Problem 429 where too many simulations of the account wait."""
-        async with turn_of(self._turns, account):
+        read, TooManyWaitingError where too many simulations of the account wait."""
+        async with self._turns.turn(account):
             return await self._run(bus, settings, start, end)
 
     async def _run(

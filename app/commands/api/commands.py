@@ -47,7 +47,7 @@ from app.live.state.bus_live import BusLive, UnitLive
 from app.web.access import Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.arrival import Deadline, made_at
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.services import bus_service
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import OUTPUT_NUMBERS

@@ -9,7 +9,7 @@ from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
 from app.history.status import StoreState
-from app.web.schema_problem import problems
+from app.web.schema import problems
 from app.web.shape import Instant, MaybeInstant, MessageShown
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]

@@ -1,0 +1,204 @@
+"""``lineside restore-store``: the stores of a backup take the place of the present ones. Rights that were
+withdrawn since stay so, blocks and limits stay in force, and an event names who restored it.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import tempfile
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.audit.anchor import key_anchor_of, put_aside
+from app.audit.chain import Head
+from app.audit.keys import find_key_file
+from app.audit.store import head_of
+from app.auth.withheld import Present, Withheld, read_present, withhold
+from app.cli.backup_archive import STORES, open_archive
+from app.cli.backup_store import fault_of
+from app.cli.ending import report
+from app.cli.serve import LINESIDE_TOML, Config
+from app.cli.site_log import open_log, record
+from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
+from app.database import Database
+from app.database.connection import open_for_reading
+from app.database.copies import COMPANIONS
+from app.database.migrating import is_store
+from app.database.private import make_private, refuse_link
+from app.database.words import in_words
+from app.errors import StoreError
+from app.settings import STORE_FILE, load
+from bus.messages import Message, joined
+
+ASIDE = ".before-restore"
+
+
+def restore_store(
+    file: Annotated[Path, typer.Argument(help="A file of backup-store.")],
+    config: Config = LINESIDE_TOML,
+    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
+) -> None:
+    """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
+    must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
+    settings = load(config)
+    server = settings.server
+    if not yes:
+        typer.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
+    anchor = settings.audit.anchor
+    done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
+    report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))
+    for aside in done.anchors:
+        report(Message.of("anchor_put_aside", path=str(aside)))
+    if done.withheld is not None:
+        if anchor is not None:
+            report(Message.of("anchor_outlives_restore", path=str(anchor)))
+        for consequence in consequences(done.withheld):
+            report(consequence)
+
+
+@dataclass(frozen=True, slots=True)
+class Restored:
+    """``names`` of the stores, what was ``withheld`` from the main one where the backup contains it, and the
+    ``anchors`` of the log that it replaced, under their new names."""
+
+    names: list[str]
+    withheld: Withheld | None
+    anchors: tuple[Path, ...]
+
+
+def read_backup(file: Path, data: Path, key_files: Sequence[Path], anchor: Path | None = None) -> Restored:
+    """Put the stores of a backup into a data folder. The log of the main one continues under the key in the
+    first of ``key_files``; ``anchor`` and the one beside the key are put aside, for they name what came after
+    the backup.
+
+    Raises StoreError, and then leaves everything unchanged: every store of the backup is checked, and the
+    main one prepared, before the first is put in its place.
+    """
+    with in_words(file), open_archive(file) as archive:
+        make_private(data)
+        with tempfile.TemporaryDirectory(dir=data) as folder:
+            proved = archive.unpack(Path(folder))
+            for fresh in proved:
+                _prove(fresh, file)
+            for store in (data / name for name in STORES):
+                _refuse_while_open(store)
+            withheld: Withheld | None = None
+            anchors: tuple[Path, ...] = ()
+            if (fresh := Path(folder) / STORE_FILE) in proved:
+                try:
+                    withheld = make_ready(fresh, data / STORE_FILE, archive.message, key_files)
+                except (sqlite3.Error, ValueError) as error:
+                    raise _unsound(file, STORE_FILE, str(error)) from error
+                # Before the stores: a log without an anchor is not taken for one that was cut off.
+                anchors = _anchors_put_aside(key_files, anchor)
+            for fresh in proved:
+                _put(fresh, data / fresh.name)
+    return Restored([fresh.name for fresh in proved], withheld, anchors)
+
+
+def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[Path, ...]:
+    key_file = find_key_file(key_files)
+    anchors = (anchor, None if key_file is None else key_anchor_of(key_file))
+    asides = [put_aside(path) for path in anchors if path is not None]
+    return tuple(aside for aside in asides if aside is not None)
+
+
+def _prove(store: Path, file: Path) -> None:
+    """A store of a backup is sound, and one that Lineside made."""
+    with in_words(store), closing(open_for_reading(store)) as connection:
+        fault: str | Message = fault_of(connection)
+        if not fault and not is_store(connection):
+            fault = Message("store_is_foreign")
+    if fault:
+        raise _unsound(file, store.name, fault)
+
+
+def _unsound(file: Path, store: str, verdict: str | Message) -> StoreError:
+    return StoreError(Message.of("backup_unsound", file=str(file), store=store, verdict=verdict))
+
+
+def _refuse_while_open(store: Path) -> None:
+    """Raises StoreError for a store that another program uses, and for a link, which may lead anywhere.
+
+    A store in WAL mode gives the exclusive lock to a sole user only. A damaged one has no users: a backup is
+    to take its place.
+    """
+    refuse_link(store)
+    if not store.exists():
+        return
+    try:
+        with closing(sqlite3.connect(store, timeout=0, isolation_level=None)) as connection:
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+            connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY:
+            raise StoreError(Message.of("store_in_use", store=str(store))) from error
+
+
+def _put(fresh: Path, place: Path) -> None:
+    if place.exists():
+        place.replace(place.with_name(place.name + ASIDE))
+    for companion in COMPANIONS:
+        place.with_name(place.name + companion).unlink(missing_ok=True)
+    fresh.replace(place)
+
+
+def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[Path]) -> Withheld:
+    """Change ``fresh``, the main store of a backup, before it takes the place of ``present``. ``key_files``:
+    where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
+    standing = _standing(present)
+
+    def bring_in(connection: sqlite3.Connection) -> Withheld:
+        if standing is None:
+            return withhold(connection, None)
+        keep_in_force(connection, standing.protection)
+        return withhold(connection, standing.rights)
+
+    with closing(Database(fresh)) as database:
+        events = open_log(database, key_files)
+        withheld = database.write_now(bring_in)
+        replaced = None
+        if standing is not None:
+            replaced = Message.of("restored_over", entry=standing.head.id, hash=standing.head.hash)
+        message = joined([backup, replaced, *consequences(withheld)]) or ""
+        record(events, "server", Message("event_stores_restored"), message)
+    return withheld
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What the present store has in force, and the newest entry of its log."""
+
+    rights: Present | None
+    protection: Protection
+    head: Head
+
+
+def _standing(present: Path) -> InForce | None:
+    """Read the present store; None where there is none that can be read, which may be why it is replaced."""
+    if not present.exists():
+        return None
+    try:
+        with closing(open_for_reading(present)) as connection:
+            return InForce(read_present(connection), read_protection(connection), head_of(connection))
+    except (sqlite3.Error, ValueError):
+        return None
+
+
+def consequences(withheld: Withheld) -> list[Message]:
+    """Name what a restore does not bring back."""
+    found = [Message("withheld_sessions")]
+    names = {
+        "withheld_tokens": withheld.tokens,
+        "withheld_users": withheld.disabled,
+        "withheld_roles": withheld.lowered,
+    }
+    found += [Message.of(code, names=list(those)) for code, those in names.items() if those]
+    if not withheld.admins:
+        found.append(Message("withheld_no_admin"))
+    return found
