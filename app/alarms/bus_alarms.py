@@ -15,7 +15,7 @@ from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
-from app.conditions.of_bus import BY_BUS, SECOND_MASTER
+from app.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
 from app.live.diagnosis.links import bus_facts
@@ -51,9 +51,7 @@ class BusAlarms:
         self.list = AlarmList(self._definitions(), store, self.bus)
         self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
         self._foreign = CountWindow()
-        self._no_unit_responds, self._second_master, self._control_left = map(
-            self._alarm_of, ("no_unit_responds", "second_master", "control_left")
-        )
+        self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
         self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
         for alarm in self.list.alarms.values():
             if alarm.definition.unit is not None:
@@ -186,7 +184,7 @@ class BusAlarms:
                     self._see_figures(update, now)
         for unit in read:
             self._monitors[unit].see_parameters(now)
-        if self._no_unit_responds.holds:
+        if any(monitor.is_lost_alone for monitor in self._monitors.values()):
             self._see_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:

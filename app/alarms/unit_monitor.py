@@ -54,6 +54,8 @@ class UnitMonitor:
         self._offline, self._degraded, self._drift = (
             alarms[row.code] for row in (of_unit.UNIT_OFFLINE, of_unit.LINK_DEGRADED, of_unit.PARAMETER_DRIFT)
         )
+        self.is_lost_alone = False
+        """The unit is lost, and the next response of another shows whether it alone is."""
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
@@ -109,7 +111,9 @@ class UnitMonitor:
 
     def see_link(self, now: UnixTime) -> None:
         """Time has passed, or the state of the link has changed."""
-        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link_facts(self._bus, self._unit, now)), now)
+        link = link_facts(self._bus, self._unit, now)
+        self.is_lost_alone = link.is_alone
+        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
         if self._status is None or unit_link_now(self._bus, self._unit, now) == "online":
             return
         self._status = None
