@@ -67,10 +67,10 @@ class BusAlarms:
 
     def _definitions(self) -> Iterable[AlarmDefinition]:
         for bus_code in BUS_ALARMS:
-            yield built_in(bus_code, self.bus, None, tuning_of(self._tuned, bus_code, self.bus, None))
+            yield built_in(bus_code, self.bus, None, self._tuned)
         for unit in self._live.units:
             for code in UNIT_ALARMS:
-                yield built_in(code, self.bus, unit, tuning_of(self._tuned, code, self.bus, unit))
+                yield built_in(code, self.bus, unit, self._tuned)
         yield from (own_definition(own.settings) for own in self._own.values())
 
     def _alarm_of(self, code: str) -> Alarm:

@@ -16,7 +16,7 @@ from app.alarms.own_store import OwnAlarmStore
 from app.alarms.simulation import api as simulation_api
 from app.alarms.simulation import pages as simulation_pages
 from app.alarms.simulation.simulator import Simulator
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
@@ -77,7 +77,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         services.add(FailingEndpoints()),
         expiry,
     )
-    return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)
+    return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 
 
 def _control_left(services: Services, guards: Safeguards) -> Message | None:
