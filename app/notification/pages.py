@@ -44,10 +44,10 @@ async def notification_page(
     return render(
         request,
         "notification/page.html",
-        endpoints=await notification.statuses(),
-        groups=notification.duties(),
+        endpoints=await notification.endpoints(),
+        groups=notification.groups(),
         maintenance=notification.maintenance.present(),
-        windows=notification.maintenance.windows(),
+        recurring=notification.maintenance.recurring(),
         days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
         buses=notification.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
