@@ -6,27 +6,24 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter
 from pydantic import AwareDatetime, ConfigDict, Field
-from typing_extensions import TypedDict
 
 from app.alarms.performance_api import month_at_most
 from app.alarms.settings import OwnValue
-from app.alarms.simulation.outcome import Simulated
-from app.alarms.simulation.proposal import in_toml, proposed
+from app.alarms.simulation.outcome import AlarmSimulation
+from app.alarms.simulation.proposal import proposed
 from app.alarms.simulation.simulator import Simulator
 from app.conditions.priority import AlarmPriority
 from app.history.api.spans import HistoryOf
 from app.web.access import Engineer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Instant, MaybeInstant, StrictBody, iso
-from bus.instants import UnixTime
+from app.web.shape import StrictBody
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
 SimulatorOf = Annotated[Simulator, service(Simulator)]
 WrittenLimit = Annotated[str | int | float, Field(description='As the unit displays it: "80.0" or 80.')]
 WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")]
-SimulatedTime = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
 class WrittenAlarmBody(StrictBody):
@@ -63,28 +60,6 @@ class AlarmSimulationRequest(WrittenAlarmBody):
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
 
 
-SimulatedSpanShown = TypedDict("SimulatedSpanShown", {"from": Instant, "to": Instant})
-
-
-class AlarmSimulation(SimulatedSpanShown):
-    """What the alarm would have done. Durations in seconds."""
-
-    covered_from: Annotated[
-        MaybeInstant, Field(description="From when on readings are stored; null: none of this time are.")
-    ]
-    covered_to: SimulatedTime
-    annunciated: Annotated[int, Field(description="How often it would have come.")]
-    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
-    first: SimulatedTime
-    last: SimulatedTime
-    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
-    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
-    stands_at_end: bool
-    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
-    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
-    toml: Annotated[str, Field(description="The entry for lineside.toml.")]
-
-
 @router.post("/simulate")
 async def simulate_alarm(
     person: Engineer, simulator: SimulatorOf, history: HistoryOf, body: AlarmSimulationRequest
@@ -93,27 +68,4 @@ async def simulate_alarm(
     buses = list(history.buses.values())
     settings = proposed({"name": body.name, **body.written()}, buses)
     span = month_at_most(body.since, body.until)
-    found = await simulator.run(history.buses[settings.bus], settings, *span, person.account)
-    return {**_shown(found), "toml": in_toml(settings)}  # type: ignore[typeddict-item]
-
-
-def _shown(found: Simulated) -> dict[str, Any]:
-    return {
-        "from": iso(found.start),
-        "to": iso(found.end),
-        "covered_from": _time(found.covered_from),
-        "covered_to": _time(found.covered_to),
-        "annunciated": found.annunciated,
-        "chattering": found.chattering,
-        "first": _time(found.first),
-        "last": _time(found.last),
-        "standing_s": round(found.standing_s, 3),
-        "longest_s": None if found.longest_s is None else round(found.longest_s, 3),
-        "stands_at_end": found.stands_at_end,
-        "unknown_s": round(found.unknown_s, 3),
-        "complete": found.is_complete,
-    }
-
-
-def _time(at: UnixTime | None) -> str | None:
-    return None if at is None else iso(at)
+    return await simulator.run(history.buses[settings.bus], settings, *span, person.account)
