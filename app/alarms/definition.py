@@ -7,27 +7,31 @@ from hashlib import blake2b
 from typing import Annotated
 
 from pydantic import Field
+from typing_extensions import TypeAliasType
 
 from app.alarms.rules.facts import AlarmAttributes
 from app.conditions.condition import AlarmGroup, SuppressionGroup
 from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
+from app.web.shape import MessageObject
 from bus.messages import Message
 
 BusName = Annotated[str | None, Field(description="null: it belongs to the site.")]
 UnitNumber = Annotated[int | None, Field(description="Address of the unit (#17), 1 to 255; null: the bus.")]
+AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
+AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
 SITE = "_"
 """In a key in place of a bus (a slug holds no underscore): the alarm belongs to the site."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rationalization:
+class AlarmRationalization:
     """Why there is this alarm and what a person does about it (ISA-18.2-2016, clause 9)."""
 
-    cause: Message
-    consequence: Message
-    response: Message
-    severity: Consequence
-    time_to_respond: TimeToRespond
+    cause: MessageObject
+    consequence: MessageObject
+    response: MessageObject
+    severity: AlarmConsequence
+    time_to_respond: AlarmTimeToRespond
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +44,7 @@ class AlarmDefinition:
     bus: str | None
     unit: int | None
     priority: AlarmPriority
-    record: Rationalization
+    record: AlarmRationalization
     attributes: AlarmAttributes
     group: SuppressionGroup | None = None
     about: AlarmGroup = "own"

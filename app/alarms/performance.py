@@ -9,7 +9,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.observed import ObservedSpan, observed_within
 from app.alarms.rules.performance import (
@@ -22,6 +21,7 @@ from app.alarms.rules.performance import (
     FigureCode,
     figures,
 )
+from app.alarms.store import NamedAlarm
 from bus.instants import UnixTime
 
 MAX_FREQUENT = 10
@@ -60,14 +60,9 @@ _MEDIAN = (
 
 
 @dataclass(frozen=True, slots=True)
-class FrequentAlarm:
+class FrequentAlarm(NamedAlarm):
     """One of the ten most frequent alarms."""
 
-    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
-    code: str
-    name: str
-    bus: BusName
-    unit: UnitNumber
     times: Annotated[int, Field(description="How often it was annunciated.")]
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
 from app.alarms.rules.changes import Changed
-from app.alarms.store import JournalWriting
+from app.alarms.store import journal_writing
 from app.audit.log import Also
 from app.errors import StoreError
 
@@ -41,7 +41,9 @@ class ActTransaction:
         every alarm is then as it was before, unless it has changed since."""
         taken = [(each, *each.take_unwritten()) for each in self._lists]
         try:
-            await record(written_together(*(JournalWriting(entries, alarms) for _, entries, alarms in taken)))
+            await record(
+                written_together(*(journal_writing(entries, alarms) for _, entries, alarms in taken))
+            )
         except StoreError:
             for each, entries, alarms in taken:
                 each.give_back([entry for entry in entries if entry.who != self._who], alarms)
