@@ -12,12 +12,11 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_api import OwnBook
+from app.alarms.own_api import OwnBook, SimulatorOf
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.settings import OwnValue
-from app.alarms.simulation.api import SimulatorOf
 from app.alarms.simulation.outcome import AlarmSimulation
 from app.alarms.simulation.proposal import proposed
 from app.alarms.summary import places_of
