@@ -158,7 +158,7 @@ class LineAlarms:
             alarm, of = self.find(alarm_id)
             definition = alarm.definition
             try:
-                changed = act.change(body)(alarm.facts, definition.attributes, self._clock())
+                changed = act.change(alarm.facts, definition.attributes, self._clock(), **body.options)
             except NoTransitionError:
                 raise _not_in_state(alarm) from None
             transaction = ActTransaction(person.name, [of])
