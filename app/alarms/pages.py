@@ -112,15 +112,16 @@ async def performance_page(
     request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
 ) -> Response:
     """The figures of the alarm system over the last days."""
-    end = unix_now()
-    found = await measure(alarms, end - int(days) * DAY_S, end)
+    end, span_s = unix_now(), int(days) * DAY_S
+    found = await measure(alarms, end - span_s, end)
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
-    span = urlencode({"from": formats.iso(end - int(days) * DAY_S), "to": formats.iso(end)})
+    span = urlencode({"from": formats.iso(end - span_s), "to": formats.iso(end)})
     return render(
         request,
         "alarms/performance.html",
         found=found,
-        hours=(formats.number(found.observed_s / 3600, 1), formats.number(found.span_s / 3600)),
+        is_complete=found.covers(span_s),
+        hours=(formats.number(found.observed_s / 3600, 1), formats.number(span_s / 3600)),
         days=int(days),
         spans=(1, 7, 31),
         csv=f"/api/v1/alarms/performance.csv?{span}",
