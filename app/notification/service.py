@@ -11,7 +11,6 @@ from zoneinfo import ZoneInfo
 from pydantic import Field
 from typing_extensions import TypeAliasType
 
-from app.alarms.alarm_list import AlarmList
 from app.alarms.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.database import Database
@@ -23,15 +22,15 @@ from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
 from app.notification.endpoints import EndpointKind, NotificationPlan
 from app.notification.maintenance import Maintenance
-from app.notification.notifier import AlarmNotifier
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.rules.notices import QuietSpan
 from app.notification.senders import Senders
 from app.notification.store import NotificationStore
 from app.settings import Settings
 from app.web.access import Person
 from app.web.formats import Formats
 from app.web.shape import MessageObject, Moment
-from bus.instants import Clock, unix_now
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
@@ -96,21 +95,9 @@ class Notification:
         self._key = await self.store.link_key()
         await self.maintenance.load()
 
-    def notifier(
-        self, bus: str | None, alarms: AlarmList, place: Callable[[int | None], str]
-    ) -> AlarmNotifier:
-        """What notifies of the alarms of one bus, or (None) of the site."""
-        return AlarmNotifier(
-            bus,
-            alarms,
-            self.plan,
-            self.store,
-            self.maintenance,
-            place,
-            self.local_time,
-            self.dispatcher.wake,
-            self._clock,
-        )
+    def present(self) -> tuple[list[QuietSpan], UnixTime, datetime]:
+        """When nothing is notified, the present, and the present by the clock of the site."""
+        return self.maintenance.spans(), self._clock(), self.local_time()
 
     async def endpoints(self) -> list[NotificationEndpointShown]:
         """Each address of the configuration, as it is now."""
