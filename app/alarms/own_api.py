@@ -35,11 +35,12 @@ WrittenLimit = Annotated[str | int | float, Field(description='As the unit displ
 WrittenDelay = Annotated[float | int, Field(description="Seconds, up to a day.")]
 
 
-class WrittenAlarmBody(StrictBody):
+class OwnAlarmRequest(StrictBody):
     """An alarm as ``[[alarm]]`` of lineside.toml has it."""
 
     model_config = ConfigDict(str_strip_whitespace=True)
 
+    name: Annotated[str, Field(max_length=200)]
     bus: Annotated[str, Field(max_length=80)]
     unit: Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
     value: OwnValue
@@ -52,6 +53,10 @@ class WrittenAlarmBody(StrictBody):
     off_delay_s: WrittenDelay = 0
     priority: AlarmPriority = "medium"
     latch: bool = False
+    realarm_s: WrittenDelay | None = None
+    cause: WrittenText = ""
+    consequence: WrittenText = ""
+    response: WrittenText = ""
 
     def written(self) -> dict[str, Any]:
         """The keys of ``[[alarm]]`` that were given."""
@@ -59,7 +64,7 @@ class WrittenAlarmBody(StrictBody):
         return self.model_dump(exclude_unset=True, exclude_none=True, exclude=beside)
 
 
-class AlarmSimulationRequest(WrittenAlarmBody):
+class AlarmSimulationRequest(OwnAlarmRequest):
     """An alarm as ``[[alarm]]`` of lineside.toml has it, and a span; the last week by default."""
 
     model_config = ConfigDict(populate_by_name=True)
@@ -67,16 +72,6 @@ class AlarmSimulationRequest(WrittenAlarmBody):
     name: Annotated[str, Field(max_length=200)] = "Proposed"
     since: Annotated[AwareDatetime | None, Field(alias="from", strict=False)] = None
     until: Annotated[AwareDatetime | None, Field(alias="to", strict=False)] = None
-
-
-class OwnAlarmRequest(WrittenAlarmBody):
-    """An alarm as ``[[alarm]]`` of lineside.toml has it."""
-
-    name: Annotated[str, Field(max_length=200)]
-    realarm_s: WrittenDelay | None = None
-    cause: WrittenText = ""
-    consequence: WrittenText = ""
-    response: WrittenText = ""
 
 
 class OwnAlarmChangeRequest(OwnAlarmRequest):
