@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import structlog
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import SITE, AlarmDefinition
+from app.alarms.alarm import SITE, Alarm, AlarmDefinition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts, due_at, shifted

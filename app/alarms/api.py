@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Query
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ALARM_ACTS, AlarmAct
-from app.alarms.definition import AlarmRationalization
+from app.alarms.alarm import AlarmRationalization
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, AlarmDefinition, key_of
 from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
-from app.alarms.definition import AlarmDefinition, key_of
 from app.alarms.own import OwnCondition, own_definition
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest

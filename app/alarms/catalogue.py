@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import cache
 
-from app.alarms.definition import AlarmDefinition, AlarmRationalization, key_of
+from app.alarms.alarm import AlarmDefinition, AlarmRationalization, key_of
 from app.alarms.rules.facts import AlarmAttributes
 from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions.catalogue import CONDITIONS

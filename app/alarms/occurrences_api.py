@@ -9,8 +9,8 @@ from pydantic import Field
 from starlette.requests import Request
 from typing_extensions import TypedDict
 
+from app.alarms.alarm import BusName, UnitNumber
 from app.alarms.api import Alarms
-from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.occurrences import MAX_OCCURRENCES, Occurrence, occurrences
 from app.alarms.shown import AlarmPriorityShown

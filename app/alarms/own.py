@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal
 
-from app.alarms.definition import AlarmDefinition, AlarmRationalization, own_key
+from app.alarms.alarm import AlarmDefinition, AlarmRationalization, own_key
 from app.alarms.rules.facts import AlarmAttributes
 from app.alarms.rules.limits import ChangeRate, LimitRule
 from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings

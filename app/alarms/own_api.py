@@ -9,7 +9,7 @@ from pydantic import AwareDatetime, ConfigDict, Field
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN, ActReason, Comment
-from app.alarms.definition import own_key
+from app.alarms.alarm import own_key
 from app.alarms.own_book import OwnAlarm, OwnAlarmBook, OwnAlarmLeftAside
 from app.alarms.performance_api import month_at_most
 from app.alarms.settings import AlarmSettings, OwnValue

@@ -14,9 +14,8 @@ import structlog
 from pydantic import Field
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, own_key
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.definition import own_key
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own import own_definition
 from app.alarms.rules import changes

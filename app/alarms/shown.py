@@ -7,8 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import BusName, UnitNumber
+from app.alarms.alarm import Alarm, BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.alarms.store import JournalEntry

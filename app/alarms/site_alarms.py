@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, key_of
 from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
-from app.alarms.definition import key_of
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.settings import BuiltInAlarmSettings
 from app.alarms.store import AlarmStore, StoredAlarm

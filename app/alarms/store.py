@@ -10,8 +10,7 @@ from typing import Annotated, TypeVar
 
 from pydantic import Field
 
-from app.alarms.alarm import Alarm, state_text
-from app.alarms.definition import AlarmDefinition, BusName, UnitNumber
+from app.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_text
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.states import AlarmState, AlarmTrigger

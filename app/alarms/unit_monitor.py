@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import key_of
+from app.alarms.alarm import Alarm, key_of
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.limits import limits_of

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
+from app.alarms.alarm import SITE
 from app.alarms.alarm_list import AlarmList
-from app.alarms.definition import SITE
 from app.alarms.store import JournalEntry
 from app.notification.notice import OutboxItem, notice_of
 from app.notification.outbox import STANDING
