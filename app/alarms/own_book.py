@@ -21,9 +21,9 @@ from app.alarms.own import own_definition
 from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
-from app.alarms.transaction import ActTransaction, written_together
+from app.alarms.transaction import ActTransaction
 from app.audit.act import Act
-from app.audit.log import Also, EventLog
+from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.settings import Settings
@@ -134,7 +134,10 @@ class OwnAlarmBook:
             bus, settings = self._bus(own.settings), own.settings
             stored = await self._alarms.store.find(own.key)
             writing = partial(_replace, key=own.key, own=own)
-            await self._record(person, ADD_OWN, settings, writing, new=in_words(settings))
+            performed = ADD_OWN.by(person, name=settings.name)
+            await self._events.record(
+                **performed, bus=settings.bus, unit=settings.unit, new=in_words(settings), also=writing
+            )
             self.left_aside.pop(own.key, None)
             bus.add_own(settings, Alarm(own_definition(settings)))
             if stored is not None:
@@ -206,36 +209,19 @@ class OwnAlarmBook:
             transaction.change(bus.list, alarm, ended, reason)
             try:
                 await transaction.record(
-                    lambda journal: self._record(
-                        person,
-                        act,
-                        own.settings,
-                        written_together(journal, partial(_replace, key=own.key, own=following)),
-                        old=in_words(own.settings),
-                        new=in_words(following.settings) if following else None,
-                        message=reason,
-                    )
+                    self._events,
+                    partial(_replace, key=own.key, own=following),
+                    **act.by(person, name=own.settings.name),
+                    bus=own.settings.bus,
+                    unit=own.settings.unit,
+                    old=in_words(own.settings),
+                    new=in_words(following.settings) if following else None,
+                    message=reason,
                 )
             except StoreError:
                 bus.add_own(own.settings, alarm)
                 raise
         return alarm
-
-    async def _record(
-        self,
-        person: Person,
-        act: Act,
-        settings: AlarmSettings,
-        also: Also,
-        *,
-        old: str | None = None,
-        new: str | None = None,
-        message: str = "",
-    ) -> None:
-        performed = act.by(person, name=settings.name)
-        await self._events.record(
-            **performed, bus=settings.bus, unit=settings.unit, old=old, new=new, message=message, also=also
-        )
 
     def _bus(self, settings: AlarmSettings) -> BusAlarms:
         return self._alarms.buses[settings.bus]

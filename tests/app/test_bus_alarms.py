@@ -328,7 +328,7 @@ async def test_a_restart_keeps_when_an_alarm_came_cleared_and_was_acknowledged(d
     bus.wait(1, 2, inputs=RUN)
     alarm = bus.alarm("2.estop_active")
     changed = changes.acknowledge(alarm.facts, alarm.definition.attributes, bus.now)
-    bus.alarms.list.change(alarm, changed, "anna", "")
+    bus.alarms.list.apply(alarm, changed, "anna", "")
     bus.wait(3, 2)
     before = (alarm.facts.came, alarm.facts.cleared, alarm.facts.acknowledged_at)
     assert None not in before
