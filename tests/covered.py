@@ -24,7 +24,6 @@ TESTS = {
     "bus/wire/bodies.py": "tests/bus/test_commands.py",
     "bus/wire/fence.py": "tests/bus/test_exchange_fence.py",
     "app/notification/rules/delivery.py": "tests/app/test_notification_delivery.py",
-    "app/notification/rules/heartbeat.py": "tests/app/test_notification_roster.py",
     "app/notification/rules/notices.py": "tests/app/test_notification_notices.py",
     "app/notification/rules/recurring.py": "tests/app/test_recurring_maintenance.py",
     "app/notification/rules/roster.py": "tests/app/test_notification_roster.py",

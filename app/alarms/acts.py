@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
 from app.alarms.rules import changes
-from app.alarms.rules.changes import StateChange
+from app.alarms.rules.changes import Changed
 from app.audit.act import Act
 from app.web.access import Role
 from app.web.shape import StrictBody
@@ -32,6 +31,11 @@ class ActBody(StrictBody):
     def remark(self) -> str:
         """The text for the journal and the audit log."""
         raise NotImplementedError
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What the change of the facts takes beside the time."""
+        return {}
 
 
 class AlarmCommentRequest(ActBody):
@@ -66,22 +70,21 @@ class AlarmShelveRequest(AlarmOutOfServiceRequest):
     minutes: Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a shift, 720.")]
     once: Annotated[bool, Field(description="Or until its condition has ended, if that is sooner.")] = False
 
-
-def _shelve(body: ActBody) -> StateChange:
-    assert isinstance(body, AlarmShelveRequest)
-    return partial(changes.shelve, for_s=body.minutes * MINUTE_S, once=body.once)
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"for_s": self.minutes * MINUTE_S, "once": self.once}
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmAct(Act):
     """What a person does with one alarm. ``path``: of its routes, after the id of the occurrence; ``means``:
-    its description in the API; ``change``: what it does to the facts, by its body. One that ``hides`` it
-    needs a reason; the alarm keeps by whom and why."""
+    its description in the API; ``change``: what it does to the facts, with the options of its ``body``. One
+    that ``hides`` it needs a reason; the alarm keeps by whom and why."""
 
     path: str
     means: str
-    body: type[ActBody]
-    change: Callable[[ActBody], StateChange]
+    change: Callable[..., Changed]
+    body: type[ActBody] = AlarmCommentRequest
     hides: bool = False
 
 
@@ -92,8 +95,7 @@ ACKNOWLEDGE = AlarmAct(
     "event_alarm_acknowledged",
     path="acknowledge",
     means="Acknowledge the occurrence that the id names.",
-    body=AlarmCommentRequest,
-    change=lambda _: changes.acknowledge,
+    change=changes.acknowledge,
 )
 SILENCE = AlarmAct(
     "silence_alarm",
@@ -102,8 +104,7 @@ SILENCE = AlarmAct(
     "event_alarm_silenced",
     path="silence",
     means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
-    body=AlarmCommentRequest,
-    change=lambda _: changes.silence,
+    change=changes.silence,
 )
 RESET = AlarmAct(
     "reset_alarm",
@@ -112,8 +113,7 @@ RESET = AlarmAct(
     "event_alarm_reset",
     path="reset",
     means="Reset an acknowledged alarm that is latched.",
-    body=AlarmCommentRequest,
-    change=lambda _: changes.reset,
+    change=changes.reset,
 )
 SHELVE = AlarmAct(
     "shelve_alarm",
@@ -123,7 +123,7 @@ SHELVE = AlarmAct(
     path="shelve",
     means="Hide it until a time. It is still detected and recorded.",
     body=AlarmShelveRequest,
-    change=_shelve,
+    change=changes.shelve,
     hides=True,
 )
 UNSHELVE = AlarmAct(
@@ -134,7 +134,7 @@ UNSHELVE = AlarmAct(
     path="unshelve",
     means="Annunciate it again before its time.",
     body=AlarmReturnRequest,
-    change=lambda _: changes.unshelve,
+    change=changes.unshelve,
 )
 REMOVE = AlarmAct(
     "remove_alarm_from_service",
@@ -144,7 +144,7 @@ REMOVE = AlarmAct(
     path="out-of-service",
     means="Hide it until it is returned to service. It is still detected and recorded.",
     body=AlarmOutOfServiceRequest,
-    change=lambda _: changes.remove_from_service,
+    change=changes.remove_from_service,
     hides=True,
 )
 RETURN = AlarmAct(
@@ -155,7 +155,7 @@ RETURN = AlarmAct(
     path="in-service",
     means="Annunciate it again.",
     body=AlarmReturnRequest,
-    change=lambda _: changes.return_to_service,
+    change=changes.return_to_service,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""

@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import structlog
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import SITE, AlarmDefinition
+from app.alarms.alarm import SITE, Alarm, AlarmDefinition
 from app.alarms.rules import changes
 from app.alarms.rules.changes import Changed
 from app.alarms.rules.facts import AlarmFacts, due_at, shifted
@@ -97,16 +96,12 @@ class AlarmList:
         if holds is alarm.holds:
             return
         alarm.holds = holds
-        self._apply(alarm, changes.observe(alarm.facts, alarm.definition.attributes, holds, now))
+        self.apply(alarm, changes.observe(alarm.facts, alarm.definition.attributes, holds, now))
 
     def suppress(self, alarm: Alarm, suppressed: bool, now: UnixTime) -> None:
         """Suppression by design begins or ends."""
         if suppressed is not alarm.facts.suppressed:
-            self._apply(alarm, changes.suppress(alarm.facts, suppressed, now))
-
-    def change(self, alarm: Alarm, changed: Changed, who: str, reason: str) -> None:
-        """A person acted."""
-        self._apply(alarm, changed, who, reason)
+            self.apply(alarm, changes.suppress(alarm.facts, suppressed, now))
 
     def restore(
         self, alarm: Alarm, facts: AlarmFacts, hidden_by: str, reason: str, *, unless_changed_from: AlarmFacts
@@ -122,7 +117,7 @@ class AlarmList:
         """What time alone brings."""
         for key in [key for key, due in self._due.items() if due <= now]:
             alarm = self.alarms[key]
-            self._apply(alarm, changes.advance(alarm.facts, alarm.definition.attributes, now))
+            self.apply(alarm, changes.advance(alarm.facts, alarm.definition.attributes, now))
 
     def clock_stepped(self, step_s: float) -> None:
         """The clock of this machine was set: running times keep their length."""
@@ -134,7 +129,8 @@ class AlarmList:
                 self._changed[key] = alarm
         self._wake.set()
 
-    def _apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
+    def apply(self, alarm: Alarm, changed: Changed, who: str = "", reason: str = "") -> None:
+        """Take over how an alarm has changed; ``who``: the person who acted."""
         alarm.facts, transitions = changed
         self._schedule(alarm)
         for each in transitions:

@@ -8,14 +8,13 @@ from fastapi import APIRouter, Body, Query
 from typing_extensions import TypedDict
 
 from app.alarms.acts import ALARM_ACTS, AlarmAct
+from app.alarms.alarm import AlarmRationalization
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import (
-    AlarmRationalization,
     AlarmShown,
     AlarmTransition,
     alarm_json,
-    record_json,
     transition_json,
 )
 from app.conditions.condition import AlarmGroup
@@ -95,7 +94,7 @@ async def get_alarm(_: Viewer, alarms: Alarms, alarm_id: str) -> AlarmDetail:
     entries = await alarms.store.journal(100, alarm=alarm.definition.key)
     return {
         "alarm": alarm_json(alarms, alarm),
-        "record": record_json(alarm.definition.record),
+        "record": alarm.definition.record,
         "transitions": [transition_json(entry) for entry in entries],
     }
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, AlarmDefinition, key_of
 from app.alarms.alarm_list import AlarmList
 from app.alarms.catalogue import built_in
-from app.alarms.definition import AlarmDefinition, key_of, own_key
 from app.alarms.own import OwnCondition, own_definition
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.suppression import Suppressors, is_at_rest
-from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, tuning_of
+from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.alarms.store import AlarmStore, StoredAlarm
 from app.alarms.unit_monitor import UnitMonitor
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, UNIT_ALARMS
-from app.conditions.of_bus import BY_BUS, SECOND_MASTER
+from app.conditions.of_bus import BY_BUS, CONTROL_LEFT, SECOND_MASTER
 from app.conditions.of_unit import ESTOP_ACTIVE
 from app.history.intake.clock_watch import ClockWatch
 from app.live.diagnosis.links import bus_facts
@@ -43,21 +42,18 @@ class BusAlarms:
         tuned: Sequence[BuiltInAlarmSettings] = (),
     ) -> None:
         self.bus = live.settings.name
-        self._tuned = tuned
         self._live = live
         self._clock, self._monotonic = clock, monotonic
-        self._own = {own_key(each.bus, each.unit, each.name): OwnCondition(each) for each in own}
         self._unit_names = {number: unit.settings.name for number, unit in live.units.items()}
-        self.list = AlarmList(self._definitions(), store, self.bus)
-        self._monitors = {unit: self._monitor(unit, has_drift) for unit in live.units}
+        self.list = AlarmList(self._definitions(tuned), store, self.bus)
+        self._monitors = {
+            number: UnitMonitor(live, unit, self.list.alarms, tuned, self._observe, has_drift)
+            for number, unit in live.units.items()
+        }
+        for settings in own:
+            self.add_own(settings, Alarm(own_definition(settings)))
         self._foreign = CountWindow()
-        self._no_unit_responds, self._second_master, self._control_left = map(
-            self._alarm_of, ("no_unit_responds", "second_master", "control_left")
-        )
-        self._by_unit: dict[int, list[Alarm]] = {unit: [] for unit in live.units}
-        for alarm in self.list.alarms.values():
-            if alarm.definition.unit is not None:
-                self._by_unit[alarm.definition.unit].append(alarm)
+        self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
         self._estops: set[int] = set()
         self._suppressors = Suppressors()
         self._clock_watch = ClockWatch(clock(), monotonic())
@@ -67,62 +63,33 @@ class BusAlarms:
         self.list.subscribe(self._on_alarm)
         live.subscribe(Audience.ALARMS, self._see)
 
-    def _definitions(self) -> Iterable[AlarmDefinition]:
+    def _definitions(self, tuned: Sequence[BuiltInAlarmSettings]) -> Iterable[AlarmDefinition]:
         for bus_code in BUS_ALARMS:
-            yield built_in(bus_code, self.bus, None, tuning_of(self._tuned, bus_code, self.bus, None))
+            yield built_in(bus_code, self.bus, None, tuned)
         for unit in self._live.units:
             for code in UNIT_ALARMS:
-                yield built_in(code, self.bus, unit, tuning_of(self._tuned, code, self.bus, unit))
-        yield from (own_definition(own.settings) for own in self._own.values())
+                yield built_in(code, self.bus, unit, tuned)
 
     def _alarm_of(self, code: str) -> Alarm:
         """A built-in alarm of the bus itself."""
         return self.list.alarms[key_of(self.bus, None, code)]
 
-    def _monitor(self, unit: int, has_drift: Callable[[int], bool]) -> UnitMonitor:
-        alarms = {code: self.list.alarms[key_of(self.bus, unit, code)] for code in UNIT_ALARMS}
-        live = self._live.units[unit]
-        return UnitMonitor(
-            self._live,
-            live,
-            alarms,
-            lambda code: tuning_of(self._tuned, code, self.bus, unit),
-            self._own_of(unit),
-            self._observe,
-            has_drift,
-        )
-
-    def _own_of(self, unit: int) -> list[tuple[Alarm, OwnCondition]]:
-        return [
-            (self.list.alarms[key], condition)
-            for key, condition in self._own.items()
-            if condition.settings.unit == unit
-        ]
-
     def add_own(self, settings: AlarmSettings, alarm: Alarm) -> None:
         """Observe an alarm of the site from the next reading on."""
-        key = alarm.definition.key
         self.list.put(alarm)
-        self._own[key] = OwnCondition(settings)
-        self._by_unit[settings.unit].append(alarm)
-        self._monitors[settings.unit].observe_own(self._own_of(settings.unit))
+        self._monitors[settings.unit].add_own(alarm, OwnCondition(settings))
 
     def end_own(self, alarm: Alarm) -> None:
         """Observe an alarm of the site no longer; it stays in the list."""
-        unit = self._own.pop(alarm.definition.key).settings.unit
-        self._by_unit[unit].remove(alarm)
-        self._monitors[unit].observe_own(self._own_of(unit))
+        self._monitors[alarm.definition.unit or 0].end_own(alarm)
         alarm.holds = None
 
     def load(self, stored: Mapping[str, StoredAlarm]) -> None:
         """Take up the states that the last run left."""
         now = self._clock()
         self.list.load(stored, now)
-        self._estops |= {
-            unit
-            for unit in self._by_unit
-            if self.list.alarms[key_of(self.bus, unit, ESTOP_ACTIVE.code)].facts.active
-        }
+        estop_alarms = {unit: key_of(self.bus, unit, ESTOP_ACTIVE.code) for unit in self._monitors}
+        self._estops |= {unit for unit, key in estop_alarms.items() if self.list.alarms[key].facts.active}
         self._suppressors = self._suppressing()
         self._suppress(self.list.alarms.values(), now)
 
@@ -130,10 +97,8 @@ class BusAlarms:
         """The present value of what an alarm is about, where it is about one."""
         if alarm is self._control_left:
             return self._left_control()
-        own, unit = self._own.get(alarm.definition.key), alarm.definition.unit
-        if own is None or unit is None:
-            return None
-        return own.present(self._live, self._live.units[unit])
+        monitor = self._monitors.get(alarm.definition.unit or 0)
+        return None if monitor is None else monitor.present(alarm)
 
     def place(self, unit: int | None) -> str:
         """The name of a unit, or (None) of the bus."""
@@ -186,7 +151,7 @@ class BusAlarms:
                     self._see_figures(update, now)
         for unit in read:
             self._monitors[unit].see_parameters(now)
-        if self._no_unit_responds.holds:
+        if any(monitor.is_lost_alone for monitor in self._monitors.values()):
             self._see_links(now)
 
     def _observe(self, alarm: Alarm, holds: bool | None, now: UnixTime) -> None:
@@ -220,7 +185,7 @@ class BusAlarms:
             self._suppress_again(self._clock())
         elif code == ESTOP_ACTIVE.code and unit is not None and alarm.facts.active != (unit in self._estops):
             self._estops ^= {unit}
-            self._suppress(self._by_unit[unit], self._clock())
+            self._suppress(self._monitors[unit].alarms(), self._clock())
 
     def _suppress_again(self, now: UnixTime) -> None:
         """Where what suppresses on the bus has changed, every alarm is concerned."""

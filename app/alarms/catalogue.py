@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 
-from app.alarms.definition import AlarmDefinition, Rationalization, key_of
+from app.alarms.alarm import AlarmDefinition, AlarmRationalization, key_of
 from app.alarms.rules.facts import AlarmAttributes
+from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.condition import AlarmGroup, Tuning
 from bus.messages import Message
 
 
 def built_in(
-    code: str, bus: str | None, unit: int | None = None, tuning: Tuning | None = None
+    code: str, bus: str | None, unit: int | None = None, tuned: Iterable[BuiltInAlarmSettings] = ()
 ) -> AlarmDefinition:
-    """The definition of a built-in alarm at its place. ``tuning``: of the site; None: the usual one."""
+    """The definition of a built-in alarm at its place. ``tuned``: the limits and delays that the site set."""
     row = CONDITIONS[code]
     name, record = _texts(code)
     usual: AlarmGroup = "drive" if unit is not None else "system" if bus is None else "communication"
@@ -26,18 +28,18 @@ def built_in(
         unit=unit,
         priority=row.priority,
         record=record,
-        attributes=_attributes(tuning or row.tuning, row.latching),
+        attributes=_attributes(tuning_of(tuned, code, bus, unit), row.latching),
         group=row.group,
         about=row.about or usual,
     )
 
 
 @cache
-def _texts(code: str) -> tuple[Message, Rationalization]:
+def _texts(code: str) -> tuple[Message, AlarmRationalization]:
     """The same objects for every unit: a line has thousands of alarms."""
     row = CONDITIONS[code]
     name, cause, consequence, response = map(Message, row.texts)
-    return name, Rationalization(cause, consequence, response, *row.rated)
+    return name, AlarmRationalization(cause, consequence, response, *row.rated)
 
 
 @cache

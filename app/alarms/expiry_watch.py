@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Literal
 
 from app.auth.store import Token
 from app.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
@@ -21,8 +22,8 @@ Expiry = tuple[UnixTime, str]
 
 
 class ExpiryWatch:
-    """``token`` and ``certificate``: what ends first of those that are to be replaced; None: nothing.
-    ``is_known``: whether it has looked."""
+    """``token`` and ``certificate``: what ends first of those that are to be replaced; False: nothing, and
+    None until it has looked."""
 
     def __init__(
         self,
@@ -33,9 +34,8 @@ class ExpiryWatch:
         self._tokens = tokens
         self._certificates = tuple(certificates)
         self._clock = clock
-        self.is_known = False
-        self.token: Message | None = None
-        self.certificate: Message | None = None
+        self.token: Message | Literal[False] | None = None
+        self.certificate: Message | Literal[False] | None = None
 
     async def follow(self) -> None:
         """Look every minute, without end."""
@@ -57,13 +57,12 @@ class ExpiryWatch:
         self.certificate = _first(
             each for each in endings if each and CERTIFICATE_EXPIRING.holds(each[0], now)
         )
-        self.is_known = True
 
 
-def _first(endings: Iterable[Expiry]) -> Message | None:
+def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
     at, name = min(endings, default=(None, ""))
     if at is None:
-        return None
+        return False
     day = datetime.fromtimestamp(float(at), UTC).date().isoformat()
     return Message.of("alarm_expires", name=name, day=day)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.alarms import api, occurrences_api, own_api, pages, performance_api
+from app.alarms import api, occurrences_api, own_api, own_pages, pages, performance_api
 from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
@@ -12,11 +12,8 @@ from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import OwnAlarmBook
-from app.alarms.own_store import OwnAlarmStore
-from app.alarms.simulation import api as simulation_api
-from app.alarms.simulation import pages as simulation_pages
 from app.alarms.simulation.simulator import Simulator
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
 from app.audit.log import EventLog
@@ -44,7 +41,7 @@ def make(services: Services) -> None:
     of_site = services.add(_alarms_of_site(services, store))
     of_buses = services.of_buses(BusAlarms)
     alarms = services.add(LineAlarms(of_buses, of_site, store, events))
-    own_alarms = services.add(OwnAlarmBook(settings, alarms, OwnAlarmStore(database), events))
+    own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
     # The site's own alarms first: the state of each is loaded after its definition.
     services.lifespan.add("own alarms", start=own_alarms.load)
     services.lifespan.add("alarms", of_site.follow, start=alarms.load, end=alarms.write)
@@ -77,7 +74,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         services.add(FailingEndpoints()),
         expiry,
     )
-    return SiteAlarms(conditions, site_values(expiry), store, tuned=settings.built_in_alarm)
+    return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 
 
 def _control_left(services: Services, guards: Safeguards) -> Message | None:
@@ -100,8 +97,7 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
 FEATURE = Feature(
     make,
     (
-        simulation_api.router,
-        simulation_pages.router,
+        own_pages.router,
         performance_api.router,
         occurrences_api.router,
         own_api.router,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
-from functools import partial
 from typing import NamedTuple
 
 from app.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
@@ -18,8 +17,7 @@ from app.alarms.rules.observed import ObservedSpan
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore
 from app.alarms.transaction import ActTransaction
-from app.audit.act import Performed
-from app.audit.log import Also, EventLog
+from app.audit.log import EventLog
 from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
 from app.web.access import Person
@@ -158,20 +156,16 @@ class LineAlarms:
             alarm, of = self.find(alarm_id)
             definition = alarm.definition
             try:
-                changed = act.change(body)(alarm.facts, definition.attributes, self._clock())
+                changed = act.change(alarm.facts, definition.attributes, self._clock(), **body.options)
             except NoTransitionError:
                 raise _not_in_state(alarm) from None
             transaction = ActTransaction(person.name, [of])
             transaction.change(of, alarm, changed, body.remark, hides=act.hides)
             performed = act.by(person, name=definition.name)
-            place = (definition.bus, definition.unit)
-            await transaction.record(partial(self._record, performed, *place, body.remark))
+            await transaction.record(
+                self._events, **performed, bus=definition.bus, unit=definition.unit, message=body.remark
+            )
         return alarm
-
-    async def _record(
-        self, performed: Performed, bus: str | None, unit: int | None, remark: str, also: Also
-    ) -> None:
-        await self._events.record(**performed, bus=bus, unit=unit, message=remark, also=also)
 
     async def silence_sounding(self, person: Person, until: UnixTime) -> None:
         """End the sound of every alarm that began to sound by ``until``: of all or, where that cannot be
@@ -199,7 +193,7 @@ class LineAlarms:
         if len(silenced) > 1:
             performed, unit = SILENCE_SOUNDING.by(person, n=len(silenced)), None
             bus = bus if len({each.bus for each in silenced}) == 1 else None
-        await transaction.record(partial(self._record, performed, bus, unit, ""))
+        await transaction.record(self._events, **performed, bus=bus, unit=unit)
 
 
 def _not_in_state(alarm: Alarm) -> Problem:

@@ -9,11 +9,11 @@ from pydantic import Field
 from starlette.requests import Request
 from typing_extensions import TypedDict
 
+from app.alarms.alarm import BusName, UnitNumber
 from app.alarms.api import Alarms
-from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.occurrences import MAX_OCCURRENCES, Occurrence, occurrences
-from app.alarms.shown import AlarmPriorityShown, recorded_name
+from app.alarms.shown import AlarmPriorityShown
 from app.history.api.spans import SpanOf
 from app.history.service import seconds
 from app.web.access import Viewer
@@ -72,7 +72,6 @@ async def get_alarm_occurrences(
     language = templates_of(request).language_of(request)
 
     def shown(each: Occurrence) -> AlarmOccurrence:
-        name = recorded_name(each)
         return {
             "alarm": f"{each.alarm}.{each.occurrence}",
             "name": each.name,
@@ -82,7 +81,7 @@ async def get_alarm_occurrences(
             "priority": each.priority,
             "from": iso(each.start),
             "to": None if each.end is None else iso(each.end),
-            "shown": {"name": language.t(name), "place": alarms.place(each.bus, each.unit)},
+            "shown": {"name": language.t(each.shown_name), "place": alarms.place(each.bus, each.unit)},
         }
 
     newest = found[-MAX_OCCURRENCES:]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from decimal import Decimal
 
-from app.alarms.definition import AlarmDefinition, Rationalization, own_key
+from app.alarms.alarm import AlarmDefinition, AlarmRationalization, own_key
 from app.alarms.rules.facts import AlarmAttributes
 from app.alarms.rules.limits import ChangeRate, LimitRule
 from app.alarms.settings import INPUT_VALUES, SPEED_VALUES, AlarmSettings
@@ -43,7 +43,7 @@ def own_definition(settings: AlarmSettings) -> AlarmDefinition:
         bus=settings.bus,
         unit=settings.unit,
         priority=settings.priority,
-        record=Rationalization(cause, consequence, response, severity, time_to_respond),
+        record=AlarmRationalization(cause, consequence, response, severity, time_to_respond),
         attributes=AlarmAttributes(
             on_delay_s=settings.on_delay_s,
             off_delay_s=settings.off_delay_s,

@@ -7,27 +7,29 @@ import json
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import structlog
+from pydantic import Field
 
 from app.alarms.acts import ADD_OWN, CHANGE_OWN, REMOVE_OWN
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, own_key
 from app.alarms.bus_alarms import BusAlarms
-from app.alarms.definition import own_key
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own import own_definition
-from app.alarms.own_store import OwnAlarm, OwnAlarmStore, OwnAlarmWriting
 from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.proposal import in_toml, proposed
-from app.alarms.transaction import ActTransaction, written_together
+from app.alarms.transaction import ActTransaction
 from app.audit.act import Act
-from app.audit.log import Also, EventLog
+from app.audit.log import EventLog
+from app.database import Database
 from app.errors import Problem, StoreError
 from app.settings import Settings
 from app.web.access import Person
-from bus.instants import Clock, unix_now
+from app.web.shape import MessageObject
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
 MAX_OWN = 500
@@ -35,14 +37,29 @@ MAX_OWN = 500
 log = structlog.get_logger()
 
 
-@dataclass(frozen=True, slots=True)
-class LeftAside:
-    """One that does not fit the configuration. It is not observed; ``why`` states the reason."""
+@dataclass(slots=True)
+class OwnAlarm:
+    """One that was added on the page; ``request``: who added it, with the Idempotency-Key."""
 
-    key: str
+    settings: AlarmSettings
+    who: str
+    at: UnixTime
+    request: str
+    version: int = 0
+
+    @property
+    def key(self) -> str:
+        return own_key(self.settings.bus, self.settings.unit, self.settings.name)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnAlarmLeftAside:
+    """One that does not fit the configuration; it is not observed."""
+
+    id: str
     name: str
     version: int
-    why: Message
+    reason: Annotated[MessageObject, Field(description="Why.")]
 
 
 class OwnAlarmBook:
@@ -53,16 +70,16 @@ class OwnAlarmBook:
         self,
         settings: Settings,
         alarms: LineAlarms,
-        store: OwnAlarmStore,
+        database: Database,
         events: EventLog,
         clock: Clock = unix_now,
     ) -> None:
         self.configured = {own_key(each.bus, each.unit, each.name): each for each in settings.alarm}
         self.added: dict[str, OwnAlarm] = {}
-        self.left_aside: dict[str, LeftAside] = {}
+        self.left_aside: dict[str, OwnAlarmLeftAside] = {}
         self._bus_settings = settings.bus
         self._alarms = alarms
-        self._store = store
+        self._database = database
         self._events = events
         self._clock = clock
         self._acting = asyncio.Lock()
@@ -70,7 +87,7 @@ class OwnAlarmBook:
 
     async def load(self) -> None:
         """Observe what is stored and fits; once at start."""
-        for row in await self._store.load():
+        for row in await self._database.read(_stored):
             name = row["alarm"]
             try:
                 written = json.loads(row["settings"])
@@ -87,7 +104,7 @@ class OwnAlarmBook:
 
     def _leave_aside(self, row: sqlite3.Row, name: str, why: Message) -> None:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))
-        self.left_aside[row["alarm"]] = LeftAside(row["alarm"], name, row["version"], why)
+        self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
     def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
         """All that are observed; those of the configuration without what was added."""
@@ -116,8 +133,11 @@ class OwnAlarmBook:
                 raise Problem(409, "too_many", Message.of("own_alarms_full", n=MAX_OWN))
             bus, settings = self._bus(own.settings), own.settings
             stored = await self._alarms.store.find(own.key)
-            writing = OwnAlarmWriting(own.key, own)
-            await self._record(person, ADD_OWN, settings, writing, new=in_words(settings))
+            writing = partial(_replace, key=own.key, own=own)
+            performed = ADD_OWN.by(person, name=settings.name)
+            await self._events.record(
+                **performed, bus=settings.bus, unit=settings.unit, new=in_words(settings), also=writing
+            )
             self.left_aside.pop(own.key, None)
             bus.add_own(settings, Alarm(own_definition(settings)))
             if stored is not None:
@@ -156,7 +176,7 @@ class OwnAlarmBook:
                 await self._events.record(
                     **REMOVE_OWN.by(person, name=aside.name),
                     message=reason,
-                    also=OwnAlarmWriting(key),
+                    also=partial(_replace, key=key),
                 )
                 del self.left_aside[key]
                 return
@@ -189,39 +209,38 @@ class OwnAlarmBook:
             transaction.change(bus.list, alarm, ended, reason)
             try:
                 await transaction.record(
-                    lambda journal: self._record(
-                        person,
-                        act,
-                        own.settings,
-                        written_together(journal, OwnAlarmWriting(own.key, following)),
-                        old=in_words(own.settings),
-                        new=in_words(following.settings) if following else None,
-                        message=reason,
-                    )
+                    self._events,
+                    partial(_replace, key=own.key, own=following),
+                    **act.by(person, name=own.settings.name),
+                    bus=own.settings.bus,
+                    unit=own.settings.unit,
+                    old=in_words(own.settings),
+                    new=in_words(following.settings) if following else None,
+                    message=reason,
                 )
             except StoreError:
                 bus.add_own(own.settings, alarm)
                 raise
         return alarm
 
-    async def _record(
-        self,
-        person: Person,
-        act: Act,
-        settings: AlarmSettings,
-        also: Also,
-        *,
-        old: str | None = None,
-        new: str | None = None,
-        message: str = "",
-    ) -> None:
-        performed = act.by(person, name=settings.name)
-        await self._events.record(
-            **performed, bus=settings.bus, unit=settings.unit, old=old, new=new, message=message, also=also
-        )
-
     def _bus(self, settings: AlarmSettings) -> BusAlarms:
         return self._alarms.buses[settings.bus]
+
+
+def _stored(connection: sqlite3.Connection) -> list[sqlite3.Row]:
+    query = "SELECT alarm, settings, who, changed_at, request, version FROM own_alarm ORDER BY alarm"
+    return connection.execute(query).fetchall()
+
+
+def _replace(connection: sqlite3.Connection, key: str, own: OwnAlarm | None = None) -> None:
+    """Remove the row of ``key``, then add ``own``, which has its version afterwards; no version is used
+    twice."""
+    connection.execute("DELETE FROM own_alarm WHERE alarm = ?", (key,))
+    if own is not None:
+        statement = "INSERT INTO own_alarm (alarm, settings, who, changed_at, request) VALUES (?, ?, ?, ?, ?)"
+        written = own.settings.model_dump_json(exclude_defaults=True)
+        row = (own.key, written, own.who, own.at, own.request)
+        own.version = connection.execute(statement, row).lastrowid or 0
 
 
 def in_words(settings: AlarmSettings) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, Form, Query
@@ -18,8 +18,6 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
 from app.alarms.rules.performance import DAY_S, AlarmFigure
 from app.alarms.rules.states import PRESENT_STATES
-from app.alarms.shown import recorded_name
-from app.alarms.store import JournalEntry
 from app.alarms.summary import MAX_ROWS, listed, places_of, query_of, row_of
 from app.conditions.condition import GROUPS
 from app.errors import Problem
@@ -50,25 +48,6 @@ async def chosen_filters(
 
 
 ChosenFilters = Annotated[dict[str, str], Depends(chosen_filters)]
-
-
-class TransitionRow(NamedTuple):
-    """One transition as a page shows it."""
-
-    entry: JournalEntry
-    name: str | Message
-    place: str
-    before: Message
-    after: Message
-
-
-class FigureRow(NamedTuple):
-    """One figure as the page shows it."""
-
-    name: Message
-    value: str
-    target: str
-    is_met: bool | None
 
 
 @router.get("/alarms")
@@ -121,7 +100,8 @@ async def journal_page(
     return render(
         request,
         "alarms/journal.html",
-        transitions=[_transition(alarms, entry) for entry in entries[:ON_A_PAGE]],
+        transitions=entries[:ON_A_PAGE],
+        place_of=alarms.place,
         older=entries[ON_A_PAGE - 1].id if len(entries) > ON_A_PAGE else None,
         before=before,
     )
@@ -132,23 +112,21 @@ async def performance_page(
     request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
 ) -> Response:
     """The figures of the alarm system over the last days."""
-    end = unix_now()
-    found = await measure(alarms, end - int(days) * DAY_S, end)
+    end, span_s = unix_now(), int(days) * DAY_S
+    found = await measure(alarms, end - span_s, end)
     formats = templates_of(request).formats(templates_of(request).language_of(request).tag)
-    span = urlencode({"from": formats.iso(end - int(days) * DAY_S), "to": formats.iso(end)})
+    span = urlencode({"from": formats.iso(end - span_s), "to": formats.iso(end)})
     return render(
         request,
         "alarms/performance.html",
         found=found,
-        hours=(formats.number(found.observed_s / 3600, 1), formats.number(found.span_s / 3600)),
+        is_complete=found.covers(span_s),
+        hours=(formats.number(found.observed_s / 3600, 1), formats.number(span_s / 3600)),
         days=int(days),
         spans=(1, 7, 31),
         csv=f"/api/v1/alarms/performance.csv?{span}",
         figures=[_figure(figure, formats) for figure in found.figures],
-        frequent=[
-            (recorded_name(each), alarms.place(each.bus, each.unit), each.times)
-            for each in found.most_frequent
-        ],
+        place_of=alarms.place,
     )
 
 
@@ -167,7 +145,8 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
         "alarms/one.html",
         row=row_of(alarms, alarm),
         record=alarm.definition.record,
-        transitions=[_transition(alarms, entry) for entry in entries],
+        transitions=entries,
+        place_of=alarms.place,
     )
 
 
@@ -239,14 +218,8 @@ def given_reason(reason: str) -> str:
     return reason.strip()
 
 
-def _transition(alarms: LineAlarms, entry: JournalEntry) -> TransitionRow:
-    after = Message("alarm_silenced") if entry.trigger == "silence" else state_text(entry.after)
-    place = alarms.place(entry.bus, entry.unit)
-    return TransitionRow(entry, recorded_name(entry), place, state_text(entry.before), after)
-
-
-def _figure(figure: AlarmFigure, formats: Formats) -> FigureRow:
-    name = Message(f"alarm_figure_{figure.code}")
+def _figure(figure: AlarmFigure, formats: Formats) -> tuple[Message, str, str, bool | None]:
+    """Its name, its value and its target as the page shows them, and whether it meets that."""
 
     def shown(value: float | None) -> str:
         if value is None:
@@ -261,4 +234,4 @@ def _figure(figure: AlarmFigure, formats: Formats) -> FigureRow:
         target = f"≤ {shown(figure.at_most)}"
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
-    return FigureRow(name, shown(figure.value), target, figure.met)
+    return Message(f"alarm_figure_{figure.code}"), shown(figure.value), target, figure.met

@@ -9,7 +9,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from app.alarms.definition import BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.observed import ObservedSpan, observed_within
 from app.alarms.rules.performance import (
@@ -22,6 +21,8 @@ from app.alarms.rules.performance import (
     FigureCode,
     figures,
 )
+from app.alarms.store import NamedAlarm
+from app.web.shape import Moment
 from bus.instants import UnixTime
 
 MAX_FREQUENT = 10
@@ -60,27 +61,22 @@ _MEDIAN = (
 
 
 @dataclass(frozen=True, slots=True)
-class FrequentAlarm:
+class FrequentAlarm(NamedAlarm):
     """One of the ten most frequent alarms."""
 
-    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
-    code: str
-    name: str
-    bus: BusName
-    unit: UnitNumber
     times: Annotated[int, Field(description="How often it was annunciated.")]
 
 
 @dataclass(frozen=True, slots=True)
-class Performance:
-    """``start``: the first time of the span at which alarms were observed; its begin where none was."""
+class AlarmPerformance:
+    """The figures of a time, and in how much of it alarms were observed."""
 
-    start: UnixTime
-    end: UnixTime
-    span_s: float
-    """How long the span is."""
-    observed_s: float
-    """In how much of it alarms were observed."""
+    start: Annotated[
+        Moment,
+        Field(serialization_alias="from", description="Where alarms were observed only later: then."),
+    ]
+    end: Annotated[Moment, Field(serialization_alias="to")]
+    observed_s: Annotated[float, Field(description="How long alarms were observed in this time.")]
     figures: list[AlarmFigure]
     most_frequent: list[FrequentAlarm]
 
@@ -89,13 +85,12 @@ class Performance:
         """Whether enough of the time was observed for figures."""
         return self.observed_s >= WINDOW_S
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether all of the time was observed, but for a restart."""
-        return self.span_s - self.observed_s < WINDOW_S
+    def covers(self, span_s: float) -> bool:
+        """Whether all of a time so long was observed, but for a restart."""
+        return span_s - self.observed_s < WINDOW_S
 
 
-async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> Performance:
+async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> AlarmPerformance:
     """The figures of a span. Memory is bounded by its windows of ten minutes, time as any costly read is."""
     now, observed = _present(alarms, end), alarms.observed()
     return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, observed, now))
@@ -107,7 +102,7 @@ def _measured(
     end: UnixTime,
     present: list[ObservedSpan],
     now: dict[FigureCode, int],
-) -> Performance:
+) -> AlarmPerformance:
     span = {"start": start, "end": end}
     stored = (ObservedSpan(*row) for row in connection.execute(_OBSERVED, span))
     observed = observed_within((*stored, *present), start, end)
@@ -129,7 +124,7 @@ def _measured(
         now=now,
     )
     begins = observed[0].start if observed else start
-    return Performance(begins, end, end - start, observed_s, figures(measured), frequent)
+    return AlarmPerformance(begins, end, round(observed_s, 3), figures(measured), frequent)
 
 
 def _present(alarms: LineAlarms, now: UnixTime) -> dict[FigureCode, int]:

@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from app.conditions.catalogue import BUS_ALARMS, CONDITIONS, SERVER_ALARMS, UNIT_ALARMS
 from app.conditions.condition import Tuning
+from app.conditions.priority import AlarmPriority
 from bus.messages import Message
 from bus.settings import BusSettings, StrictModel
 from bus.text import OneLine
@@ -25,10 +26,12 @@ OutputValue = Literal["output.1", "output.2", "output.3", "output.4", "output.5"
 OwnValue = Literal[SpeedValue, "analog", InputValue, OutputValue]
 SPEED_VALUES: tuple[SpeedValue, ...] = get_args(SpeedValue)
 INPUT_VALUES: tuple[InputValue, ...] = get_args(InputValue)
-Limit = Annotated[Decimal, Field(max_digits=9, decimal_places=4)]
+Limit = Annotated[Decimal, Field(max_digits=9, decimal_places=4, description="As the unit displays it.")]
 Percent = Annotated[Decimal, Field(ge=0, le=100, max_digits=6, decimal_places=3)]
-Delay = Annotated[float, Field(strict=True, ge=0, le=86_400)]
-AddressSetting = Annotated[int, Field(strict=True, ge=1, le=255)]
+Delay = Annotated[float, Field(strict=True, ge=0, le=86_400, description="Seconds.")]
+AddressSetting = Annotated[
+    int, Field(strict=True, ge=1, le=255, description="Address of the unit (#17), 1 to 255.")
+]
 
 
 class AlarmSettings(StrictModel):
@@ -47,8 +50,11 @@ class AlarmSettings(StrictModel):
     """An input or an output is in this state for longer than ``on_delay_s``."""
     on_delay_s: Delay = 0.0
     off_delay_s: Delay = 0.0
-    realarm_s: Annotated[float, Field(strict=True, ge=60, le=86_400)] | None = None
-    priority: Literal["urgent", "high", "medium", "low"] = "medium"
+    realarm_s: Annotated[
+        Annotated[float, Field(strict=True, ge=60, le=86_400)] | None,
+        Field(description="Seconds; null: never annunciated again."),
+    ] = None
+    priority: AlarmPriority = "medium"
     latch: StrictBool = False
     cause: Annotated[OneLine, Field(max_length=300)] = ""
     consequence: Annotated[OneLine, Field(max_length=300)] = ""

@@ -7,14 +7,12 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypeAliasType, TypedDict
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import BusName, Rationalization, UnitNumber
+from app.alarms.alarm import Alarm, BusName, UnitNumber
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.performance import FrequentAlarm
 from app.alarms.rules.states import AlarmState, AlarmTrigger
-from app.alarms.store import JournalEntry, RecordedAlarm
+from app.alarms.store import JournalEntry
 from app.conditions.condition import AlarmGroup
-from app.conditions.priority import AlarmPriority, Consequence, TimeToRespond
+from app.conditions.priority import AlarmPriority
 from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown, iso, maybe_shown, message_shown
 from bus.instants import UnixTime
 from bus.messages import Message, in_english
@@ -23,8 +21,6 @@ AlarmGroupShown = TypeAliasType("AlarmGroupShown", AlarmGroup)
 AlarmStateShown = TypeAliasType("AlarmStateShown", AlarmState)
 AlarmPriorityShown = TypeAliasType("AlarmPriorityShown", AlarmPriority)
 AlarmTriggerShown = TypeAliasType("AlarmTriggerShown", AlarmTrigger)
-AlarmConsequence = TypeAliasType("AlarmConsequence", Consequence)
-AlarmTimeToRespond = TypeAliasType("AlarmTimeToRespond", TimeToRespond)
 """Named, so that clients have one enumeration of each."""
 WhenOrNull = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: it is not.")]
 CameAt = Annotated[MaybeInstant, Field(description="When its occurrence began; null: it never came.")]
@@ -63,16 +59,6 @@ class AlarmShown(TypedDict):
     reason: Annotated[str | None, Field(description="Why.")]
 
 
-class AlarmRationalization(TypedDict):
-    """Why there is this alarm (ISA-18.2, clause 9)."""
-
-    cause: MessageShown
-    consequence: MessageShown
-    response: MessageShown
-    severity: AlarmConsequence
-    time_to_respond: AlarmTimeToRespond
-
-
 class AlarmTransition(TypedDict):
     """One change of an alarm."""
 
@@ -89,12 +75,6 @@ class AlarmTransition(TypedDict):
     after: AlarmStateShown
     who: Annotated[str | None, Field(description="The user; null: no one acted.")]
     reason: str | None
-
-
-def recorded_name(of: RecordedAlarm | FrequentAlarm) -> str | Message:
-    """The name of an alarm of the journal; of a built-in one as a message, which each reader has in their
-    language."""
-    return Message(f"alarm_{of.code}") if of.alarm.endswith(f".{of.code}") else of.name
 
 
 def alarm_message(alarm: Alarm, value: Message | None) -> Message:
@@ -144,17 +124,6 @@ def alarm_json(alarms: LineAlarms, alarm: Alarm) -> AlarmShown:
         "shelved_until": _time(facts.shelved_until),
         "hidden_by": hidden_by or None,
         "reason": reason or None,
-    }
-
-
-def record_json(record: Rationalization) -> AlarmRationalization:
-    """The record of an alarm."""
-    return {
-        "cause": message_shown(record.cause),
-        "consequence": message_shown(record.consequence),
-        "response": message_shown(record.response),
-        "severity": record.severity,
-        "time_to_respond": record.time_to_respond,
     }
 
 

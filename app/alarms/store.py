@@ -6,16 +6,19 @@ import sqlite3
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from app.alarms.alarm import Alarm
-from app.alarms.definition import AlarmDefinition
+from pydantic import Field
+
+from app.alarms.alarm import Alarm, AlarmDefinition, BusName, UnitNumber, state_text
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.states import AlarmState, AlarmTrigger
+from app.audit.log import Also
 from app.conditions.priority import AlarmPriority
 from app.database import Database
 from bus.instants import UnixTime
+from bus.messages import Message
 
 T = TypeVar("T")
 _STORED_FACTS = tuple(
@@ -27,15 +30,26 @@ _OF_ALARM = ("first_out", "hidden_by", "reason")
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedAlarm:
-    """An occurrence, with what it needs to be read without the configuration of its time."""
+class NamedAlarm:
+    """An alarm with what it needs to be named without the configuration of its time."""
 
-    alarm: str
-    occurrence: int
+    alarm: Annotated[str, Field(description="Its id without the occurrence.")]
     code: str
     name: str
-    bus: str | None
-    unit: int | None
+    bus: BusName
+    unit: UnitNumber
+
+    @property
+    def shown_name(self) -> str | Message:
+        """Of a built-in one a message, which each reader has in their language."""
+        return Message(f"alarm_{self.code}") if self.alarm.endswith(f".{self.code}") else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedAlarm(NamedAlarm):
+    """An occurrence."""
+
+    occurrence: int
     priority: AlarmPriority
 
 
@@ -50,6 +64,14 @@ class JournalEntry(RecordedAlarm):
     who: str = ""
     reason: str = ""
     id: int = 0
+
+    @property
+    def before_text(self) -> Message:
+        return state_text(self.before)
+
+    @property
+    def after_text(self) -> Message:
+        return Message("alarm_silenced") if self.trigger == "silence" else state_text(self.after)
 
 
 def entry_of(
@@ -83,6 +105,7 @@ class StoredAlarm:
     reason: str
 
 
+_FACTS = ("alarm", *_STORED_FACTS, *_OF_ALARM)
 _COLUMNS = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
 _values_of, _facts_of, _marks_of = attrgetter(*_COLUMNS), attrgetter(*_STORED_FACTS), attrgetter(*_OF_ALARM)
 
@@ -103,7 +126,7 @@ class AlarmStore:
 
     async def write(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
         """Transitions in order, and the facts that they led to, in one transaction."""
-        await self._database.write(JournalWriting(entries, alarms))
+        await self._database.write(journal_writing(entries, alarms))
 
     async def write_observed(self, place: str, span: ObservedSpan) -> None:
         """The alarms of a bus, or of the site, were observed so long."""
@@ -127,32 +150,25 @@ class AlarmStore:
         return [JournalEntry(*row) for row in rows]
 
 
-class JournalWriting:
-    """The rows of one transaction, made on the event loop, where the facts cannot change meanwhile."""
+def journal_writing(entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> Also:
+    """What writes transitions and facts in a transaction. The rows are made now, on the event loop: the facts
+    may change until they are written."""
+    journal = [_values_of(entry) for entry in entries]
+    facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 
-    def __init__(self, entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) -> None:
-        self._entries = [_values_of(entry) for entry in entries]
-        self._facts = [_row_of(alarm) for alarm in alarms]
+    def write(connection: sqlite3.Connection) -> None:
+        connection.executemany(_insert("INSERT INTO alarm_journal", _COLUMNS), journal)
+        connection.executemany(_insert("INSERT OR REPLACE INTO alarm_facts", _FACTS), facts)
 
-    def __call__(self, connection: sqlite3.Connection) -> None:
-        marks = ", ".join("?" * len(_COLUMNS))
-        connection.executemany(
-            f"INSERT INTO alarm_journal ({', '.join(_COLUMNS)}) VALUES ({marks})", self._entries
-        )
-        columns = ("alarm", *_STORED_FACTS, *_OF_ALARM)
-        marks = ", ".join("?" * len(columns))
-        connection.executemany(
-            f"INSERT OR REPLACE INTO alarm_facts ({', '.join(columns)}) VALUES ({marks})", self._facts
-        )
+    return write
 
 
-def _row_of(alarm: Alarm) -> tuple[object, ...]:
-    return (alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm))
+def _insert(into: str, columns: Sequence[str]) -> str:
+    return f"{into} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
 
 
 def _load(connection: sqlite3.Connection, key: str | None = None) -> dict[str, StoredAlarm]:
-    columns = ", ".join(("alarm", *_STORED_FACTS, *_OF_ALARM))
-    query = f"SELECT {columns} FROM alarm_facts WHERE :key IS NULL OR alarm = :key"
+    query = f"SELECT {', '.join(_FACTS)} FROM alarm_facts WHERE :key IS NULL OR alarm = :key"
     return {row["alarm"]: _stored(row) for row in connection.execute(query, {"key": key})}
 
 

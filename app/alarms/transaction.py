@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
+
+from typing_extensions import Unpack
 
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
 from app.alarms.rules.changes import Changed
-from app.alarms.store import JournalWriting
-from app.audit.log import Also
+from app.alarms.store import journal_writing
+from app.audit.kinds import EventKind
+from app.audit.log import Also, EventFields, EventLog
 from app.errors import StoreError
 
 
@@ -32,29 +35,27 @@ class ActTransaction:
         before = (alarm.facts, alarm.hidden_by, alarm.reason)
         if hides:
             alarm.hidden_by, alarm.reason = self._who, reason
-        of.change(alarm, changed, self._who, reason)
+        of.apply(alarm, changed, self._who, reason)
         self._undo.append(partial(of.restore, alarm, *before, unless_changed_from=alarm.facts))
         self.alarms.append(alarm)
 
-    async def record(self, record: Callable[[Also], Awaitable[object]]) -> None:
-        """Call ``record`` with what writes the journal in the transaction of its event. Raises StoreError;
-        every alarm is then as it was before, unless it has changed since."""
+    async def record(
+        self, events: EventLog, *beside: Also, kind: EventKind, **fields: Unpack[EventFields]
+    ) -> None:
+        """Record the act in the audit log, with the journal and what is written ``beside`` it. Raises
+        StoreError; every alarm is then as it was before, unless it has changed since."""
         taken = [(each, *each.take_unwritten()) for each in self._lists]
+        parts = [*(journal_writing(entries, alarms) for _, entries, alarms in taken), *beside]
+
+        def write(connection: sqlite3.Connection) -> None:
+            for part in parts:
+                part(connection)
+
         try:
-            await record(written_together(*(JournalWriting(entries, alarms) for _, entries, alarms in taken)))
+            await events.record(kind=kind, **fields, also=write)
         except StoreError:
             for each, entries, alarms in taken:
                 each.give_back([entry for entry in entries if entry.who != self._who], alarms)
             for undo in self._undo:
                 undo()
             raise
-
-
-def written_together(*parts: Also) -> Also:
-    """What writes all ``parts`` in one transaction."""
-
-    def write(connection: sqlite3.Connection) -> None:
-        for part in parts:
-            part(connection)
-
-    return write

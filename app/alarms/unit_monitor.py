@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import Alarm, key_of
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
 from app.alarms.rules.limits import limits_of
+from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions import of_unit
+from app.conditions.catalogue import UNIT_ALARMS
 from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
 from app.live.diagnosis.links import link_facts, unit_facts
@@ -18,53 +20,73 @@ from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import Reading, UnitFigures
 from bus.instants import UnixTime
+from bus.messages import Message
 
 Observe = Callable[[Alarm, bool | None, UnixTime], None]
 """Takes an alarm, whether its condition holds, and the time."""
-OwnAlarms = Sequence[tuple[Alarm, OwnCondition]]
+ObservedOwn = tuple[Alarm, OwnCondition]
 _NEVER = UnixTime(0.0)
 
 
 class UnitMonitor:
-    """Observes one unit. ``alarms``: the built-in ones by code, ``tuning`` their limits; ``own``: those of
-    the site, which may change while it runs."""
+    """Observes one unit. ``alarms``: of its bus, by key; ``tuned``: the limits that the site set."""
 
     def __init__(
         self,
         bus: BusLive,
         unit: UnitLive,
-        alarms: dict[str, Alarm],
-        tuning: Callable[[str], Tuning],
-        own: OwnAlarms,
+        alarms: Mapping[str, Alarm],
+        tuned: Sequence[BuiltInAlarmSettings],
         observe: Observe,
         has_drift: Callable[[int], bool],
     ) -> None:
         self._bus = bus
         self._unit = unit
-        self._alarms = alarms
-        self.observe_own(own)
+        place = (bus.settings.name, unit.settings.id)
+        self._alarms = {code: alarms[key_of(*place, code)] for code in UNIT_ALARMS}
+        self._own: dict[str, ObservedOwn] = {}
+        self._sort_own()
         self._observe = observe
         self._has_drift = has_drift
-        self._by_reading = [(alarms[row.code], row.holds) for row in of_unit.BY_READING if row.is_alarm]
+        self._by_reading = [(self._alarms[row.code], row.holds) for row in of_unit.BY_READING if row.is_alarm]
         self._by_value = [
-            (alarm, row.holds, _limit_check(alarm, tuning(row.code)))
+            (alarm, row.holds, _limit_check(alarm, tuning_of(tuned, row.code, *place)))
             for row in of_unit.BY_VALUE
-            for alarm in (alarms[row.code],)
+            for alarm in (self._alarms[row.code],)
         ]
-        self._offline, self._degraded, self._drift = (
-            alarms[row.code] for row in (of_unit.UNIT_OFFLINE, of_unit.LINK_DEGRADED, of_unit.PARAMETER_DRIFT)
-        )
+        self._offline = self._alarms[of_unit.UNIT_OFFLINE.code]
+        self._degraded = self._alarms[of_unit.LINK_DEGRADED.code]
+        self._drift = self._alarms[of_unit.PARAMETER_DRIFT.code]
+        self.is_lost_alone = False
+        """The unit is lost, and the next response of another shows whether it alone is."""
         self._read_at = _NEVER
         self._status: tuple[int, int, str] | None = None
         """Status bytes and motion of the last reading; None while its values are not known."""
         self._window = CountWindow()
 
-    def observe_own(self, own: OwnAlarms) -> None:
-        """Observe these alarms of the site from the next reading on, and no others."""
-        self._own = own
-        self._own_states = [each for each in own if each[1].of_state]
-        self._own_values = [each for each in own if not each[1].of_state]
+    def add_own(self, alarm: Alarm, condition: OwnCondition) -> None:
+        """Observe an alarm of the site from the next reading on."""
+        self._own[alarm.definition.key] = (alarm, condition)
+        self._sort_own()
+
+    def end_own(self, alarm: Alarm) -> None:
+        """Observe an alarm of the site no longer."""
+        del self._own[alarm.definition.key]
+        self._sort_own()
+
+    def _sort_own(self) -> None:
+        self._own_states = [each for each in self._own.values() if each[1].of_state]
+        self._own_values = [each for each in self._own.values() if not each[1].of_state]
         self._own_are_new = True
+
+    def alarms(self) -> list[Alarm]:
+        """All alarms of the unit."""
+        return [*self._alarms.values(), *(alarm for alarm, _ in self._own.values())]
+
+    def present(self, alarm: Alarm) -> Message | None:
+        """The present value of what an alarm of the site is about."""
+        own = self._own.get(alarm.definition.key)
+        return None if own is None else own[1].present(self._bus, self._unit)
 
     @property
     def is_known(self) -> bool:
@@ -100,7 +122,9 @@ class UnitMonitor:
         if self._own_values:
             self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
 
-    def _see_own(self, several: OwnAlarms, reading: Reading, decimals: int | None, now: UnixTime) -> None:
+    def _see_own(
+        self, several: Sequence[ObservedOwn], reading: Reading, decimals: int | None, now: UnixTime
+    ) -> None:
         bus, unit = self._bus, self._unit
         for alarm, own in several:
             holds = own.holds(bus, unit, reading, decimals, alarm.facts.active)
@@ -109,14 +133,16 @@ class UnitMonitor:
 
     def see_link(self, now: UnixTime) -> None:
         """Time has passed, or the state of the link has changed."""
-        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link_facts(self._bus, self._unit, now)), now)
+        link = link_facts(self._bus, self._unit, now)
+        self.is_lost_alone = link.is_alone
+        self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
         if self._status is None or unit_link_now(self._bus, self._unit, now) == "online":
             return
         self._status = None
         self._observe(self._degraded, None, now)
         for alarm in (*(each for each, _ in self._by_reading), *(each for each, *_ in self._by_value)):
             self._observe(alarm, None, now)
-        for alarm, own in self._own:
+        for alarm, own in self._own.values():
             own.forget()
             self._observe(alarm, None, now)
 

@@ -32,18 +32,26 @@ class LinkFacts(NamedTuple):
 
 
 class BusFacts(NamedTuple):
-    """A bus. ``has_no_response``: no unit of several has responded since one was lost; ``scan_s``: of a scan,
-    None while it is not measured; ``longest_scan_s``: of one in which each unit takes its full turnaround."""
+    """A bus. ``units``: how many it has; ``lost``: those that do not respond; ``unread``: those that have not
+    responded yet and still have their time; ``scan_s``: of a scan, None while it is not measured;
+    ``longest_scan_s``: of one in which each unit takes its full turnaround."""
 
     worker_is_lost: bool
     port_is_closed: bool
-    has_no_response: bool
+    units: int
+    lost: int
+    unread: int
     scan_s: float | None
     longest_scan_s: float
 
     @property
     def is_readable(self) -> bool:
         return not (self.worker_is_lost or self.port_is_closed)
+
+    @property
+    def has_no_response(self) -> bool:
+        """Whether none of several units responds; the only unit of a bus is named itself."""
+        return self.units > 1 and self.lost + self.unread == self.units
 
 
 class MotionValue(Protocol):

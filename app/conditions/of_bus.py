@@ -32,6 +32,16 @@ PORT_LOST: Condition[BusPredicate] = Condition(
     tiles=("port_lost",),
     event=ConditionEvent("bus", "event_port_closed", "event_port_opened", term("open"), term("closed")),
 )
+NO_UNIT_RESPONDS: Condition[BusPredicate] = Condition(
+    "no_unit_responds",
+    ("severe", "minutes"),
+    holds=lambda bus: bus.has_no_response and bus.lost > 0 if bus.is_readable else None,
+    means="no unit of several responds",
+    tuning=Tuning(on_delay_s=3, off_delay_s=5),
+    group="cable",
+    suppresses=("unit", "speed"),
+    tiles=("no_unit_responds",),
+)
 BY_BUS: tuple[Condition[BusPredicate], ...] = (
     Condition(
         "worker_lost",
@@ -43,16 +53,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         tiles=("worker_lost", "worker_silent"),
     ),
     PORT_LOST,
-    Condition(
-        "no_unit_responds",
-        ("severe", "minutes"),
-        holds=lambda bus: bus.has_no_response if bus.is_readable else None,
-        means="no unit of several responds",
-        tuning=Tuning(on_delay_s=3, off_delay_s=5),
-        group="cable",
-        suppresses=("unit", "speed"),
-        tiles=("no_unit_responds",),
-    ),
+    NO_UNIT_RESPONDS,
     Condition(
         "wire_overloaded",
         ("minor", "shift"),
@@ -80,13 +81,12 @@ CONTROL_LEFT: Condition[Callable[[float, bool], bool]] = Condition(
     means="the holder of control has no page open and has sent no command for two minutes",
     tuning=Tuning(off_delay_s=5),
 )
-NO_UNIT_YET: Condition[Callable[[int], bool]] = Condition(
+NO_UNIT_YET: Condition[BusPredicate] = Condition(
     "no_unit_yet",
     ("minor", "shift"),
-    holds=lambda lost: lost == 0,
+    holds=lambda bus: bus.has_no_response and bus.lost == 0,
     is_alarm=False,
     tiles=("no_unit_yet",),
 )
-"""Holds for a bus on which no unit responds; judged by how many are overdue."""
 
 OF_BUS: tuple[Condition[Any], ...] = (*BY_BUS, SECOND_MASTER, CONTROL_LEFT, NO_UNIT_YET)

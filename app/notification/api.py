@@ -9,14 +9,16 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypeAliasType, TypedDict
 
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
-from app.notification.endpoints import EndpointKind
-from app.notification.maintenance import MAX_MINUTES, MaintenanceWindow
+from app.notification.maintenance import MAX_MINUTES, RecurringMaintenanceShown
 from app.notification.notice import NoticeKind
 from app.notification.outbox import NotificationDelivery
 from app.notification.rules.delivery import DeliveryState
-from app.notification.service import EndpointStatus, Notification
-from app.notification.settings import DAYS, DayOfWeek
-from app.notification.store import QuietRow
+from app.notification.service import (
+    Notification,
+    NotificationEndpointShown,
+    NotificationGroup,
+)
+from app.notification.store import MaintenanceShown
 from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute
 from app.web.services import service
@@ -27,7 +29,6 @@ from app.web.shape import (
     StrictBody,
     iso,
     maybe_shown,
-    message_shown,
 )
 from bus.text import OneLine
 
@@ -37,8 +38,6 @@ MAX_DELIVERIES = 200
 Notifying = Annotated[Notification, service(Notification)]
 MaintenanceReason = Annotated[OneLine, Field(min_length=1, max_length=200)]
 MaintenanceMinutes = Annotated[int, Field(ge=1, le=MAX_MINUTES, description="At most a day, 1440.")]
-NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
-DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
 NotificationDeliveryState = TypeAliasType("NotificationDeliveryState", DeliveryState)
 NotificationKind = TypeAliasType("NotificationKind", NoticeKind)
 
@@ -57,53 +56,6 @@ class MaintenanceRequest(StrictBody):
     reason: MaintenanceReason
     minutes: MaintenanceMinutes
     bus: Annotated[str | None, Field(max_length=80, description="null: all buses and the server.")] = None
-
-
-class NotificationEndpointShown(TypedDict):
-    """An address that is notified."""
-
-    key: Annotated[str, Field(description="Identifies it.")]
-    kind: NotificationEndpointKind
-    address: Annotated[str, Field(description="As people may see it; a URL is not shown.")]
-    works: Annotated[
-        bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
-    ]
-    tried_at: Annotated[MaybeInstant, Field(description="The last attempt, ISO 8601; null: there was none.")]
-    result: Annotated[MessageShown | None, Field(description="Why the last attempt failed; null: no reason.")]
-    waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
-
-
-class NotificationGroup(TypedDict):
-    """A group, and who of it is on duty now."""
-
-    name: str
-    on_duty: Annotated[list[str], Field(description="Addresses.")]
-    gaps: Annotated[list[MessageShown], Field(description="When no one is on duty.")]
-
-
-class MaintenanceShown(TypedDict):
-    """A maintenance under way."""
-
-    id: int
-    bus: Annotated[str | None, Field(description="null: all buses and the server.")]
-    since: Annotated[Instant, Field(description="ISO 8601.")]
-    until: Annotated[Instant, Field(description="ISO 8601.")]
-    who: str
-    reason: str
-
-
-class RecurringMaintenanceShown(TypedDict):
-    """A recurring maintenance of the configuration; times by the clock of the site."""
-
-    days: Annotated[list[DayOfWeekShown], Field(description="On which it begins.")]
-    starts: Annotated[str, Field(description="Local time, such as 22:00.")]
-    ends: Annotated[str, Field(description="Local time; not after starts: on the next day.")]
-    last_day: Annotated[str, Field(description="The last day on which it begins, ISO 8601.")]
-    buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
-    reason: str
-    present: Annotated[bool, Field(description="Whether it is under way.")]
-    since: Annotated[MaybeInstant, Field(description="Of the present or next one, ISO 8601; null: no more.")]
-    until: Annotated[MaybeInstant, Field(description="Its end, ISO 8601; null: no more.")]
 
 
 class NotificationShown(TypedDict):
@@ -147,17 +99,10 @@ class NotificationTest(TypedDict):
 async def get_notification(_: Engineer, notification: Notifying) -> NotificationShown:
     """Every address with its last result, who is on duty, and maintenance."""
     return {
-        "endpoints": [_endpoint(each) for each in await notification.statuses()],
-        "groups": [
-            {
-                "name": each.name,
-                "on_duty": each.present,
-                "gaps": [message_shown(gap) for gap in each.gaps],
-            }
-            for each in notification.duties()
-        ],
-        "maintenance": [_maintenance(row) for row in notification.maintenance.present()],
-        "recurring": [_recurring(window) for window in notification.maintenance.windows()],
+        "endpoints": await notification.endpoints(),
+        "groups": notification.groups(),
+        "maintenance": notification.maintenance.present(),
+        "recurring": notification.maintenance.recurring(),
     }
 
 
@@ -189,7 +134,7 @@ async def begin_maintenance(
 ) -> list[MaintenanceShown]:
     """Notify nothing for a time. What still waits for its acknowledgement at the end is notified then."""
     await notification.maintenance.begin(person, body.bus, body.minutes, body.reason)
-    return [_maintenance(row) for row in notification.maintenance.present()]
+    return notification.maintenance.present()
 
 
 @router.post("/maintenance/{maintenance_id}/end")
@@ -198,47 +143,7 @@ async def end_maintenance(
 ) -> list[MaintenanceShown]:
     """Notify again, before its time."""
     await notification.maintenance.end(person, maintenance_id)
-    return [_maintenance(row) for row in notification.maintenance.present()]
-
-
-def _endpoint(status: EndpointStatus) -> NotificationEndpointShown:
-    endpoint, last = status.endpoint, status.last
-    return {
-        "key": endpoint.key,
-        "kind": endpoint.kind,
-        "address": endpoint.address,
-        "works": status.works,
-        "tried_at": None if last is None else iso(last.tried_at),
-        "result": None if last is None else maybe_shown(last.result),
-        "waiting": status.waiting,
-    }
-
-
-def _maintenance(row: QuietRow) -> MaintenanceShown:
-    span = row.span
-    return {
-        "id": row.id,
-        "bus": span.bus,
-        "since": iso(span.starts),
-        "until": iso(span.ends),
-        "who": row.who,
-        "reason": row.reason,
-    }
-
-
-def _recurring(window: MaintenanceWindow) -> RecurringMaintenanceShown:
-    recurring, span = window.recurring, window.span
-    return {
-        "days": [day for day in DAYS if day in recurring.days],
-        "starts": recurring.starts,
-        "ends": recurring.ends,
-        "last_day": recurring.until.isoformat(),
-        "buses": list(recurring.buses),
-        "reason": recurring.reason,
-        "present": window.is_present,
-        "since": iso(span.starts) if span else None,
-        "until": iso(span.ends) if span else None,
-    }
+    return notification.maintenance.present()
 
 
 def _delivery(delivery: NotificationDelivery) -> NotificationDeliveryShown:

@@ -19,11 +19,11 @@ from app.notification.notice import OutboxItem
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
 from app.notification.rules.delivery import (
     FAILING_ATTEMPTS,
+    heartbeat_due,
     next_turn,
     retry_after_s,
     state_after_failure,
 )
-from app.notification.rules.heartbeat import heartbeat_due
 from app.notification.secret_file import NotDeliveredError
 from app.notification.senders import Senders
 from app.notification.settings import minute_of_day

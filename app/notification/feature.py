@@ -9,6 +9,7 @@ from app.database import Database
 from app.feature import Feature, Services
 from app.notification import api, pages
 from app.notification.acts import ACTS
+from app.notification.notifier import AlarmNotifier
 from app.notification.service import Notification
 from app.web.templating import Templates
 
@@ -22,9 +23,9 @@ def make(services: Services) -> None:
     services.lifespan.add("notification", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():
         alarms = bus[BusAlarms]
-        notifier = bus.add(notification.notifier(name, alarms.list, alarms.place))
+        notifier = bus.add(AlarmNotifier(notification, name, alarms.list, alarms.place))
         services.lifespan.add(f"notification of {name}", notifier.follow, start=notifier.load)
-    of_site = notification.notifier(None, services[SiteAlarms].list, lambda _: "")
+    of_site = AlarmNotifier(notification, None, services[SiteAlarms].list, lambda _: "")
     services.lifespan.add("notification of the site", of_site.follow, start=of_site.load)
 
 

@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from functools import partial
+from typing import Annotated
 from zoneinfo import ZoneInfo
+
+from pydantic import Field
+from typing_extensions import TypeAliasType
 
 from app.audit.log import EventLog
 from app.errors import Problem
@@ -14,29 +18,35 @@ from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE
 from app.notification.outbox import MAX_AGE_S
 from app.notification.rules.notices import QuietSpan
 from app.notification.rules.recurring import recurring_spans
-from app.notification.settings import MaintenanceSettings
-from app.notification.store import NotificationStore, QuietRow, begin_quiet, end_quiet
+from app.notification.settings import DAYS, DayOfWeek, MaintenanceSettings
+from app.notification.store import MaintenanceShown, NotificationStore, begin_quiet, end_quiet
 from app.web.access import Person
 from app.web.services import unknown_bus
+from app.web.shape import Moment
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
+DayOfWeekShown = TypeAliasType("DayOfWeekShown", DayOfWeek)
 MINUTE_S = 60
 MAX_MINUTES = 1440
 """A day: it is begun again by who still needs it."""
-
-
 _AHEAD = timedelta(days=14)
 """On each day of the week twice: one of them may be skipped with the clocks."""
 
 
 @dataclass(frozen=True, slots=True)
-class MaintenanceWindow:
-    """A recurring maintenance, and its span that is under way or comes next; None: there are no more."""
+class RecurringMaintenanceShown:
+    """A recurring maintenance of the configuration; times by the clock of the site."""
 
-    recurring: MaintenanceSettings
-    span: QuietSpan | None
-    is_present: bool
+    days: Annotated[list[DayOfWeekShown], Field(description="On which it begins.")]
+    starts: Annotated[str, Field(description="Local time, such as 22:00.")]
+    ends: Annotated[str, Field(description="Local time; not after starts: on the next day.")]
+    last_day: Annotated[str, Field(description="The last day on which it begins, ISO 8601.")]
+    buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
+    reason: str
+    present: Annotated[bool, Field(description="Whether it is under way.")]
+    since: Annotated[Moment | None, Field(description="Of the present or next one; null: no more.")]
+    until: Annotated[Moment | None, Field(description="Its end, ISO 8601; null: no more.")]
 
 
 class Maintenance:
@@ -59,7 +69,7 @@ class Maintenance:
         self._buses = buses
         self._clock = clock
         self._spans_of: tuple[date, list[QuietSpan]] | None = None
-        self.rows: list[QuietRow] = []
+        self.rows: list[MaintenanceShown] = []
 
     async def load(self) -> None:
         """Read the stored maintenance; once at start."""
@@ -69,21 +79,30 @@ class Maintenance:
         """The times in which nothing is notified."""
         return [*(row.span for row in self.rows), *self._recurring_spans()]
 
-    def windows(self) -> list[MaintenanceWindow]:
-        """Each recurring maintenance as it is now."""
-        now = self._clock()
-        day = self._day(now)
-        return [self._window(each, day, now) for each in self._recurring]
+    def recurring(self) -> list[RecurringMaintenanceShown]:
+        """Each recurring maintenance as it is now, with the span that is under way or comes next."""
+        return [self._shown(each, self._clock()) for each in self._recurring]
 
-    def present(self) -> list[QuietRow]:
+    def present(self) -> list[MaintenanceShown]:
         """The maintenance that is under way, begun by people."""
         now = self._clock()
-        return [row for row in self.rows if row.span.starts <= now < row.span.ends]
+        return [row for row in self.rows if row.since <= now < row.until]
 
-    def _window(self, recurring: MaintenanceSettings, day: date, now: UnixTime) -> MaintenanceWindow:
+    def _shown(self, recurring: MaintenanceSettings, now: UnixTime) -> RecurringMaintenanceShown:
+        day = self._day(now)
         spans = recurring_spans(recurring, day - timedelta(days=1), day + _AHEAD, self._zone)
         span = next((span for span in spans if now < span.ends), None)
-        return MaintenanceWindow(recurring, span, span is not None and span.starts <= now)
+        return RecurringMaintenanceShown(
+            days=[day for day in DAYS if day in recurring.days],
+            starts=recurring.starts,
+            ends=recurring.ends,
+            last_day=recurring.until.isoformat(),
+            buses=list(recurring.buses),
+            reason=recurring.reason,
+            present=span is not None and span.starts <= now,
+            since=None if span is None else span.starts,
+            until=None if span is None else span.ends,
+        )
 
     def _recurring_spans(self) -> list[QuietSpan]:
         """The spans are found once a day: notification looks at them each second."""
@@ -120,7 +139,7 @@ class Maintenance:
             raise Problem(404, "not_found", Message("maintenance_not_present"))
         await self._events.record(
             **END_MAINTENANCE.by(person),
-            bus=row.span.bus,
+            bus=row.bus,
             message=row.reason,
             also=partial(end_quiet, id=id, now=self._clock()),
         )

@@ -5,19 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
 from itertools import count
 
+from app.alarms.alarm import SITE
 from app.alarms.alarm_list import AlarmList
-from app.alarms.definition import SITE
 from app.alarms.store import JournalEntry
-from app.notification.endpoints import NotificationPlan
-from app.notification.maintenance import Maintenance
 from app.notification.notice import OutboxItem, notice_of
 from app.notification.outbox import STANDING
 from app.notification.rules.notices import Episode, Followed, PlannedNotice, due, follow
-from app.notification.store import NotificationStore
-from bus.instants import Clock, UnixTime, unix_now
+from app.notification.service import Notification
+from bus.instants import UnixTime
 
 TICK_S = 1.0
 STANDING_AFTER_PASSES = 10
@@ -26,37 +23,29 @@ STANDING_AFTER_PASSES = 10
 
 class AlarmNotifier:
     """Each transition of the journal is followed once: how far, and what it has led to, is one transaction.
-    ``place``: the name of a unit of the bus. ``wake`` is called after something was put into the outbox."""
+    ``bus``: None for the alarms of the site; ``place``: the name of a unit of the bus."""
 
     def __init__(
         self,
+        notification: Notification,
         bus: str | None,
         alarms: AlarmList,
-        plan: NotificationPlan,
-        store: NotificationStore,
-        maintenance: Maintenance,
         place: Callable[[int | None], str],
-        local_time: Callable[[], datetime],
-        wake: Callable[[], None],
-        clock: Clock = unix_now,
     ) -> None:
+        self._notification = notification
+        self._store = notification.store
+        self._rules = notification.plan.rules
         self._bus = bus
         self._source = SITE if bus is None else bus
         self._alarms = alarms.known
-        self._plan = plan
-        self._store = store
-        self._maintenance = maintenance
         self._place = place
-        self._local_time = local_time
-        self._wake = wake
-        self._clock = clock
         self._cursor = 0
         self._open: dict[str, Episode] = {}
 
     async def follow(self) -> None:
         """Follow the journal without end. Call :meth:`load` first: notification that was never on begins with
         the present, so an alarm that rises before it would be passed over."""
-        if not self._plan.endpoints:
+        if not self._notification.plan.endpoints:
             await asyncio.Event().wait()
         for passes in count():
             await self.advance()
@@ -73,8 +62,8 @@ class AlarmNotifier:
         """Take in what the journal has, and what is due by now."""
         entries, cursor = await self._store.journal_after(self._bus, self._cursor)
         known = [entry for entry in entries if entry.alarm in self._alarms]
-        now = self._clock()
-        done = follow(self._open, known, self._plan.rules, self._maintenance.spans(), now, self._local_time())
+        quiet, now, local = self._notification.present()
+        done = follow(self._open, known, self._rules, quiet, now, local)
         if known or done.notices or done.open != self._open:
             await self._save(done, cursor, {entry.id: entry for entry in known}, now)
         self._cursor, self._open = cursor, done.open
@@ -88,13 +77,13 @@ class AlarmNotifier:
             if alarm.is_unacknowledged and (alarm.facts.active or alarm.facts.latched)
         ]
         episodes = {**await self._store.opened(waiting, self._cursor), **self._open}
-        now, local, quiet = self._clock(), self._local_time(), self._maintenance.spans()
+        quiet, now, local = self._notification.present()
         followed, items = dict(self._open), []
         for episode in (episodes[key] for key in waiting if key in episodes):
             if episode.occurrence != self._alarms[episode.alarm].facts.occurrence:
                 # The journal does not have the present one yet.
                 continue
-            found, planned = due(replace(episode, notified_after_s=-1.0), self._plan.rules, quiet, now, local)
+            found, planned = due(replace(episode, notified_after_s=-1.0), self._rules, quiet, now, local)
             notified_after_s = max(episode.notified_after_s, found.notified_after_s)
             followed[episode.alarm] = replace(found, notified_after_s=notified_after_s)
             items += [
@@ -102,7 +91,7 @@ class AlarmNotifier:
             ]
         await self._store.save(self._source, self._cursor, followed, (), (), items)
         self._open = followed
-        self._wake()
+        self._notification.dispatcher.wake()
 
     async def _save(
         self, done: Followed, cursor: int, entries: dict[int, JournalEntry], now: UnixTime
@@ -111,7 +100,7 @@ class AlarmNotifier:
         cleared = [self._all_clear(entry, now) for entry in done.cleared]
         await self._store.save(self._source, cursor, done.open, items, cleared)
         if items or cleared:
-            self._wake()
+            self._notification.dispatcher.wake()
 
     def _item(self, planned: PlannedNotice, entry: JournalEntry | None, now: UnixTime) -> OutboxItem:
         """``entry``: where it has just been made; else the alarm is as it is by now."""

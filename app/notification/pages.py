@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Form, Query
+from fastapi import APIRouter, Depends, Form, Query
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ACKNOWLEDGE
 from app.alarms.api import Alarms
-from app.alarms.line_alarms import LineAlarms
 from app.errors import Problem
 from app.notification.acts import BEGIN_MAINTENANCE, END_MAINTENANCE, SEND_TEST
 from app.notification.api import Notifying
@@ -26,9 +25,20 @@ router = APIRouter(include_in_schema=False)
 
 SEE_OTHER = 303
 ON_A_PAGE = 50
-LinkedAlarm = Annotated[str, Query(max_length=300)]
-LinkedUntil = Annotated[int, Query(ge=0, le=2**62)]
-LinkSignature = Annotated[str, Query(max_length=100)]
+
+
+async def linked_alarm(
+    notification: Notifying,
+    alarm: Annotated[str, Query(max_length=300)],
+    until: Annotated[int, Query(ge=0, le=2**62)],
+    signature: Annotated[str, Query(max_length=100)],
+) -> str:
+    """The id of the alarm of a link. Raises Problem 403 for one that this dashboard did not make."""
+    notification.check_link(alarm, until, signature)
+    return alarm
+
+
+LinkedAlarm = Annotated[str, Depends(linked_alarm)]
 
 
 @router.get("/notifications")
@@ -44,10 +54,10 @@ async def notification_page(
     return render(
         request,
         "notification/page.html",
-        endpoints=await notification.statuses(),
-        groups=notification.duties(),
+        endpoints=await notification.endpoints(),
+        groups=notification.groups(),
         maintenance=notification.maintenance.present(),
-        windows=notification.maintenance.windows(),
+        recurring=notification.maintenance.recurring(),
         days={day: Message(f"day_{number}") for number, day in enumerate(DAYS)},
         buses=notification.buses,
         has_url=notification.plan.settings.dashboard_url is not None,
@@ -96,18 +106,9 @@ async def end_maintenance(
 
 
 @router.get("/notifications/acknowledge")
-async def acknowledge_page(
-    request: Request,
-    _: Viewer,
-    alarms: Alarms,
-    notification: Notifying,
-    alarm: LinkedAlarm,
-    until: LinkedUntil,
-    signature: LinkSignature,
-) -> Response:
+async def acknowledge_page(request: Request, _: Viewer, alarms: Alarms, alarm: LinkedAlarm) -> Response:
     """The alarm of a link, with the button. Opening it changes nothing: programs that look for malware open
     links, too."""
-    notification.check_link(alarm, until, signature)
     found = alarms.find(alarm).alarm
     definition = found.definition
     return render(
@@ -115,27 +116,17 @@ async def acknowledge_page(
         "notification/acknowledge.html",
         alarm=found,
         place=alarms.place(definition.bus, definition.unit),
-        state=Message(f"alarm_state_{found.facts.state}"),
+        state=found.state_text,
         action=request.url.path + "?" + request.url.query,
     )
 
 
 @router.post("/notifications/acknowledge")
 async def acknowledge_by_link(
-    person: Annotated[Person, ACKNOWLEDGE.permitted],
-    alarms: Alarms,
-    notification: Notifying,
-    alarm: LinkedAlarm,
-    until: LinkedUntil,
-    signature: LinkSignature,
+    person: Annotated[Person, ACKNOWLEDGE.permitted], alarms: Alarms, alarm: LinkedAlarm
 ) -> Response:
     """Acknowledge the occurrence that the link names."""
-    notification.check_link(alarm, until, signature)
     await alarms.act(person, ACKNOWLEDGE, alarm)
-    return _to_alarm(alarms, alarm)
-
-
-def _to_alarm(alarms: LineAlarms, alarm: str) -> Response:
     return RedirectResponse(f"/alarms/{alarms.find(alarm).alarm.id}", SEE_OTHER)
 
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Annotated
 from zoneinfo import ZoneInfo
 
-from app.alarms.alarm_list import AlarmList
+from pydantic import Field
+from typing_extensions import TypeAliasType
+
 from app.alarms.site_alarms import FailingEndpoints
 from app.audit.log import EventLog
 from app.database import Database
@@ -17,41 +20,44 @@ from app.notification.acknowledge_link import acknowledge_link, check_link
 from app.notification.acts import SEND_TEST
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
-from app.notification.endpoints import NotificationEndpoint, NotificationPlan
+from app.notification.endpoints import EndpointKind, NotificationPlan
 from app.notification.maintenance import Maintenance
-from app.notification.notifier import AlarmNotifier
 from app.notification.outbox import NotificationDelivery, NotificationOutbox
+from app.notification.rules.notices import QuietSpan
 from app.notification.senders import Senders
 from app.notification.store import NotificationStore
 from app.settings import Settings
 from app.web.access import Person
 from app.web.formats import Formats
-from bus.instants import Clock, unix_now
+from app.web.shape import MessageObject, Moment
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
-
-@dataclass(frozen=True, slots=True)
-class EndpointStatus:
-    """``last``: the message that was tried last; None: there was none yet. ``waiting``: how many notices are
-    in no message yet."""
-
-    endpoint: NotificationEndpoint
-    last: NotificationDelivery | None
-    waiting: int
-
-    @property
-    def works(self) -> bool | None:
-        """Whether the last message was delivered."""
-        return None if self.last is None else self.last.state == "delivered"
+NotificationEndpointKind = TypeAliasType("NotificationEndpointKind", EndpointKind)
 
 
 @dataclass(frozen=True, slots=True)
-class GroupDuty:
-    """A group, who of it is on duty now, and when no one is."""
+class NotificationEndpointShown:
+    """An address that is notified."""
+
+    key: Annotated[str, Field(description="Identifies it.")]
+    kind: NotificationEndpointKind
+    address: Annotated[str, Field(description="As people may see it; a URL is not shown.")]
+    works: Annotated[
+        bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
+    ]
+    tried_at: Annotated[Moment | None, Field(description="The last attempt; null: there was none.")]
+    result: Annotated[MessageObject | None, Field(description="Why that failed; null: no reason.")]
+    waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
+
+
+@dataclass(frozen=True, slots=True)
+class NotificationGroup:
+    """A group, and who of it is on duty now."""
 
     name: str
-    present: list[str]
-    gaps: list[Message]
+    on_duty: Annotated[list[str], Field(description="Addresses.")]
+    gaps: Annotated[list[MessageObject], Field(description="When no one is on duty.")]
 
 
 class Notification:
@@ -89,35 +95,33 @@ class Notification:
         self._key = await self.store.link_key()
         await self.maintenance.load()
 
-    def notifier(
-        self, bus: str | None, alarms: AlarmList, place: Callable[[int | None], str]
-    ) -> AlarmNotifier:
-        """What notifies of the alarms of one bus, or (None) of the site."""
-        return AlarmNotifier(
-            bus,
-            alarms,
-            self.plan,
-            self.store,
-            self.maintenance,
-            place,
-            self.local_time,
-            self.dispatcher.wake,
-            self._clock,
-        )
+    def present(self) -> tuple[list[QuietSpan], UnixTime, datetime]:
+        """When nothing is notified, the present, and the present by the clock of the site."""
+        return self.maintenance.spans(), self._clock(), self.local_time()
 
-    async def statuses(self) -> list[EndpointStatus]:
+    async def endpoints(self) -> list[NotificationEndpointShown]:
         """Each address of the configuration, as it is now."""
         waiting, found = await self.outbox.waiting(), []
         for key, endpoint in self.plan.endpoints.items():
             last = await self.outbox.last_of(key)
-            is_tried = last is not None and last.attempts > 0
-            found.append(EndpointStatus(endpoint, last if is_tried else None, waiting.get(key, 0)))
+            tried = last if last is not None and last.attempts > 0 else None
+            found.append(
+                NotificationEndpointShown(
+                    key=key,
+                    kind=endpoint.kind,
+                    address=endpoint.address,
+                    works=None if tried is None else tried.state == "delivered",
+                    tried_at=None if tried is None else tried.tried_at,
+                    result=None if tried is None else tried.result,
+                    waiting=waiting.get(key, 0),
+                )
+            )
         return found
 
-    def duties(self) -> list[GroupDuty]:
+    def groups(self) -> list[NotificationGroup]:
         """Each group of the configuration, as it is now."""
         local, plan = self.local_time(), self.plan
-        return [GroupDuty(name, plan.on_duty(name, local), plan.gaps(name)) for name in plan.rosters]
+        return [NotificationGroup(name, plan.on_duty(name, local), plan.gaps(name)) for name in plan.rosters]
 
     async def test(self, person: Person, key: str) -> NotificationDelivery | None:
         """Send a test message to the address of a key, as `Dispatcher.test`. Raises Problem 403 or 404."""

@@ -6,12 +6,16 @@ import secrets
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
+from typing import Annotated
+
+from pydantic import Field
 
 from app.alarms.store import JournalEntry
 from app.database import Database
 from app.notification.notice import OutboxItem
 from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
+from app.web.shape import Moment
 from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000
@@ -21,13 +25,19 @@ _EPISODE = tuple(field.name for field in fields(Episode))
 
 
 @dataclass(frozen=True, slots=True)
-class QuietRow:
-    """A maintenance as it was begun."""
+class MaintenanceShown:
+    """A maintenance under way."""
 
     id: int
-    span: QuietSpan
+    bus: Annotated[str | None, Field(description="null: all buses and the server.")]
+    since: Moment
+    until: Moment
     who: str
     reason: str
+
+    @property
+    def span(self) -> QuietSpan:
+        return QuietSpan(self.since, self.until, self.bus)
 
 
 class NotificationStore:
@@ -111,16 +121,13 @@ class NotificationStore:
 
         await self._database.write(write)
 
-    async def quiet(self, now: UnixTime) -> list[QuietRow]:
+    async def quiet(self, now: UnixTime) -> list[MaintenanceShown]:
         """Every maintenance whose end an open alarm may still count from."""
-        query = "SELECT id, starts, ends, bus, who, reason FROM notification_quiet WHERE ends > ?"
+        query = "SELECT id, bus, starts, ends, who, reason FROM notification_quiet WHERE ends > ?"
         rows = await self._database.read(
             lambda connection: connection.execute(query, (float(now - MAX_AGE_S),)).fetchall()
         )
-        return [
-            QuietRow(row["id"], QuietSpan(row["starts"], row["ends"], row["bus"]), row["who"], row["reason"])
-            for row in rows
-        ]
+        return [MaintenanceShown(*row) for row in rows]
 
     async def link_key(self) -> bytes:
         """The key that signs links; made at its first use."""

@@ -53,6 +53,10 @@ def iso(at: UnixTime) -> str:
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
+Moment = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
+"""An instant as the member of a response, which pages render by the clock of the site."""
+
+
 def parse_integer(text: str, digits: int = 18) -> int | None:
     """The number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
 

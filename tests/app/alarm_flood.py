@@ -29,7 +29,7 @@ async def flood(store: Path) -> None:
             except NoTransitionError:
                 continue
             if dice.random() < 0.3:
-                bus.alarms.list.change(alarm, acknowledged, "anna", "")
+                bus.alarms.list.apply(alarm, acknowledged, "anna", "")
         await bus.alarms.list.write()
         print("written", flush=True)
 

@@ -115,17 +115,31 @@ def test_a_worker_that_stands_still_is_named_before_its_units() -> None:
     assert bus_cause(bus, 102.1) is None, "a unit responded through it"
 
 
-def views(*causes: Cause | None) -> list[UnitView]:
-    unit = line().buses["dry"].units[1]
-    return [UnitView(unit, "offline", cause) for cause in causes]
-
-
 def test_a_bus_on_which_no_unit_responds_is_one_cause() -> None:
-    lost, unknown = Cause("unit_offline", "high", Onset(50.0)), Cause("unit_unknown", "low")
-    assert all_offline(views(lost, lost, unknown)) == Cause("no_unit_responds", "urgent", Onset(50.0))
-    assert all_offline(views(unknown, unknown)) == Cause("no_unit_yet", "low")
-    assert all_offline(views(lost, None)) is None
-    assert all_offline(views(lost)) is None, "the only unit of a bus is named itself"
+    bus = line(units=3).buses["dry"]
+    bus.apply([reading(1, at=NOW - 50), UnitLink(unit=1, at=NOW, link="offline")])
+    assert all_offline(bus, NOW) is None
+    bus.apply([UnitLink(unit=2, at=NOW, link="offline")])
+    assert all_offline(bus, NOW) is None, "the third may be well"
+    bus.units[3].reading = None
+    assert all_offline(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
+    bus.apply([UnitLink(unit=3, at=NOW, link="offline")])
+    assert all_offline(bus, NOW) == Cause("no_unit_responds", "urgent", Onset(NOW))
+
+
+def test_units_that_have_their_time_to_respond_first_are_one_cause() -> None:
+    bus = line(units=2).buses["dry"]
+    for unit in bus.units.values():
+        unit.reading = None
+    assert all_offline(bus, NOW + 1) == Cause("no_unit_yet", "low")
+    late = all_offline(bus, NOW + 100)
+    assert late == Cause("no_unit_responds", "urgent", Onset(NOW, exact=False))
+
+
+def test_the_only_unit_of_a_bus_is_named_itself() -> None:
+    bus = line(units=1).buses["dry"]
+    bus.apply([UnitLink(unit=1, at=NOW, link="offline")])
+    assert all_offline(bus, NOW) is None
 
 
 def test_only_units_that_respond_are_in_a_state() -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from app.alarms.performance import Performance, measure
+from app.alarms.performance import AlarmPerformance, measure
 from app.alarms.rules.observed import LONGEST_GAP_S, ObservedSpan, observed_until
 from app.alarms.rules.performance import AlarmCounts, figures, flooded
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
 
 
-def values(performance: Performance) -> dict[str, float | None]:
+def values(performance: AlarmPerformance) -> dict[str, float | None]:
     return {figure.code: figure.value for figure in performance.figures}
 
 
@@ -24,7 +24,7 @@ def journal(tmp_path: Path) -> Iterator[Journal]:
         yield journal
 
 
-async def performance_of(journal: Journal, seconds: float) -> Performance:
+async def performance_of(journal: Journal, seconds: float) -> AlarmPerformance:
     return await measure(journal, UnixTime(T), UnixTime(T + seconds))  # type: ignore[arg-type]
 
 
@@ -93,7 +93,7 @@ async def test_a_rate_is_of_the_time_that_was_observed(journal: Journal) -> None
     performance = await performance_of(journal, 7 * 86_400)
     assert (performance.start, performance.observed_s) == (T, 1800)
     assert values(performance)["per_10_minutes"] == pytest.approx(2 / 3)
-    assert (performance.is_observed, performance.is_complete) == (True, False)
+    assert (performance.is_observed, performance.covers(7 * 86_400)) == (True, False)
     assert [(top.alarm, top.times) for top in performance.most_frequent] == [("a", 2)]
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from app.alarms.rules.facts import Transition
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
-from app.alarms.simulation.replay import Replay
+from app.alarms.simulation.replay import Replay, extremes
 from app.alarms.simulation.stored import StoredHour
 from app.database import Database
 from app.history.series.rollup import rollup

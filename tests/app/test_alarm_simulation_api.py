@@ -120,7 +120,7 @@ async def test_the_work_of_one_is_bounded_and_that_is_stated(house: House) -> No
     found = await Simulator(history, work_s=0.0).run(
         history.buses[BUS], settings, UnixTime(now - 3600), now, "anna"
     )
-    assert (found.is_complete, found.covered_to, found.annunciated) == (False, found.covered_from, 0)
+    assert (found.complete, found.covered_to, found.annunciated) == (False, found.covered_from, 0)
 
 
 async def test_the_page_has_the_form_the_result_and_the_entry(house: House) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
-from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions, site_values
+from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
 from app.auth.store import Token
@@ -181,10 +181,8 @@ def test_a_step_of_the_clock_raises_nothing_on_a_bus_and_keeps_every_distance(
 
 def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) -> None:
     now, step = 1000.0, 0.0
-    expiry = ExpiryWatch(no_tokens, ())
     site = SiteAlarms(
         {},
-        site_values(expiry),
         AlarmStore(database),
         lambda: UnixTime(now + step),
         lambda: now,  # type: ignore
@@ -202,10 +200,6 @@ def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) ->
 
 
 # --- what expires ----------------------------------------------------------------------------------------
-
-
-async def no_tokens() -> list[Token]:
-    return []
 
 
 def test_a_token_expires_near_its_end_while_a_program_uses_it() -> None:
@@ -235,7 +229,7 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
     conditions = site_conditions(lambda: Status(), AnchorStatus, FailingEndpoints(), expiry)
-    site = SiteAlarms(conditions, site_values(expiry), AlarmStore(database))
+    site = SiteAlarms(conditions, AlarmStore(database))
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))
     assert (token.holds, authority.holds) == (None, None)

@@ -37,7 +37,7 @@ def test_the_delays_of_every_built_in_alarm_can_be_set(code: str) -> None:
     entry = BuiltInAlarmSettings(code=code, on_delay_s=7.0)
     tuning = tuning_of([entry], row.code, BUS, 1)
     assert tuning == replace(row.tuning, on_delay_s=7.0)
-    assert built_in(row.code, BUS, 1, tuning).attributes.on_delay_s == 7
+    assert built_in(row.code, BUS, 1, [entry]).attributes.on_delay_s == 7
 
 
 @pytest.mark.parametrize("code", [row.code for row in CONDITIONS.values() if not row.is_alarm])

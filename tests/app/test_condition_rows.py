@@ -85,7 +85,7 @@ def addresses(*own: int) -> BusLive:
 
 
 LINK = LinkFacts(bus_is_readable=True, is_lost=False, is_online=True, is_alone=False)
-BUS = BusFacts(False, False, has_no_response=False, scan_s=1.0, longest_scan_s=1.0)
+BUS = BusFacts(False, False, units=3, lost=1, unread=1, scan_s=1.0, longest_scan_s=1.0)
 CLOSED, GONE = BUS._replace(port_is_closed=True), BUS._replace(worker_is_lost=True)
 NEVER: list[tuple[Any, ...]] = []
 
@@ -128,7 +128,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     "blocked": ([("belt off",)], [(None,)], NEVER),
     "worker_lost": ([(GONE,)], [(BUS,), (CLOSED,)], NEVER),
     "port_lost": ([(CLOSED,)], [(BUS,)], [(GONE,)]),
-    "no_unit_responds": ([(BUS._replace(has_no_response=True),)], [(BUS,)], [(GONE,), (CLOSED,)]),
+    "no_unit_responds": (
+        [(BUS._replace(lost=3, unread=0),), (BUS._replace(lost=2),)],
+        [(BUS,), (BUS._replace(lost=0, unread=3),), (BUS._replace(units=1, unread=0),)],
+        [(GONE,), (CLOSED,)],
+    ),
     "wire_overloaded": (
         [(BUS._replace(scan_s=1.51),)],
         [(BUS._replace(scan_s=1.5),)],
@@ -136,7 +140,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     ),
     "second_master": ([(0, 3)], [(0, 2)], NEVER),
     "control_left": ([(121.0, False)], [(121.0, True), (120.0, False)], NEVER),
-    "no_unit_yet": ([(0,)], [(1,)], NEVER),
+    "no_unit_yet": (
+        [(BUS._replace(lost=0, unread=3),)],
+        [(BUS._replace(lost=2),), (BUS._replace(lost=0),), (BUS._replace(units=1, lost=0),)],
+        NEVER,
+    ),
     "history_degraded": ([("paused",), ("failed",)], [("ok",), ("low",)], NEVER),
     "audit_degraded": ([(True,)], [(False,)], NEVER),
     "disk_low": ([("low",), ("scarce",), ("paused",)], [("ok",), ("failed",)], NEVER),

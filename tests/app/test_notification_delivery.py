@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +15,7 @@ from app.notification.rules.delivery import (
     DeliveryTurn,
     EndpointLoad,
     Retry,
+    heartbeat_due,
     next_turn,
     retry_after_s,
     state_after_failure,
@@ -95,3 +99,17 @@ def test_there_is_always_a_turn_or_an_end_of_the_wait(
     assert is_idle == (found == DeliveryTurn())
     if found.wait_s is not None:
         assert 0 < found.wait_s <= MAX_RETRY_S
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "day"),
+    [
+        ("2026-11-22T06:59:50", "2026-11-22T07:00:10", "2026-11-22"),
+        ("2026-11-22T07:00:10", "2026-11-22T07:00:30", ""),
+        ("2026-11-22T06:00:00", "2026-11-22T06:59:59", ""),
+        ("2026-11-21T23:59:50", "2026-11-22T07:00:00", "2026-11-22"),
+        ("2026-11-22T07:00:10", "2026-11-22T06:30:00", ""),
+    ],
+)
+def test_a_heartbeat_is_due_when_its_time_has_come(before: str, now: str, day: str) -> None:
+    assert heartbeat_due(datetime.fromisoformat(before), datetime.fromisoformat(now), 420) == day

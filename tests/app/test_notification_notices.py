@@ -34,7 +34,7 @@ def entry(
     occurrence: int = 1,
 ) -> JournalEntry:
     return JournalEntry(
-        "b.1.x", occurrence, "x", "X", "b", 1, "high", UnixTime(at), trigger, before, after, id=id
+        "b.1.x", "x", "X", "b", 1, occurrence, "high", UnixTime(at), trigger, before, after, id=id
     )
 
 

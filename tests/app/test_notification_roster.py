@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.notification.rules.heartbeat import heartbeat_due
 from app.notification.rules.roster import DutyPeriod, DutyRoster, minute_of_week
 
 MONDAY = datetime(2026, 11, 23)
@@ -47,17 +45,3 @@ def test_gaps_are_the_minutes_that_have_no_one(several: list[DutyPeriod]) -> Non
     in_gaps = {minute for first, end in roster.gaps() for minute in range(first, end)}
     assert in_gaps == {minute for minute, present in enumerate(filled_in(roster)) if not present}
     assert DutyRoster(("always",), roster.periods).gaps() == []
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "day"),
-    [
-        ("2026-11-22T06:59:50", "2026-11-22T07:00:10", "2026-11-22"),
-        ("2026-11-22T07:00:10", "2026-11-22T07:00:30", ""),
-        ("2026-11-22T06:00:00", "2026-11-22T06:59:59", ""),
-        ("2026-11-21T23:59:50", "2026-11-22T07:00:00", "2026-11-22"),
-        ("2026-11-22T07:00:10", "2026-11-22T06:30:00", ""),
-    ],
-)
-def test_a_heartbeat_is_due_when_its_time_has_come(before: str, now: str, day: str) -> None:
-    assert heartbeat_due(datetime.fromisoformat(before), datetime.fromisoformat(now), 420) == day

@@ -168,4 +168,4 @@ async def test_its_spans_follow_the_day(tmp_path: Path) -> None:
             clock[0] = UnixTime(now + 3600.0 * hour)
             covered.append(any(span.covers(BUS, clock[0]) for span in maintenance.spans()))
         assert [hour for hour, each in zip(range(0, 72, 6), covered, strict=True) if each] == [12, 36]
-        assert [each.span for each in maintenance.windows()] == [None]
+        assert [(each.since, each.until) for each in maintenance.recurring()] == [(None, None)]

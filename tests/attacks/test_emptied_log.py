@@ -11,7 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 from typer.testing import CliRunner
 
-from app.alarms.definition import key_of
+from app.alarms.alarm import key_of
 from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import Anchoring, AnchorStatus
 from app.audit.keys import open_keys

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from pydantic import Field
 
 from app.alarms.rules.facts import Transition
 from app.alarms.rules.performance import CHATTERS_S
+from app.web.shape import Moment
 from bus.instants import UnixTime
 
 CHATTERING_TIMES = 3
+SimulatedTime = Annotated[Moment | None, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
 @dataclass(slots=True)
@@ -49,22 +54,22 @@ class Annunciations:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
-    """``start`` to ``end``: what was requested; ``covered_from`` to ``covered_to``: the readings of it.
-    Durations in seconds."""
+class AlarmSimulation:
+    """What the alarm would have done. Durations in seconds."""
 
-    start: UnixTime
-    end: UnixTime
-    covered_from: UnixTime | None = None
-    covered_to: UnixTime | None = None
-    annunciated: int = 0
-    chattering: int = 0
-    first: UnixTime | None = None
-    last: UnixTime | None = None
-    standing_s: float = 0.0
-    longest_s: float | None = None
-    stands_at_end: bool = False
-    unknown_s: float = 0.0
-    """How long, of the covered time, there was no reading or its condition was not known."""
-    is_complete: bool = True
-    """Whether all that is stored was judged within the bounds of a simulation."""
+    start: Annotated[Moment, Field(serialization_alias="from")]
+    end: Annotated[Moment, Field(serialization_alias="to")]
+    covered_from: Annotated[
+        Moment | None, Field(description="From when on readings are stored; null: none of this time are.")
+    ]
+    covered_to: SimulatedTime
+    annunciated: Annotated[int, Field(description="How often it would have come.")]
+    chattering: Annotated[int, Field(description="How many of them were among three within a minute.")]
+    first: SimulatedTime
+    last: SimulatedTime
+    standing_s: Annotated[float, Field(description="Active and not suppressed, in total.")]
+    longest_s: Annotated[float | None, Field(description="The longest time; null: it did not come.")]
+    stands_at_end: bool
+    unknown_s: Annotated[float, Field(description="About; of the covered time: no readings, or no scale.")]
+    complete: Annotated[bool, Field(description="false: the work was ended at covered_to.")]
+    toml: Annotated[str, Field(description="The entry for lineside.toml.")]

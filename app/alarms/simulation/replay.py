@@ -11,7 +11,6 @@ from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.limits import ChangeRate
 from app.alarms.rules.suppression import Suppressors
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.minute import extremes
 from app.alarms.simulation.outcome import Annunciations
 from app.alarms.simulation.rest import AtRest
 from app.conditions.of_unit import ESTOP_ACTIVE
@@ -169,3 +168,22 @@ class Replay:
 def _reading(unit: int, run: Run, at: int) -> Reading:
     time = UnixTime(at / SECOND)
     return Reading(unit, time, run.commanded, run.actual, run.analog, run.word >> 8, run.word & 0xFF)
+
+
+def extremes(unit: int, value: str, row: Rollup) -> tuple[Reading, Reading]:
+    """Two readings with the least and the greatest that ``value`` can have been in a minute; for a bit: with
+    what was on in every reading, and what in any. Neither needs to have been sent."""
+    speeds = (row.commanded_min, row.actual_min), (row.commanded_max, row.actual_max)
+    if value == "deviation":
+        # Where the two ranges overlap, they may have been equal.
+        common = max(row.commanded_min, row.actual_min)
+        apart = (row.commanded_min, row.actual_max), (row.commanded_max, row.actual_min)
+        least = common, min(common, row.commanded_max, row.actual_max)
+        speeds = least, max(apart, key=lambda pair: abs(pair[0] - pair[1]))
+    at = UnixTime(row.start / SECOND)
+    rest = ((row.analog_min, row.word_and), (row.analog_max, row.word_or))
+    first, last = (
+        Reading(unit, at, *speed, analog, word >> 8, word & 0xFF)
+        for speed, (analog, word) in zip(speeds, rest, strict=True)
+    )
+    return first, last

@@ -7,7 +7,8 @@ import time
 from collections.abc import Sequence
 
 from app.alarms.settings import AlarmSettings
-from app.alarms.simulation.outcome import Simulated
+from app.alarms.simulation.outcome import AlarmSimulation, Annunciations
+from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.stored import StoredHour, minutes_of
 from app.history.intake.tail import Tail
@@ -36,7 +37,7 @@ class Simulator:
 
     async def run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime, account: str
-    ) -> Simulated:
+    ) -> AlarmSimulation:
         """What an alarm would have done from ``start`` to ``end``. Raises StoreError where history cannot be
         read, TooManyWaitingError where too many simulations of the account wait."""
         async with self._turns.turn(account):
@@ -44,12 +45,12 @@ class Simulator:
 
     async def _run(
         self, bus: BusSettings, settings: AlarmSettings, start: UnixTime, end: UnixTime
-    ) -> Simulated:
+    ) -> AlarmSimulation:
         begins, steps = await self._history.read(
             lambda connection, tail: _extent(connection, tail, bus.name, settings.unit), costly=True
         )
         if begins is None or begins >= micros(end):
-            return Simulated(start, end)
+            return _outcome(settings, (start, end), Annunciations())
         since = max(micros(start), begins)
         covered_from = UnixTime(since / SECOND)
         since -= since % MINUTE
@@ -66,8 +67,10 @@ class Simulator:
             # As long as it took: what others do comes first.
             await asyncio.sleep(took)
             since = until
-        reached = UnixTime(min(since, micros(end)) / SECOND)
-        return _outcome(replay, (start, end), (covered_from, max(covered_from, reached)))
+        reached = max(covered_from, UnixTime(min(since, micros(end)) / SECOND))
+        replay.end(reached)
+        covered, is_complete = (covered_from, reached), micros(reached) >= micros(end)
+        return _outcome(settings, (start, end), replay.found, covered, replay.unknown_s, is_complete)
 
 
 def _extent(
@@ -95,22 +98,27 @@ def _feed(hour: StoredHour, replay: Replay, settings: AlarmSettings) -> float:
 
 
 def _outcome(
-    replay: Replay, span: tuple[UnixTime, UnixTime], covered: tuple[UnixTime, UnixTime]
-) -> Simulated:
-    found, reached = replay.found, covered[1]
-    replay.end(reached)
+    settings: AlarmSettings,
+    span: tuple[UnixTime, UnixTime],
+    found: Annunciations,
+    covered: tuple[UnixTime | None, UnixTime | None] = (None, None),
+    unknown_s: float = 0.0,
+    is_complete: bool = True,
+) -> AlarmSimulation:
     stands_at_end = found.stands_since is not None
-    found.end(reached)
-    return Simulated(
+    if covered[1] is not None:
+        found.end(covered[1])
+    return AlarmSimulation(
         *span,
         *covered,
         annunciated=len(found.at),
         chattering=found.chattering,
         first=found.at[0] if found.at else None,
         last=found.at[-1] if found.at else None,
-        standing_s=sum(found.lengths),
-        longest_s=max(found.lengths, default=None),
+        standing_s=round(sum(found.lengths), 3),
+        longest_s=round(max(found.lengths), 3) if found.lengths else None,
         stands_at_end=stands_at_end,
-        unknown_s=replay.unknown_s,
-        is_complete=micros(reached) >= micros(span[1]),
+        unknown_s=round(unknown_s, 3),
+        complete=is_complete,
+        toml=in_toml(settings),
     )

@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from app.conditions.of_bus import NO_UNIT_YET
+from app.conditions.of_bus import NO_UNIT_RESPONDS, NO_UNIT_YET
 from app.conditions.of_unit import BLOCKED, PARAMETER_DRIFT, suspicion
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
+from app.live.diagnosis.links import bus_facts
 from app.live.state.bus_live import BusLive, UnitLive
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
@@ -73,14 +74,13 @@ def _others(
         yield abnormal("drift", params={"why": drifted})
 
 
-def all_offline(views: list[UnitView]) -> Cause | None:
-    """That no unit of a bus responds: one cause for all of them."""
-    unresponsive = [
-        view.cause for view in views if view.cause and view.cause.code in ("unit_offline", "unit_unknown")
-    ]
-    if len(views) < 2 or len(unresponsive) < len(views):
-        return None
-    lost = [cause.onset for cause in unresponsive if cause.onset is not None]
-    if NO_UNIT_YET.holds(len(lost)):
+def all_offline(bus: BusLive, now: UnixTime) -> Cause | None:
+    """That no unit of a bus responds: one cause for all of them, since the last of them was lost."""
+    facts = bus_facts(bus, now)
+    if NO_UNIT_YET.holds(facts):
         return abnormal("no_unit_yet")
+    if not NO_UNIT_RESPONDS.holds(facts):
+        return None
+    causes = (unit_cause(bus, unit, now) for unit in bus.units.values())
+    lost = (cause.onset for cause in causes if cause is not None and cause.onset is not None)
     return abnormal("no_unit_responds", max(lost, key=lambda onset: onset.at))

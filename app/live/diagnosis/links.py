@@ -15,12 +15,15 @@ from bus.settings import wire_seconds
 
 def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
     """Of a bus."""
-    is_readable = _is_readable(bus, now)
+    lost = {number for number, unit in bus.units.items() if _lost_at(bus, unit, now) is not None}
+    unread = {number for number, unit in bus.units.items() if unit.reading is None} - lost
     turnaround_s = wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s
     return BusFacts(
         worker_is_lost=bus.worker_lost is not None or worker_timed_out(bus, now),
         port_is_closed=bus.link.link == "closed",
-        has_no_response=is_readable and has_no_response(bus, now),
+        units=len(bus.units),
+        lost=len(lost),
+        unread=len(unread),
         scan_s=None if bus.figures is None else bus.figures.scan_s,
         longest_scan_s=len(bus.units) * turnaround_s,
     )
@@ -45,15 +48,6 @@ def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool 
 
 def _is_readable(bus: BusLive, now: UnixTime) -> bool:
     return bus.worker_lost is None and not worker_timed_out(bus, now) and bus.link.link != "closed"
-
-
-def has_no_response(bus: BusLive, now: UnixTime) -> bool:
-    """Whether no unit of several has responded since one was found lost. Where only that one is lost, the
-    next response of another ends it."""
-    if len(bus.units) == 1:
-        return False
-    lost = (_lost_at(bus, unit, now) for unit in bus.units.values())
-    return any(at is not None and not _has_reading_after(bus, at) for at in lost)
 
 
 def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:

@@ -49,7 +49,7 @@ def entries_of(live: LiveState, views: Views, translator: Translator, now: UnixT
     found: list[tuple[str, str, Cause]] = []
     for name, bus in live.buses.items():
         of_bus = [(key, views[key]) for number in bus.units if (key := unit_key(name, number)) in views]
-        cause = bus_cause(bus, now) or all_offline([view for _, view in of_bus])
+        cause = bus_cause(bus, now) or all_offline(bus, now)
         if cause is not None:
             found.append((name, name, cause))
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Literal
 
 from bus.instants import UnixTime
@@ -93,6 +94,13 @@ def is_flooded(load: EndpointLoad, flood: int, now: UnixTime) -> bool:
     """Whether further items are collected: many messages in ten minutes, or an address that is failing."""
     recent = [at for at in load.sent if 0 <= now - at < FLOOD_WINDOW_S]
     return load.collects and (len(recent) >= flood or bool(load.retries))
+
+
+def heartbeat_due(before: datetime, now: datetime, minute_of_day: int) -> str:
+    """The day of the heartbeat, the daily proof that the path works, whose local time has come since
+    ``before``; empty where none has."""
+    at = now.replace(hour=minute_of_day // 60, minute=minute_of_day % 60, second=0, microsecond=0)
+    return now.date().isoformat() if before < at <= now else ""
 
 
 def _digest_wait_s(load: EndpointLoad, flood: int, digest_s: float, now: UnixTime) -> float:

@@ -12,14 +12,13 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_api import OwnBook
+from app.alarms.own_api import OwnBook, SimulatorOf
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
 from app.alarms.settings import OwnValue
-from app.alarms.simulation.api import SimulatorOf
-from app.alarms.simulation.outcome import Simulated
-from app.alarms.simulation.proposal import in_toml, proposed
+from app.alarms.simulation.outcome import AlarmSimulation
+from app.alarms.simulation.proposal import proposed
 from app.alarms.summary import places_of
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
@@ -80,7 +79,7 @@ async def own_alarms_page(
     end, bus = unix_now(), history.buses[settings.bus]
     start = end - int(written["days"]) * DAY_S
     found = await simulator.run(bus, settings, start, end, person.account)
-    return _page(request, written, found=found, toml=in_toml(settings))
+    return _page(request, written, found=found)
 
 
 @router.post("/alarms/own")
@@ -122,8 +121,7 @@ def _page(
     written: dict[str, str],
     *,
     fault: Problem | None = None,
-    found: Simulated | None = None,
-    toml: str = "",
+    found: AlarmSimulation | None = None,
 ) -> Response:
     own, alarms = service_of(request, OwnAlarmBook), service_of(request, LineAlarms)
     return render(
@@ -137,7 +135,6 @@ def _page(
         written=written,
         fault=None if fault is None else fault.message,
         found=found,
-        toml=toml,
         status=200 if fault is None else fault.status,
     )
 
