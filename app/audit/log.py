@@ -18,7 +18,7 @@ from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
-from app.audit.walk import Verdict, Walk
+from app.audit.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
@@ -184,7 +184,7 @@ class LogProof:
         self._keys = keys
         self._one_at_a_time = asyncio.Lock()
 
-    async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
+    async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
         """Whether the log is intact, and holds the hashes that ``anchors`` names by entry; where None, those
         of the anchor beside the key."""
         async with self._one_at_a_time:
@@ -197,7 +197,7 @@ class LogProof:
             await self._follow(walk, store.LOWEST_ID, last)
             return walk.end(head)
 
-    async def since(self, known: Head) -> Verdict:
+    async def since(self, known: Head) -> AuditVerification:
         """Whether what was added after an entry that is known to be good continues it."""
         head, last = await self.extent()
         walk = Walk(self._keys.knowing(head.key), start=known)

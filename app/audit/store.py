@@ -10,7 +10,7 @@ from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
 from app.audit.entry import new_entry, readable
 from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
-from app.audit.walk import Verdict, Walk
+from app.audit.walk import AuditVerification, Walk
 from app.database import StoreConnection
 from bus.instants import UnixTime
 
@@ -199,7 +199,7 @@ def entries_from(connection: StoreConnection, number: int, until: int) -> list[d
     return [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
 
 
-def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
+def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
     """Walk the log, chunk by chunk: entries added in between are left for the next time."""
     head, last = extent(connection)
     walk, number = Walk(ring, anchors), LOWEST_ID
