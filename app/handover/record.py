@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -11,6 +10,8 @@ from typing import Any
 from app.alarms.store import JournalEntry
 from app.audit import store
 from app.audit.store import Filter
+from app.database import StoreConnection
+from app.database.engine import json_member
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 
@@ -28,9 +29,9 @@ SELECT {_ENTRY} FROM alarm_facts known JOIN alarm_journal j ON j.id = (
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
 """
-_NEXT_START = """
+_NEXT_START = f"""
 SELECT time FROM events WHERE about IS NULL AND kind = 'server' AND time >= ?
-AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') END = 'event_server_started'
+AND {json_member("messages", "what.code")} = 'event_server_started'
 ORDER BY id LIMIT 1
 """
 _EXTENT = "SELECT min(id), max(id) FROM events WHERE about IS NULL AND time >= ? AND time < ?"
@@ -56,7 +57,7 @@ class EventsOfShift:
 class ShiftEvents:
     """Reads the events of one shift, in one transaction."""
 
-    def __init__(self, connection: sqlite3.Connection, shift: Shift) -> None:
+    def __init__(self, connection: StoreConnection, shift: Shift) -> None:
         self._connection = connection
         self._shift = shift
         self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
@@ -92,19 +93,19 @@ class ShiftEvents:
         return counted
 
 
-def alarms_at(connection: sqlite3.Connection, at: UnixTime) -> list[JournalEntry]:
+def alarms_at(connection: StoreConnection, at: UnixTime) -> list[JournalEntry]:
     """The last transition before a moment of each alarm that was not normal then."""
     return [JournalEntry(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 
-def last_events(connection: sqlite3.Connection, kind: str, before: UnixTime) -> list[dict[str, Any]]:
+def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[dict[str, Any]]:
     """The last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
     found = (store.one(connection, number) for number in numbers)
     return [event for event in found if event is not None]
 
 
-def first_gap(connection: sqlite3.Connection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
+def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
     """From the last record before a start of the server up to that start, where it reaches into a shift."""
     start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
     if start is None:
@@ -114,7 +115,7 @@ def first_gap(connection: sqlite3.Connection, shift: Shift) -> tuple[UnixTime, U
     return None if last is None or last >= shift.end else (UnixTime(last), UnixTime(start["time"]))
 
 
-def first_event_at(connection: sqlite3.Connection) -> UnixTime | None:
+def first_event_at(connection: StoreConnection) -> UnixTime | None:
     """When the log begins."""
     row = connection.execute("SELECT time FROM events ORDER BY id LIMIT 1").fetchone()
     return None if row is None else UnixTime(row["time"])

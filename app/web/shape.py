@@ -53,6 +53,10 @@ def iso(at: UnixTime) -> str:
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
+ShownInstant = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
+"""A Unix time as the member of a response, which pages format in the language of the reader."""
+
+
 def parse_integer(text: str, digits: int = 18) -> int | None:
     """The number that ``text`` writes with 1 to ``digits`` ASCII digits; None for anything else.
 
