@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from app.database.engine import snapshot
 from app.history.intake.tail import Tail
-from app.history.intake.updates import BUS
 from app.history.query import unit_history
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.gaps import Marks
@@ -57,23 +57,16 @@ def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
     if key is None:
         return QueryResult(Series())
     recent = tail.runs(key, query.start, query.end)
-    with tables.snapshot(connection):
+    with snapshot(connection):
         return _run(unit_history.StoredUnit(connection, key, recent), query)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
-    marks = marks_of(source, query, query.start - MARGIN, query.end)
+    marks = tables.link_marks(source.connection, source.unit, query.start - MARGIN, query.end)
     resolution, points = _points(source, query, marks)
     scales = scale_of(source, query)
     decimals = scales.at(query.end).decimals
     return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
-
-
-def marks_of(source: unit_history.StoredUnit, query: SeriesQuery, start: int, end: int) -> Marks:
-    """When the unit or its bus was lost and found within a span, µs."""
-    bus = tables.find_unit(source.connection, query.bus.name, BUS)
-    keys = [source.unit] if bus is None else [source.unit, bus]
-    return tables.link_marks(source.connection, keys, start, end)
 
 
 def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:
