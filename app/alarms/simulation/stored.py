@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from itertools import groupby
 
 from app.alarms.settings import AlarmSettings
@@ -78,7 +77,5 @@ class StoredHour:
 
 def minutes_of(source: StoredUnit, start: int, end: int) -> Iterable[Rollup]:
     """The minutes that are stored of a span (µs)."""
-    for begin, data in source.blocks("minutes", start, end):
-        for row in source.unpacked("minutes", begin, partial(unpack_rollups, data, begin)):
-            if start <= row.start < end:
-                yield row
+    for _, rows in source.blocks("minutes", start, end, unpack_rollups):
+        yield from (row for row in rows if start <= row.start < end)
