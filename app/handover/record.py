@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Annotated, cast
+
+from pydantic import Field
+from typing_extensions import TypedDict
 
 from app.alarms.store import JournalEntry
 from app.audit import store
+from app.audit.api import EventShown, shown
+from app.audit.log import Event
 from app.audit.store import Filter
 from app.database import StoreConnection
 from app.database.engine import json_member
@@ -42,16 +47,12 @@ AND e.id NOT IN (SELECT event FROM event_parts) GROUP BY 1, 2
 """
 
 
-@dataclass(frozen=True, slots=True)
-class EventsOfShift:
-    """The newest events of some kinds, oldest first; ``outcomes``: how many had each, in all."""
+class ShiftEventsShown(TypedDict):
+    """Events of the shift: at most the newest 200, oldest first."""
 
-    events: list[dict[str, Any]]
-    outcomes: dict[str, int]
-
-    @property
-    def total(self) -> int:
-        return sum(self.outcomes.values())
+    total: Annotated[int, Field(description="How many there were in all.")]
+    outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
+    events: list[EventShown]
 
 
 class ShiftEvents:
@@ -63,16 +64,20 @@ class ShiftEvents:
         self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
         self._counted = self._count()
 
-    def of(self, kinds: Sequence[str]) -> EventsOfShift:
+    def of(self, kinds: Sequence[str]) -> ShiftEventsShown:
         """The events of some kinds. A change of several units is one event."""
         found = [event for kind in kinds for event in self._newest(kind)]
-        found.sort(key=lambda event: -event["id"])
+        found.sort(key=lambda event: event["id"])
         outcomes: Counter[str] = Counter()
         for kind in kinds:
             outcomes += self._counted.get(kind, Counter())
-        return EventsOfShift(found[:MAX_EVENTS][::-1], dict(sorted(outcomes.items())))
+        return {
+            "total": outcomes.total(),
+            "outcomes": dict(sorted(outcomes.items())),
+            "events": [event_json(event) for event in found[-MAX_EVENTS:]],
+        }
 
-    def _newest(self, kind: str) -> list[dict[str, Any]]:
+    def _newest(self, kind: str) -> list[Event]:
         if kind not in self._counted:
             return []
         wanted = Filter(
@@ -93,12 +98,17 @@ class ShiftEvents:
         return counted
 
 
+def event_json(event: Event) -> EventShown:
+    """An event as the API has it, without the frames, which are in the events."""
+    return cast(EventShown, shown({**event, "frames": "[]"}))
+
+
 def alarms_at(connection: StoreConnection, at: UnixTime) -> list[JournalEntry]:
     """The last transition before a moment of each alarm that was not normal then."""
     return [JournalEntry(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 
-def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[dict[str, Any]]:
+def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
     """The last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
     found = (store.one(connection, number) for number in numbers)

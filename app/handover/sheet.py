@@ -12,13 +12,14 @@ from typing_extensions import TypedDict
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import AlarmTransition, transition_json
 from app.alarms.store import JournalEntry
-from app.audit.api import EventShown, shown
+from app.audit.api import EventShown
 from app.database import StoreConnection
 from app.handover.notes import Note, notes_of
 from app.handover.record import (
-    EventsOfShift,
     ShiftEvents,
+    ShiftEventsShown,
     alarms_at,
+    event_json,
     first_event_at,
     first_gap,
     last_events,
@@ -56,14 +57,6 @@ class ShiftNote(TypedDict):
     corrects: Annotated[int | None, Field(description="The note in whose place it is.")]
     corrected_by: Annotated[int | None, Field(description="The note that is in its place.")]
     pictures: Annotated[list[str], Field(description="The SHA-256 of each, by which it is loaded.")]
-
-
-class ShiftEventsShown(TypedDict):
-    """Events of the shift: at most the newest 200, oldest first."""
-
-    total: Annotated[int, Field(description="How many there were in all.")]
-    outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
-    events: list[EventShown]
 
 
 class SignedShiftSheet(TypedDict):
@@ -135,7 +128,6 @@ def write_sheet(
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
     alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
-    sections = {name: events.of(kinds) for name, kinds in SECTIONS.items()}
     blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
     before = last_events(connection, "control", shift.start)
     return {
@@ -148,9 +140,9 @@ def write_sheet(
         "standing": [transition_json(entry) for entry in alarms if entry.after not in HIDDEN],
         **{state: [transition_json(entry) for entry in alarms if entry.after == state] for state in HIDDEN},
         "drift": [transition_json(entry) for entry in alarms if entry.code == DRIFT],
-        "blocked": [_event(each) for each in blocked],
-        **{name: _section(each) for name, each in sections.items()},
-        "control_before": [_event(each) for each in before],
+        "blocked": [event_json(each) for each in blocked],
+        **{name: events.of(kinds) for name, kinds in SECTIONS.items()},
+        "control_before": [event_json(each) for each in before],
         "notes": notes_json(notes_of(connection, shift)),
         "omissions": [*map(message_shown, _omissions(connection, settings, seen, alarms))],
     }
@@ -207,16 +199,3 @@ def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
         }
         for note in notes
     ]
-
-
-def _section(found: EventsOfShift) -> dict[str, Any]:
-    return {
-        "total": found.total,
-        "outcomes": found.outcomes,
-        "events": [_event(each) for each in found.events],
-    }
-
-
-def _event(event: dict[str, Any]) -> dict[str, Any]:
-    """Without the frames, which are in the events."""
-    return shown({**event, "frames": "[]"})
