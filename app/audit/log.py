@@ -213,11 +213,9 @@ class LogProof:
         return await self._database.read(lambda connection: store.link_of(connection, number))
 
     async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow_chunk(connection: StoreConnection) -> int | None:
-            chunk = store.entries_from(connection, number, until)
-            walk.follow(chunk)
-            return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None
+        def follow(connection: StoreConnection) -> int | None:
+            return store.follow_chunk(connection, walk, number, until)
 
-        while (following := await self._database.read(follow_chunk)) is not None:
+        while (following := await self._database.read(follow)) is not None:
             number = following
             await asyncio.sleep(0)
