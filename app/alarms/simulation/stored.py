@@ -44,10 +44,8 @@ class StoredHour:
                 replay.see_run(run, self._is_at_rest)
 
     def _source(self, unit: int) -> StoredUnit | None:
-        key = tables.find_unit(self._connection, self._bus.name, unit)
-        if key is None:
-            return None
-        return StoredUnit(self._connection, key, self._tail.runs(key, self._start, self._end))
+        span = (self._start, self._end)
+        return unit_history.stored_unit(self._connection, self._tail, self._bus.name, unit, *span)
 
     def _runs_of(self, source: StoredUnit) -> dict[int, list[Run]]:
         if self._runs is None:

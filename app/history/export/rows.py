@@ -102,7 +102,7 @@ def _rows(
     numbered = list(enumerate(part))
     by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
     sources = [
-        (_source(connection, tail, unit, part[0], damaged), list(group))
+        (unit_history.stored_unit(connection, tail, *unit, part[0].start, part[0].end), list(group))
         for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit))
     ]
     with snapshot(connection):
@@ -113,23 +113,9 @@ def _rows(
                 rows += _reading_rows(source, wanted, len(part), last_until)
             else:
                 rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
+            damaged += source.damaged
     rows.sort(key=lambda row: row.at)
     return rows if table.fineness == "readings" else _together(rows)
-
-
-def _source(
-    connection: tables.StoreConnection,
-    tail: Tail,
-    unit: tuple[str, int],
-    span: SeriesQuery,
-    damaged: list[BlockKey],
-) -> unit_history.StoredUnit | None:
-    """The sources of a unit; None for one without history. Made before the snapshot of the store: a block
-    folded in between is there twice, not never."""
-    key = tables.find_unit(connection, *unit)
-    if key is None:
-        return None
-    return unit_history.StoredUnit(connection, key, tail.runs(key, span.start, span.end), damaged)
 
 
 def _reading_rows(

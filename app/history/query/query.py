@@ -53,12 +53,12 @@ class QueryResult:
 
 def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
-    key = tables.find_unit(connection, query.bus.name, query.unit)
-    if key is None:
+    unit = (query.bus.name, query.unit)
+    source = unit_history.stored_unit(connection, tail, *unit, query.start, query.end)
+    if source is None:
         return QueryResult(Series())
-    recent = tail.runs(key, query.start, query.end)
     with snapshot(connection):
-        return _run(unit_history.StoredUnit(connection, key, recent), query)
+        return _run(source, query)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:

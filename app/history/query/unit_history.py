@@ -10,6 +10,7 @@ from itertools import chain, pairwise
 from statistics import median_low
 from typing import Any, TypeVar
 
+from app.history.intake.tail import Tail
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.gaps import usual_interval
@@ -68,6 +69,14 @@ class StoredUnit:
                 self.damaged.append(BlockKey(tier, self.unit, begin))
             else:
                 yield begin, content
+
+
+def stored_unit(
+    connection: tables.StoreConnection, tail: Tail, bus: str, number: int, start: int, end: int
+) -> StoredUnit | None:
+    """The sources of a unit over a span, µs; None for one without history. Called before a snapshot."""
+    key = tables.find_unit(connection, bus, number)
+    return None if key is None else StoredUnit(connection, key, tail.runs(key, start, end))
 
 
 def estimate(source: StoredUnit, start: int, end: int) -> int:
