@@ -198,8 +198,7 @@ def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]
 
 
 def follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
-    """Follow at most `CHUNK` stored entries, from ``number`` up to ``until``; return the number to continue from,
-    None at the end."""
+    """Follow at most `CHUNK` entries from ``number`` to ``until``; return the next number or None."""
     query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
     chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
     walk.follow(chunk)

@@ -11,7 +11,6 @@ from app.history.intake.tail import Tail
 from app.history.query import unit_history
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.gaps import Marks
-from app.history.series.intervals import intervals
 from app.history.series.runs import HOUR, MINUTE
 from app.history.series.scaling import Scaling, scaling
 from app.history.series.values import Value
@@ -80,9 +79,9 @@ def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -
     value, start, end, most = query.value, query.start, query.end, query.most
     width, _ = grid(start, end, most)
     exact: Points | None = None
-    if value.kind == "bit":
-        exact = _exact_bits(source, query, marks)
-        if exact is not None and _fits(exact, marks, most):
+    if value.kind == "bit" and tables.count_bits(source.connection, source.unit, start, end) <= MAX_INTERVALS:
+        exact = unit_history.bit_points(source, value.bit, start, end, marks)
+        if _fits(exact, marks, most):
             return "readings", exact
     is_kept = has_raw(source.connection, source.unit, start)
     if is_kept and unit_history.estimate(source, start, end) <= MAX_READINGS:
@@ -99,14 +98,6 @@ def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -
 
 def _fits(points: Points, marks: Marks, most: int) -> bool:
     return len(points.at) + len(holes_in(points, marks)) <= most
-
-
-def _exact_bits(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> Points | None:
-    if tables.count_bits(source.connection, source.unit, query.start, query.end) > MAX_INTERVALS:
-        return None
-    usual = unit_history.usual_of(source, query.end)
-    parts = unit_history.bit_intervals(source, query.value.bit, query.start, query.end)
-    return unit_history.interval_points(intervals(parts, marks, usual), query.start, query.end, usual)
 
 
 def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 from app.history.intake.tail import Tail
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
-from app.history.series.gaps import usual_interval
-from app.history.series.intervals import Interval
-from app.history.series.rollup import FIELDS, Rollup, rollup
+from app.history.series.gaps import Marks, usual_interval
+from app.history.series.intervals import Interval, intervals
+from app.history.series.rollup import FIELDS, rollup
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
@@ -131,19 +131,27 @@ def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
 
 def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: int, end: int) -> Points:
     """Minutes or hours that touch a span, each with its part of the tail."""
-    wanted = _wanted(value)
-    found = Points(width=tables.STEP[tier])
-    since = start - start % tables.STEP[tier]
+    wanted, found = _wanted(value), Points(width=tables.STEP[tier])
+    since = start - start % found.width
     stored = source.blocks(tier, since, end, lambda data, _: columns.unpack(data, wanted))
-    for begin, (starts, count, *rest) in stored:
-        _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
-    for row in _tail_rollups(source, tables.STEP[tier]):
-        flat = [*row[:-1], *row.on]
-        _extend(found, [row.start], [row.readings], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
+    waiting = _tail_rollups(source, found.width, wanted)
+    for begin, (starts, count, least, greatest, total) in chain(stored, waiting):
+        at = [begin + each for each in starts]
+        within = slice(bisect_left(at, since), bisect_left(at, end))
+        found.at += at[within]
+        found.least += _bit_of(least[within], value.bit)
+        found.greatest += _bit_of(greatest[within], value.bit)
+        found.total += total[within]
+        found.weight += count[within]
     found.solid = [False] * len(found.at)
     if found.weight:
         found.usual = found.width // max(1, median_low(found.weight))
     return in_order(found)
+
+
+def _bit_of(words: list[int], bit: int) -> list[int]:
+    """One bit of each; the numbers themselves where ``bit`` is below 0."""
+    return words if bit < 0 else [word >> bit & 1 for word in words]
 
 
 def _wanted(value: Value) -> list[int]:
@@ -154,38 +162,28 @@ def _wanted(value: Value) -> list[int]:
     return [FIELDS[name] for name in ("start", "readings", *names)]
 
 
-def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
+def _tail_rollups(
+    source: StoredUnit, step: int, wanted: Sequence[int]
+) -> Iterator[tuple[int, list[list[int]]]]:
+    """The tail as one block of rollups, from time 0 on, where it has any."""
     by_start: dict[int, list[Run]] = {}
     for run in merge((), source.tail):
         by_start.setdefault(run.at - run.at % step, []).append(run)
-    return [rollup(runs, start) for start, runs in sorted(by_start.items())]
+    if by_start:
+        rows = [rollup(runs, start) for start, runs in sorted(by_start.items())]
+        table = list(zip(*([*row[:-1], *row.on] for row in rows), strict=True))
+        yield 0, [list(table[i]) for i in wanted]
 
 
-def _extend(
-    points: Points,
-    at: Sequence[int],
-    count: Sequence[int],
-    reach: Sequence[Sequence[int]],
-    bit: int,
-    within: tuple[int, int],
-) -> None:
-    first, last = bisect_left(at, within[0]), bisect_left(at, within[1])
-    least, greatest, total = (column[first:last] for column in reach)
-    if bit >= 0:
-        least, greatest = [v >> bit & 1 for v in least], [v >> bit & 1 for v in greatest]
-    points.at += at[first:last]
-    points.least += least
-    points.greatest += greatest
-    points.total += total
-    points.weight += count[first:last]
-
-
-def bit_intervals(source: StoredUnit, bit: int, start: int, end: int) -> list[Interval]:
-    """One bit as intervals over a span, neighbours that are equal still apart."""
+def bit_points(source: StoredUnit, bit: int, start: int, end: int, marks: Marks) -> Points:
+    """One bit over a span, exactly: the intervals in which it stays, as points at both their ends."""
     stored = tables.bits_around(source.connection, source.unit, start, end)
     recent = [Interval(run.at, run.until, run.word) for run in source.tail]
     touching = (part for part in chain(stored, recent) if part.until >= start and part.at < end)
-    return [part._replace(word=part.word >> bit & 1) for part in touching]
+    usual = usual_of(source, end)
+    parts = intervals((part._replace(word=part.word >> bit & 1) for part in touching), marks, usual)
+    rows = ((part.at, part.until, 2, part.word) for part in parts)
+    return _points(_clip(rows, start, end), -1, usual)
 
 
 def usual_of(source: StoredUnit, end: int) -> int:
@@ -196,12 +194,6 @@ def usual_of(source: StoredUnit, end: int) -> int:
         return usual_interval(list(zip(*runs, strict=True)))
     minutes = source.newest("minutes", end, lambda data, _: columns.unpack(data, [FIELDS["readings"]]))
     return MINUTE // max(minutes[0]) if minutes else 0
-
-
-def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int) -> Points:
-    """Intervals as points at both their ends."""
-    rows = ((part.at, part.until, 2, part.word) for part in parts)
-    return _points(_clip(rows, start, end), -1, usual)
 
 
 def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
