@@ -161,12 +161,8 @@ async def write_shift_note(
 ) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(
-        text=body.text,
+        **body.model_dump(exclude={"time", "pictures"}),
         at=UnixTime(body.time.timestamp()) if body.time else None,
-        bus=body.bus,
-        unit=body.unit,
-        alarm=body.alarm,
-        corrects=body.corrects,
         key=key,
         pictures=tuple(_decoded(each) for each in body.pictures),
     )

@@ -219,22 +219,19 @@ class Writer:
 
     def _open_store(self) -> None:
         database = Database(self._path, MIGRATIONS)
+        recorder = Recorder(database, self.tail, self._on_damage)
         try:
-            opened = self._begin(database)
+            # The first row shows whether the store can be written.
+            database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
+            recorder.replay()
         except BaseException:
             database.close()
             raise
-        before, self._open = self._open, opened
+        upkeep = Upkeep(database, self._kept, self._reserve, self._on_damage)
+        before, self._open = self._open, _Open(database, recorder, upkeep)
         self._writable, self._look_at = True, Monotonic(0.0)
         if before is not None:
             before.database.close()
-
-    def _begin(self, database: Database) -> _Open:
-        """Raises StoreError when it cannot be written: the first row shows it."""
-        database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
-        recorder = Recorder(database, self.tail, self._on_damage)
-        recorder.replay()
-        return _Open(database, recorder, Upkeep(database, self._kept, self._reserve, self._on_damage))
 
     def _replace_store(self) -> None:
         """Put a store with damaged pages aside, and go on in a new one. A second look decides: the first may
