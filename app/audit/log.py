@@ -13,7 +13,7 @@ from app.audit import store
 from app.audit.anchor import read_key_anchor
 from app.audit.chain import Head
 from app.audit.entry import Event as Event
-from app.audit.entry import is_moment, messages_of, new_entry
+from app.audit.entry import is_moment, new_entry, readable
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
@@ -142,10 +142,7 @@ class EventLog:
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
-            messages = messages_of(entry["messages"])
-            self._publish(
-                {**entry, "id": number, "concluded_at": None, "unreadable": False, "messages": messages}
-            )
+            self._publish(readable({**entry, "id": number, "concluded_at": None, "concluded_messages": None}))
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
