@@ -15,7 +15,7 @@ from app.audit.anchoring import AnchorStatus
 from app.conditions import of_server
 from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch
-from app.history.status import Status
+from app.history.status import HistoryStatus
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, number
 
@@ -28,7 +28,7 @@ class FailingEndpoints(set[str]):
 
 
 def site_conditions(
-    history: Callable[[], Status],
+    history: Callable[[], HistoryStatus],
     anchor: Callable[[], AnchorStatus],
     failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +26,7 @@ from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
 from app.audit.walk import cut_off, not_anchored
 from app.errors import StoreError
+from app.server.in_thread import in_thread
 from app.web.formats import Formats
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message, joined
@@ -61,7 +60,7 @@ class _AnchorPlace:
         self.is_single = is_single
         self.exported: Head | None = None
         self.is_failing = False
-        self._thread = Detached("audit-anchor")
+        self._work: asyncio.Future[Any] | None = None
 
     def write(self, line: bytes) -> None:
         """Add a line, on disk when this returns. Raises AnchorError."""
@@ -71,8 +70,14 @@ class _AnchorPlace:
             append_line(self.path, line)
 
     async def in_thread(self, work: Callable[[], T], within_s: float) -> T:
+        """Run ``work`` once earlier work of this place has ended: a network file system may hang. Raises
+        AnchorError where that takes longer."""
         try:
-            return await self._thread.run(work, within_s)
+            async with asyncio.timeout(within_s):
+                if self._work is not None:
+                    await asyncio.wait([self._work])
+                self._work = started = asyncio.ensure_future(in_thread(work))
+                return await asyncio.shield(started)
         except TimeoutError as error:
             raise AnchorError(self.path, Message("anchor_no_response")) from error
 
@@ -181,40 +186,6 @@ def _present_anchor(place: _AnchorPlace, ring: KeyRing) -> Head | None:
     if not place.is_configured and is_of_lost_key(place.path, ring):
         put_aside(place.path)
     return newest_anchor(place.path, ring)
-
-
-class Detached:
-    """Runs one task at a time in a separate thread. An executor would be joined at the end of the
-    process, and a network file system that hangs would keep that from ending."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._running: Future[Any] = Future()
-        self._running.set_result(None)
-
-    async def run(self, work: Callable[[], T], within_s: float) -> T:
-        """The result of ``work``, or what it raises. Raises TimeoutError when it takes longer; also when
-        earlier work still does, and then nothing was begun."""
-        async with asyncio.timeout(within_s):
-            if not self._running.done():
-                with suppress(Exception):
-                    await asyncio.wrap_future(self._running)
-            self._running = started = self._start(work)
-            return await asyncio.wrap_future(started)
-
-    def _start(self, work: Callable[[], T]) -> Future[T]:
-        future: Future[T] = Future()
-        # From here on it cannot be canceled: the thread runs to its end.
-        future.set_running_or_notify_cancel()
-
-        def run() -> None:
-            try:
-                future.set_result(work())
-            except Exception as error:
-                future.set_exception(error)
-
-        threading.Thread(target=run, name=self._name, daemon=True).start()
-        return future
 
 
 def anchor_notice(status: AnchorStatus, formats: Formats, now: UnixTime) -> Message | None:

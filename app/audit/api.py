@@ -16,10 +16,11 @@ from app.audit.entry import is_moment
 from app.audit.kinds import EventKind
 from app.audit.log import Event, EventLog
 from app.audit.store import Filter
+from app.audit.walk import AuditVerification
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Instant, MaybeInstant, MessageShown, csv_text, iso, json_response, maybe_shown
+from app.web.shape import Instant, MaybeInstant, csv_text, iso, json_response
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 
@@ -130,21 +131,10 @@ async def list_events(
     return await json_response(lambda: {"events": [shown(event) for event in found], "next": after})
 
 
-class AuditVerification(BaseModel):
-    """Whether the log is intact; ``broken``: the first altered entry; ``fault``: the cause."""
-
-    entries: int
-    broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")]
-    fault: Annotated[MessageShown | None, Field(description="Why it is not intact; null: it is.")]
-    unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")]
-    anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")]
-
-
 @router.get("/events/proof", dependencies=[DOWNLOAD])
 async def verify_audit_log(_: Admin, events: Events) -> AuditVerification:
     """Verify the complete log like ``lineside audit verify``, with the anchor beside the key alone."""
-    verdict = await events.proof.verify()
-    return AuditVerification.model_validate(vars(verdict) | {"fault": maybe_shown(verdict.fault)})
+    return await events.proof.verify()
 
 
 @router.get("/events.csv", response_class=StreamingResponse, responses=CSV, dependencies=[DOWNLOAD])

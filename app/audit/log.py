@@ -13,12 +13,12 @@ from app.audit import store
 from app.audit.anchor import read_key_anchor
 from app.audit.chain import Head
 from app.audit.entry import Event as Event
-from app.audit.entry import is_moment, messages_of, new_entry
+from app.audit.entry import is_moment, new_entry, readable
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
-from app.audit.walk import Verdict, Walk
+from app.audit.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
@@ -142,10 +142,7 @@ class EventLog:
     async def _append_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         numbers = await self._write_all(entries, also)
         for number, entry in zip(numbers, entries, strict=True):
-            messages = messages_of(entry["messages"])
-            self._publish(
-                {**entry, "id": number, "concluded_at": None, "unreadable": False, "messages": messages}
-            )
+            self._publish(readable({**entry, "id": number, "concluded_at": None, "concluded_messages": None}))
         return numbers
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
@@ -184,7 +181,7 @@ class LogProof:
         self._keys = keys
         self._one_at_a_time = asyncio.Lock()
 
-    async def verify(self, anchors: Mapping[int, str] | None = None) -> Verdict:
+    async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
         """Whether the log is intact, and holds the hashes that ``anchors`` names by entry; where None, those
         of the anchor beside the key."""
         async with self._one_at_a_time:
@@ -197,7 +194,7 @@ class LogProof:
             await self._follow(walk, store.LOWEST_ID, last)
             return walk.end(head)
 
-    async def since(self, known: Head) -> Verdict:
+    async def since(self, known: Head) -> AuditVerification:
         """Whether what was added after an entry that is known to be good continues it."""
         head, last = await self.extent()
         walk = Walk(self._keys.knowing(head.key), start=known)
@@ -213,11 +210,9 @@ class LogProof:
         return await self._database.read(lambda connection: store.link_of(connection, number))
 
     async def _follow(self, walk: Walk, number: int, until: int) -> None:
-        def follow_chunk(connection: StoreConnection) -> int | None:
-            chunk = store.entries_from(connection, number, until)
-            walk.follow(chunk)
-            return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None
+        def follow(connection: StoreConnection) -> int | None:
+            return store.follow_chunk(connection, walk, number, until)
 
-        while (following := await self._database.read(follow_chunk)) is not None:
+        while (following := await self._database.read(follow)) is not None:
             number = following
             await asyncio.sleep(0)

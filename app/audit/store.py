@@ -10,18 +10,15 @@ from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
 from app.audit.entry import new_entry, readable
 from app.audit.keyring import KeyRing
 from app.audit.keys import Keys
-from app.audit.walk import Verdict, Walk
+from app.audit.walk import AuditVerification, Walk
 from app.database import StoreConnection
+from app.database.engine import json_member, upsert
 from bus.instants import UnixTime
 
 _COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
 """A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
-_NOTE_HEAD = (
-    "INSERT INTO events_head (only, id, hash, key, seal) VALUES (1, ?, ?, ?, ?) "
-    "ON CONFLICT (only) DO UPDATE SET id = excluded.id, hash = excluded.hash, key = excluded.key, "
-    "seal = excluded.seal"
-)
+_NOTE_HEAD = upsert("events_head", ("only",), ("id", "hash", "key", "seal"))
 LOWEST_ID = -(2**63)
 """Where a walk begins: an entry that was added before the first must be seen too."""
 CHUNK = 500
@@ -67,25 +64,23 @@ class Filter:
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
         """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
+        messages = f"{event}.messages"
         given = {
-            "id < ?": self.before,
-            "id > ?": self.after,
-            "kind = ?": self.kind,
-            "bus = ?": self.bus,
-            "unit = ?": self.unit,
-            "who = ?": self.who,
-            "time >= ?": self.since,
-            "time < ?": self.until,
-            "old_raw = ?": self.old_raw,
-            "new_raw = ?": self.new_raw,
+            f"{event}.id < ?": self.before,
+            f"{event}.id > ?": self.after,
+            f"{event}.kind = ?": self.kind,
+            f"{event}.bus = ?": self.bus,
+            f"{event}.unit = ?": self.unit,
+            f"{event}.who = ?": self.who,
+            f"{event}.time >= ?": self.since,
+            f"{event}.time < ?": self.until,
+            f"{event}.old_raw = ?": self.old_raw,
+            f"{event}.new_raw = ?": self.new_raw,
+            f"{json_member(messages, 'what.code')} = ?": self.code,
+            f"{json_member(messages, 'what.params.number')} = ?": self.number,
         }
-        parts = [f"AND {event}.{condition}" for condition, value in given.items() if value is not None]
+        parts = [f"AND {condition}" for condition, value in given.items() if value is not None]
         values: list[Any] = [value for value in given.values() if value is not None]
-        of_what = f"CASE WHEN json_valid({event}.messages) THEN json_extract({event}.messages, ?) = ? END"
-        for path, value in (("$.what.code", self.code), ("$.what.params.number", self.number)):
-            if value is not None:
-                parts.append(f"AND {of_what}")
-                values += [path, value]
         if self.search:
             columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{conclusion}.message")
             either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in columns)
@@ -141,7 +136,7 @@ def _insert(connection: StoreConnection, head: Head, entry: Mapping[str, Any], r
     sealed = sealed_entry(head.hash, row, ring)
     connection.execute(_INSERT, [sealed.get(name) for name in _COLUMNS])
     new = sealed_head(sealed, ring)
-    connection.execute(_NOTE_HEAD, (new.id, new.hash, new.key, new.seal))
+    connection.execute(_NOTE_HEAD, (1, new.id, new.hash, new.key, new.seal))
     return new
 
 
@@ -193,17 +188,18 @@ def link_of(connection: StoreConnection, number: int) -> Head | None:
     return Head(*row) if row else None
 
 
-def entries_from(connection: StoreConnection, number: int, until: int) -> list[dict[str, Any]]:
-    """The entries from ``number`` on as they are stored, at most `CHUNK` of them, none beyond ``until``."""
-    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
-    return [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
-
-
-def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> Verdict:
+def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
     """Walk the log, chunk by chunk: entries added in between are left for the next time."""
     head, last = extent(connection)
     walk, number = Walk(ring, anchors), LOWEST_ID
-    while walk.broken is None and (chunk := entries_from(connection, number, last)):
-        walk.follow(chunk)
-        number = chunk[-1]["id"] + 1
+    while (following := follow_chunk(connection, walk, number, last)) is not None:
+        number = following
     return walk.end(head)
+
+
+def follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
+    """Follow at most `CHUNK` entries from ``number`` to ``until``; return the next number or None."""
+    query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
+    chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
+    walk.follow(chunk)
+    return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None

@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field
 
 from app.audit.chain import Head, confirms_head, entry_hash, notes_altered_end
 from app.audit.keyring import KeyRing
+from app.web.shape import MessageObject
 from bus.messages import Message
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Whether a log is intact; ``broken``: the first entry that is not, ``fault``: the reason.
-
-    ``unsealed``: the entries from 1 up to this one are older than the key. They are verified to be as they
-    were when it was made, and no further back. ``anchored``: the newest entry that an anchor names.
-    """
+class AuditVerification:
+    """Whether the log is intact; ``broken``: the first altered entry; ``fault``: the cause. Entries that are
+    older than the key are verified to be as they were when it was made, and no further back."""
 
     entries: int
-    broken: int | None = None
-    fault: Message | None = None
-    unsealed: int = 0
-    anchored: int = 0
+    broken: Annotated[int | None, Field(description="Number of the first broken entry; null: none.")] = None
+    fault: Annotated[MessageObject | None, Field(description="Why it is not intact; null: it is.")] = None
+    unsealed: Annotated[int, Field(description="Entries up to this one are older than the key; 0: none.")] = 0
+    anchored: Annotated[int, Field(description="The newest entry that the anchor names; 0: none.")] = 0
+
+    __pydantic_config__ = ConfigDict(json_schema_serialization_defaults_required=True)
 
 
 class Walk:
@@ -35,7 +37,7 @@ class Walk:
         self._anchors = anchors or {}
         self._start = start or Head()
         self.last = self._start
-        self.broken: Verdict | None = None
+        self.broken: AuditVerification | None = None
 
     def follow(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """The next entries, in order. After the first that is broken nothing more is looked at."""
@@ -48,14 +50,14 @@ class Walk:
             else:
                 self.last = Head(entry["id"], entry["hash"], entry.get("key") or "")
 
-    def end(self, head: Head | None) -> Verdict:
+    def end(self, head: Head | None) -> AuditVerification:
         """The verdict once every entry was followed; ``head`` is what was noted apart as the newest."""
         if self.broken is None:
             self._check_end(head or Head())
         if self.broken is not None:
             return self.broken
         unsealed = min(self.last.id, self._ring.origin.id)
-        return Verdict(self.last.id, unsealed=unsealed, anchored=max(self._anchors, default=0))
+        return AuditVerification(self.last.id, unsealed=unsealed, anchored=max(self._anchors, default=0))
 
     def _fault(self, entry: Mapping[str, Any]) -> Message | None:
         number = entry["id"]
@@ -105,7 +107,7 @@ class Walk:
             self._break(last.id + 1, Message("audit_newest_key_unused"))
 
     def _break(self, number: int, fault: Message) -> None:
-        self.broken = Verdict(self.last.id, number, fault)
+        self.broken = AuditVerification(self.last.id, number, fault)
 
 
 def cut_off(number: int, path: str) -> Message:

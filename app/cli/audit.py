@@ -14,7 +14,7 @@ from app.audit.chain import Head
 from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import head_of, prove
-from app.audit.walk import Verdict
+from app.audit.walk import AuditVerification
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config, check_store
 from app.cli.site_log import record, site_log
@@ -56,7 +56,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 
-def _verdict(settings: Settings, anchor: Path | None) -> tuple[Verdict, Anchors]:
+def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification, Anchors]:
     """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
     store = settings.server.store
@@ -91,7 +91,7 @@ def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
     return ring or KeyRing((), KeyOrigin(head.id, head.hash))
 
 
-def _remarks(verdict: Verdict, anchors: Anchors) -> list[Message]:
+def _remarks(verdict: AuditVerification, anchors: Anchors) -> list[Message]:
     """List what the proof does not cover."""
     remarks = []
     if verdict.unsealed:

@@ -22,12 +22,3 @@ def messages_of(text: str) -> list[Message]:
         return _DECODER.decode(text)
     except (msgspec.MsgspecError, UnicodeError, RecursionError):
         return [UNREADABLE]
-
-
-def stored_message(message: Message | None) -> str:
-    """One message, or none, in a column that is never NULL."""
-    return stored_messages([] if message is None else [message])
-
-
-def message_of(text: str) -> Message | None:
-    return next(iter(messages_of(text)), None)

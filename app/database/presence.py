@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Literal
 
-from app.database.connection import open_for_reading
+from app.database.connection import STEPS, open_for_reading
+from app.database.engine import is_intact
 from app.database.private import refuse_link
 from app.database.words import in_words
 from app.errors import DamagedStoreError
@@ -51,6 +52,16 @@ def examining(store: Path) -> Iterator[sqlite3.Connection]:
     """Read a store and leave no file beside it. Raises StoreError in words."""
     with in_words(store), closing(_open(store)) as connection:
         yield connection
+
+
+def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:
+    """Check every page of a store, or until ``stop`` returns true. Raises StoreError when it ended early."""
+    try:
+        with examining(store) as connection:
+            connection.set_progress_handler(stop, STEPS)
+            return is_intact(connection)
+    except DamagedStoreError:
+        return False
 
 
 def _open(store: Path) -> sqlite3.Connection:

@@ -24,11 +24,6 @@ _MEANINGS: dict[int, Message] = {
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
-def primary_code(error: sqlite3.Error) -> int:
-    """The primary result code, which is the low byte of an extended one; 0: the error has none."""
-    return getattr(error, "sqlite_errorcode", 0) & 0xFF
-
-
 @contextmanager
 def in_words(path: Path) -> Iterator[None]:
     """Turn what SQLite or the file system raises into a StoreError that names the store.
@@ -43,7 +38,8 @@ def in_words(path: Path) -> Iterator[None]:
     except OverflowError as error:
         raise CallerError(Message("number_too_large")) from error
     except sqlite3.Error as error:
-        code = primary_code(error)
+        # The low byte of an extended result code is the primary one.
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code == sqlite3.SQLITE_INTERRUPT:
             raise TooCostlyError(Message("search_too_costly")) from error
         reason = _MEANINGS.get(code) or system_error(error)

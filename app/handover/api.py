@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import msgspec
 from fastapi import APIRouter, Depends, Path, Query
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, TypeAdapter
 from starlette.requests import Request
 from starlette.responses import Response
 from typing_extensions import TypedDict
@@ -21,12 +21,10 @@ from app.handover.service import Handover, NewNote, ShiftSummary
 from app.handover.sheet import (
     ShiftNote,
     ShiftSheet,
-    ShiftSignature,
     ShiftSignatures,
+    SignaturesOfSheet,
     SignedShiftSheet,
-    missing_json,
     notes_json,
-    signature_json,
     signed_json,
 )
 from app.handover.signing import ShiftSignRequest, Signing
@@ -53,6 +51,7 @@ SIGNED_JSON: dict[int | str, dict[str, Any]] = {
     **problems(409),
 }
 HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
+_SIGNATURES = TypeAdapter(SignaturesOfSheet)
 NoteText = Annotated[Lines, Field(min_length=1, max_length=MAX_NOTE_LENGTH)]
 
 
@@ -85,20 +84,10 @@ class ShiftNoteRequest(StrictBody):
     ] = ()
 
 
-class ShiftSummaryShown(TypedDict):
-    """A shift in the list."""
-
-    start: Instant
-    end: Instant
-    notes: Annotated[int, Field(description="How many it has.")]
-    leaving: ShiftSignature | None
-    coming: ShiftSignature | None
-
-
 class ShiftsShown(TypedDict):
     """Shifts, newest first. ``next`` is the ``before`` of the next page."""
 
-    shifts: list[ShiftSummaryShown]
+    shifts: list[ShiftSummary]
     next: Instant
 
 
@@ -111,20 +100,20 @@ async def get_shifts(
 ) -> ShiftsShown:
     """The shift under way and those before it."""
     found = await shifts.summaries(UnixTime(before.timestamp()) if before else None, limit)
-    return {"shifts": [_summary(each) for each in found], "next": iso(found[-1].shift.start)}
+    return {"shifts": found, "next": iso(found[-1].start)}
 
 
 @router.get("/{start}", response_model=ShiftSheet, dependencies=[SEARCH])
 async def get_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) -> Response:
     """The sheet of a shift, made from the store; of the one under way, up to now; as it was signed."""
     found = await shifts.sheet(shift)
-    sheet = msgspec.json.decode(found.sheet)
-    more = {
+    more: SignaturesOfSheet = {
         "signed": signed_json(found.signed),
-        "missing_signatures": missing_json(found.missing),
+        "missing_signatures": found.missing,
         "later_notes": notes_json(found.later),
     }
-    return Response(msgspec.json.encode(sheet | more), media_type="application/json")
+    sheet = msgspec.json.decode(found.sheet) | _SIGNATURES.dump_python(more)
+    return Response(msgspec.json.encode(sheet), media_type="application/json")
 
 
 @router.get("/{start}/sheet.json", response_class=Response, responses=SIGNED_JSON, dependencies=[SEARCH])
@@ -133,7 +122,7 @@ async def get_signed_shift_sheet(_: Viewer, shifts: Shifts, shift: ShiftOfPath) 
     signed = (await shifts.sheet(shift)).signed
     if signed is None:
         raise Problem(409, "not_signed", Message("shift_not_signed_over"))
-    return Response(signed.frozen.sheet, media_type="application/json")
+    return Response(signed.sheet, media_type="application/json")
 
 
 @router.get("/{start}/sheet.html", response_class=Response, responses=HTML, dependencies=[SEARCH])
@@ -171,12 +160,8 @@ async def write_shift_note(
 ) -> ShiftNote:
     """Write a note. It is never changed; a correction is a new note that names it."""
     new = NewNote(
-        text=body.text,
+        **body.model_dump(exclude={"time", "pictures"}),
         at=UnixTime(body.time.timestamp()) if body.time else None,
-        bus=body.bus,
-        unit=body.unit,
-        alarm=body.alarm,
-        corrects=body.corrects,
         key=key,
         pictures=tuple(_decoded(each) for each in body.pictures),
     )
@@ -188,13 +173,3 @@ def _decoded(text: str) -> bytes:
         return b64decode(text, validate=True)
     except ValueError:
         raise Problem(422, "invalid", Message("picture_not_base64")) from None
-
-
-def _summary(summary: ShiftSummary) -> ShiftSummaryShown:
-    return {
-        "start": iso(summary.shift.start),
-        "end": iso(summary.shift.end),
-        "notes": summary.notes,
-        "leaving": signature_json(summary.signatures.get("leaving")),
-        "coming": signature_json(summary.signatures.get("coming")),
-    }

@@ -5,14 +5,19 @@ from __future__ import annotations
 import re
 from base64 import b64encode
 from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import msgspec
 
 from app.alarms.line_alarms import LineAlarms
 from app.handover.pictures import PictureStore
 from app.handover.rules.pictures import PlainPicture
 from app.handover.service import SheetOfShift
-from app.handover.sheet_view import readable_sheet
 from app.web.assets import Assets
 from app.web.templating import Templates
+from bus.instants import UnixTime
+from bus.messages import Message
 
 STYLE = "css/handover-document.css"
 APART = {
@@ -21,10 +26,37 @@ APART = {
     )
 }
 """For files with what people have written: they are never a page of this site."""
-
-
+INSTANTS = frozenset({"start", "end", "until", "made_at", "time", "written_at"})
 _PICTURE = re.compile(r'(?<=<img src=")sha256:([0-9a-f]{64})(?=")')
 """How the page of a sheet names a picture. What people write cannot: it is escaped."""
+
+
+def readable(part: Any) -> Any:
+    """A sheet of the API, or a part of one, as templates show it: moments for its instants, and messages,
+    which each reader has in their language, for its texts."""
+    match part:
+        case {"code": _, "params": _}:
+            return msgspec.convert(part, Message)
+        case dict():
+            found = {
+                name: _moment(each) if name in INSTANTS else readable(each) for name, each in part.items()
+            }
+            return found | _texts_of(found) if "trigger" in found else found
+        case list():
+            return [readable(each) for each in part]
+        case _:
+            return part
+
+
+def _moment(text: str | None) -> UnixTime | None:
+    return None if text is None else UnixTime(datetime.fromisoformat(text).timestamp())
+
+
+def _texts_of(transition: Mapping[str, Any]) -> dict[str, str | Message]:
+    """The name of an alarm, of a built-in one as a message; and its state."""
+    alarm, code = transition["alarm"].rpartition(".")[0], transition["code"]
+    title = Message(f"alarm_{code}") if alarm.endswith(f".{code}") else transition["name"]
+    return {"title": title, "state": Message(f"alarm_state_{transition['after']}")}
 
 
 class SheetDocuments:
@@ -40,12 +72,12 @@ class SheetDocuments:
 
     def page(self, sheet: bytes) -> bytes:
         """The page of a sheet, without its signatures: what is signed beside the data."""
-        readable = readable_sheet(sheet)
-        return self._rendered("handover/_frozen.html", sheet=readable, place_of=self._alarms.place).encode()
+        shown = readable(msgspec.json.decode(sheet))
+        return self._rendered("handover/_frozen.html", sheet=shown, place_of=self._alarms.place).encode()
 
     async def document(self, found: SheetOfShift) -> str:
         """The page with its signatures and pictures as a file."""
-        page = (found.signed.frozen.page if found.signed else self.page(found.sheet)).decode()
+        page = (found.signed.page if found.signed else self.page(found.sheet)).decode()
         named = dict.fromkeys(_PICTURE.findall(page))
         pictures = await self._pictures.all_of(named)
         style = self._assets.get(STYLE).body.decode()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import astuple, dataclass, fields, replace
 
 from app.alarms.store import JournalEntry
+from app.database import StoreConnection
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
@@ -52,19 +52,19 @@ _SELECT = f"SELECT {', '.join(_COLUMNS)}, id FROM shift_note"
 _INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 
 
-def notes_of(connection: sqlite3.Connection, shift: Shift) -> list[Note]:
+def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
     """The notes of a shift in the order of what they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
 
 
-def counts_of(connection: sqlite3.Connection, shifts: list[Shift]) -> list[int]:
+def counts_of(connection: StoreConnection, shifts: list[Shift]) -> list[int]:
     """How many notes each shift has."""
     query = "SELECT count(*) FROM shift_note WHERE at >= ? AND at < ?"
     return [connection.execute(query, (shift.start, shift.end)).fetchone()[0] for shift in shifts]
 
 
-def find_repeated(connection: sqlite3.Connection, note: Note) -> Note | None:
+def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
     """The note that this request made before. Raises Problem 422 where its key was for another one."""
     row = connection.execute(f"{_SELECT} WHERE sender = ? AND key = ?", (note.sender, note.key)).fetchone()
     if row is None:
@@ -76,7 +76,7 @@ def find_repeated(connection: sqlite3.Connection, note: Note) -> Note | None:
     return earlier
 
 
-def add(connection: sqlite3.Connection, note: Note, shift: Shift) -> int:
+def add(connection: StoreConnection, note: Note, shift: Shift) -> int:
     """Store a note, and return its number. Raises as `check`."""
     check(connection, note, shift)
     number = connection.execute(_INSERT, astuple(note)[:-1]).lastrowid
@@ -84,7 +84,7 @@ def add(connection: sqlite3.Connection, note: Note, shift: Shift) -> int:
     return number
 
 
-def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
+def check(connection: StoreConnection, note: Note, shift: Shift) -> None:
     """Raises RepeatedNoteError, and Problem 404 or 409 where it corrects a note that was corrected, its alarm
     never was, or the shift has no room."""
     repeated = find_repeated(connection, note)
@@ -107,7 +107,7 @@ def check(connection: sqlite3.Connection, note: Note, shift: Shift) -> None:
         raise Problem(409, "too_many", Message.of("shift_pictures_full", n=MAX_PICTURES))
 
 
-def occurrence(connection: sqlite3.Connection, alarm_id: str) -> JournalEntry:
+def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
     """The last transition of an occurrence of an alarm. Raises Problem 404."""
     alarm, _, number = alarm_id.rpartition(".")
     query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
@@ -117,7 +117,7 @@ def occurrence(connection: sqlite3.Connection, alarm_id: str) -> JournalEntry:
     return JournalEntry(*row)
 
 
-def find(connection: sqlite3.Connection, number: int, shift: Shift) -> Note:
+def find(connection: StoreConnection, number: int, shift: Shift) -> Note:
     """A note of a shift. Raises Problem 404."""
     row = connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
     if row is None or not shift.holds(row["at"]):

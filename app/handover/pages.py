@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
+import msgspec
 from fastapi import APIRouter, Depends, File, Form, Path, Query, UploadFile
 from pydantic import AwareDatetime
 from starlette.requests import Request
@@ -17,12 +18,10 @@ from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import transition_json
 from app.handover.acts import SIGN, WRITE_NOTE
 from app.handover.api import MAX_NOTE_LENGTH, ShiftOfPath, Shifts, Sign
-from app.handover.document import APART
+from app.handover.document import APART, readable
 from app.handover.pictures import MAX_OF_NOTE, PictureStore
-from app.handover.rules.shift_times import Shift
 from app.handover.service import NewNote
 from app.handover.sheet import notes_json
-from app.handover.sheet_view import readable_notes, readable_sheet, readable_transition
 from app.handover.signatures import SignedPart
 from app.handover.signing import ShiftSignRequest
 from app.web.access import Person, Viewer, address_of
@@ -54,9 +53,9 @@ async def shifts_page(
     return render(
         request,
         "handover/page.html",
-        rows=[(each, _path(each.shift)) for each in found],
+        rows=[(each, _path(each.start)) for each in found],
         present=shifts.present(),
-        older=_stamp(found[-1].shift.start),
+        older=_stamp(found[-1].start),
         before=before,
     )
 
@@ -68,7 +67,7 @@ async def present_page(
     """A link to the sheet of the shift under way, whenever it is opened; with what a note is to be about, to
     its form."""
     pinned = urlencode({name: value for name, value in (("place", place), ("alarm", alarm)) if value})
-    path = _path(shifts.present())
+    path = _path(shifts.present().start)
     return RedirectResponse(f"{path}?{pinned}#write" if pinned else path, SEE_OTHER)
 
 
@@ -98,8 +97,8 @@ async def sheet_page(
     shifts.check_place(*_place(place))
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
-    sheet = readable_sheet(found.sheet)
-    later = readable_notes(notes_json(found.later))
+    sheet = readable(msgspec.json.decode(found.sheet))
+    later = readable(notes_json(found.later))
     corrected = next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None)
     return render(
         request,
@@ -110,10 +109,10 @@ async def sheet_page(
         missing=found.missing,
         signs_as=person.name if person.via == "session" and not person.panel else "",
         shift=shift,
-        page=_path(shift),
+        page=_path(shift.start),
         corrected=corrected,
         pinned_place=place,
-        pinned_alarm=pinned_alarm and readable_transition(transition_json(pinned_alarm)),
+        pinned_alarm=pinned_alarm and readable(transition_json(pinned_alarm)),
         places=_places(alarms),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
@@ -154,7 +153,7 @@ async def write_note(
 ) -> Response:
     """Write a note."""
     note = await shifts.write(person, shift, new)
-    return RedirectResponse(f"{_path(shift)}#note-{note.id}", SEE_OTHER)
+    return RedirectResponse(f"{_path(shift.start)}#note-{note.id}", SEE_OTHER)
 
 
 @router.post("/shifts/{start}/sign")
@@ -171,7 +170,7 @@ async def sign(
     """Sign as the user of the session, or by name and password."""
     wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password)
     await signing.sign(person, address_of(request), shift, wanted)
-    return RedirectResponse(f"{_path(shift)}#signatures", SEE_OTHER)
+    return RedirectResponse(f"{_path(shift.start)}#signatures", SEE_OTHER)
 
 
 def _place(written: str) -> tuple[str | None, int | None]:
@@ -190,8 +189,8 @@ def _places(alarms: LineAlarms) -> list[tuple[str, Any]]:
     return places
 
 
-def _path(shift: Shift) -> str:
-    return f"/shifts/{_stamp(shift.start)}"
+def _path(start: UnixTime) -> str:
+    return f"/shifts/{_stamp(start)}"
 
 
 def _stamp(at: UnixTime) -> str:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import sqlite3
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import structlog
 
-from app.database import Database
+from app.database import Database, StoreConnection
+from app.database.engine import size_of
 from app.errors import Problem, StoreError
 from app.handover.rules.pictures import PlainPicture, plain_picture
 from bus.messages import Message
@@ -51,11 +51,8 @@ class PictureStore:
             database = await self._opened()
             await database.write(lambda connection: self._insert(connection, rows))
 
-    def _insert(self, connection: sqlite3.Connection, rows: Sequence[tuple[str, str, bytes]]) -> None:
-        pages, page = (
-            connection.execute(f"PRAGMA {fact}").fetchone()[0] for fact in ("page_count", "page_size")
-        )
-        if pages * page + sum(len(content) for _, _, content in rows) > self._max_mb * MB:
+    def _insert(self, connection: StoreConnection, rows: Sequence[tuple[str, str, bytes]]) -> None:
+        if size_of(connection) + sum(len(content) for _, _, content in rows) > self._max_mb * MB:
             raise Problem(409, "too_many", Message.of("pictures_of_site_full", n=self._max_mb))
         query = "INSERT INTO picture VALUES (?, ?, ?) ON CONFLICT (digest) DO NOTHING"
         connection.executemany(query, rows)

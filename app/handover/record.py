@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Annotated, cast
+
+from pydantic import Field
+from typing_extensions import TypedDict
 
 from app.alarms.store import JournalEntry
 from app.audit import store
+from app.audit.api import EventShown, shown
+from app.audit.log import Event
 from app.audit.store import Filter
+from app.database import StoreConnection
+from app.database.engine import json_member
 from app.handover.rules.shift_times import Shift
 from bus.instants import UnixTime
 
@@ -28,9 +34,9 @@ SELECT {_ENTRY} FROM alarm_facts known JOIN alarm_journal j ON j.id = (
 _LAST_OF_EACH = """
 SELECT max(id) FROM events WHERE about IS NULL AND kind = ? AND time < ? GROUP BY bus, unit ORDER BY 1
 """
-_NEXT_START = """
+_NEXT_START = f"""
 SELECT time FROM events WHERE about IS NULL AND kind = 'server' AND time >= ?
-AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') END = 'event_server_started'
+AND {json_member("messages", "what.code")} = 'event_server_started'
 ORDER BY id LIMIT 1
 """
 _EXTENT = "SELECT min(id), max(id) FROM events WHERE about IS NULL AND time >= ? AND time < ?"
@@ -41,37 +47,37 @@ AND e.id NOT IN (SELECT event FROM event_parts) GROUP BY 1, 2
 """
 
 
-@dataclass(frozen=True, slots=True)
-class EventsOfShift:
-    """The newest events of some kinds, oldest first; ``outcomes``: how many had each, in all."""
+class ShiftEventsShown(TypedDict):
+    """Events of the shift: at most the newest 200, oldest first."""
 
-    events: list[dict[str, Any]]
-    outcomes: dict[str, int]
-
-    @property
-    def total(self) -> int:
-        return sum(self.outcomes.values())
+    total: Annotated[int, Field(description="How many there were in all.")]
+    outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
+    events: list[EventShown]
 
 
 class ShiftEvents:
     """Reads the events of one shift, in one transaction."""
 
-    def __init__(self, connection: sqlite3.Connection, shift: Shift) -> None:
+    def __init__(self, connection: StoreConnection, shift: Shift) -> None:
         self._connection = connection
         self._shift = shift
         self._first, self._last = connection.execute(_EXTENT, (shift.start, shift.end)).fetchone()
         self._counted = self._count()
 
-    def of(self, kinds: Sequence[str]) -> EventsOfShift:
+    def of(self, kinds: Sequence[str]) -> ShiftEventsShown:
         """The events of some kinds. A change of several units is one event."""
         found = [event for kind in kinds for event in self._newest(kind)]
-        found.sort(key=lambda event: -event["id"])
+        found.sort(key=lambda event: event["id"])
         outcomes: Counter[str] = Counter()
         for kind in kinds:
             outcomes += self._counted.get(kind, Counter())
-        return EventsOfShift(found[:MAX_EVENTS][::-1], dict(sorted(outcomes.items())))
+        return {
+            "total": outcomes.total(),
+            "outcomes": dict(sorted(outcomes.items())),
+            "events": [event_json(event) for event in found[-MAX_EVENTS:]],
+        }
 
-    def _newest(self, kind: str) -> list[dict[str, Any]]:
+    def _newest(self, kind: str) -> list[Event]:
         if kind not in self._counted:
             return []
         wanted = Filter(
@@ -92,19 +98,24 @@ class ShiftEvents:
         return counted
 
 
-def alarms_at(connection: sqlite3.Connection, at: UnixTime) -> list[JournalEntry]:
+def event_json(event: Event) -> EventShown:
+    """An event as the API has it, without the frames, which are in the events."""
+    return cast(EventShown, shown({**event, "frames": "[]"}))
+
+
+def alarms_at(connection: StoreConnection, at: UnixTime) -> list[JournalEntry]:
     """The last transition before a moment of each alarm that was not normal then."""
     return [JournalEntry(*row) for row in connection.execute(_LAST_TRANSITIONS, (at,))]
 
 
-def last_events(connection: sqlite3.Connection, kind: str, before: UnixTime) -> list[dict[str, Any]]:
+def last_events(connection: StoreConnection, kind: str, before: UnixTime) -> list[Event]:
     """The last event of a kind before a moment, for each unit or bus."""
     numbers = [number for (number,) in connection.execute(_LAST_OF_EACH, (kind, before))]
     found = (store.one(connection, number) for number in numbers)
     return [event for event in found if event is not None]
 
 
-def first_gap(connection: sqlite3.Connection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
+def first_gap(connection: StoreConnection, shift: Shift) -> tuple[UnixTime, UnixTime] | None:
     """From the last record before a start of the server up to that start, where it reaches into a shift."""
     start = connection.execute(_NEXT_START, (shift.start,)).fetchone()
     if start is None:
@@ -114,7 +125,7 @@ def first_gap(connection: sqlite3.Connection, shift: Shift) -> tuple[UnixTime, U
     return None if last is None or last >= shift.end else (UnixTime(last), UnixTime(start["time"]))
 
 
-def first_event_at(connection: sqlite3.Connection) -> UnixTime | None:
+def first_event_at(connection: StoreConnection) -> UnixTime | None:
     """When the log begins."""
     row = connection.execute("SELECT time FROM events ORDER BY id LIMIT 1").fetchone()
     return None if row is None else UnixTime(row["time"])

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
+from typing import Annotated
 from zoneinfo import ZoneInfo
 
 import msgspec
+from pydantic import Field
 
 from app.alarms.store import JournalEntry
 from app.audit.log import EventLog
-from app.database import Database
+from app.database import Database, StoreConnection
+from app.database.engine import snapshot
 from app.errors import Problem
 from app.handover import notes
 from app.handover.acts import CORRECT_NOTE, WRITE_NOTE
@@ -24,9 +25,8 @@ from app.handover.quota import Quota
 from app.handover.rules.shift_times import Shift, instant_of, shift_at, shifts_until, site_time
 from app.handover.sheet import write_sheet
 from app.handover.signatures import (
-    LoggedSignature,
-    Signature,
-    SignedPart,
+    MissingSignature,
+    ShiftSignature,
     SignedSheet,
     missing_signatures,
     signatures_of,
@@ -37,7 +37,7 @@ from app.notification.settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
 from app.web.services import unknown_bus, unknown_unit
-from app.web.shape import iso
+from app.web.shape import ShownInstant, iso
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -62,11 +62,13 @@ class NewNote:
 
 @dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """A shift in the list of shifts."""
+    """A shift in the list."""
 
-    shift: Shift
-    notes: int
-    signatures: Mapping[SignedPart, Signature]
+    start: ShownInstant
+    end: ShownInstant
+    notes: Annotated[int, Field(description="How many it has.")]
+    leaving: ShiftSignature | None
+    coming: ShiftSignature | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +80,7 @@ class SheetOfShift:
     sheet: bytes
     signed: SignedSheet | None
     later: list[Note]
-    missing: list[LoggedSignature]
+    missing: list[MissingSignature]
 
 
 class Handover:
@@ -131,31 +133,28 @@ class Handover:
         """The sheet of a shift, as it was signed or as it would be now; read at one instant."""
         now = self._clock()
 
-        def read(connection: sqlite3.Connection) -> SheetOfShift:
-            connection.execute("BEGIN")
-            try:
+        def read(connection: StoreConnection) -> SheetOfShift:
+            with snapshot(connection):
                 return self._sheet(connection, shift, now)
-            finally:
-                connection.execute("ROLLBACK")
 
         return await self._database.read_costly(read)
 
-    def _sheet(self, connection: sqlite3.Connection, shift: Shift, now: UnixTime) -> SheetOfShift:
+    def _sheet(self, connection: StoreConnection, shift: Shift, now: UnixTime) -> SheetOfShift:
         signed, missing = self._signed(connection, shift)
         if signed is None:
             sheet = write_sheet(connection, self._settings, shift, now)
             return SheetOfShift(shift, msgspec.json.encode(sheet), None, [], missing)
-        known = {note["id"] for note in msgspec.json.decode(signed.frozen.sheet)["notes"]}
+        known = {note["id"] for note in msgspec.json.decode(signed.sheet)["notes"]}
         later = [note for note in notes.notes_of(connection, shift) if note.id not in known]
-        return SheetOfShift(shift, signed.frozen.sheet, signed, later, missing)
+        return SheetOfShift(shift, signed.sheet, signed, later, missing)
 
-    async def signed(self, shift: Shift) -> tuple[SignedSheet | None, list[LoggedSignature]]:
+    async def signed(self, shift: Shift) -> tuple[SignedSheet | None, list[MissingSignature]]:
         """The signed sheet of a shift, and the signatures of the audit log that the store has lost."""
         return await self._database.read(lambda connection: self._signed(connection, shift))
 
     def _signed(
-        self, connection: sqlite3.Connection, shift: Shift
-    ) -> tuple[SignedSheet | None, list[LoggedSignature]]:
+        self, connection: StoreConnection, shift: Shift
+    ) -> tuple[SignedSheet | None, list[MissingSignature]]:
         missing = missing_signatures(connection, self.local(shift.start))
         return signed_sheet(connection, shift.start), missing
 
@@ -240,13 +239,17 @@ class Handover:
         return site_time(at, self.zone)
 
 
-def _summaries(connection: sqlite3.Connection, shifts: list[Shift], latest: UnixTime) -> list[ShiftSummary]:
+def _summaries(connection: StoreConnection, shifts: list[Shift], latest: UnixTime) -> list[ShiftSummary]:
     """The computed shifts, and the signed ones until ``latest`` that had other times by their configuration:
     one may have begun within the newest of the computed."""
     signed = signed_between(connection, shifts[-1].start, latest)
     starts = {shift.start: shift for shift in (*shifts, *signed)}
     listed = sorted(starts.values(), key=lambda shift: -float(shift.start))
-    return [
-        ShiftSummary(shift, count, signatures_of(connection, shift.start))
-        for shift, count in zip(listed, notes.counts_of(connection, listed), strict=True)
-    ]
+    counts = notes.counts_of(connection, listed)
+    return [_summary(connection, shift, count) for shift, count in zip(listed, counts, strict=True)]
+
+
+def _summary(connection: StoreConnection, shift: Shift, count: int) -> ShiftSummary:
+    signatures = signatures_of(connection, shift.start)
+    leaving, coming = signatures.get("leaving"), signatures.get("coming")
+    return ShiftSummary(shift.start, shift.end, count, leaving, coming)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, NotRequired
 from zoneinfo import ZoneInfo
@@ -13,18 +12,20 @@ from typing_extensions import TypedDict
 from app.alarms.rules.states import AlarmState
 from app.alarms.shown import AlarmTransition, transition_json
 from app.alarms.store import JournalEntry
-from app.audit.api import EventShown, shown
+from app.audit.api import EventShown
+from app.database import StoreConnection
 from app.handover.notes import Note, notes_of
 from app.handover.record import (
-    EventsOfShift,
     ShiftEvents,
+    ShiftEventsShown,
     alarms_at,
+    event_json,
     first_event_at,
     first_gap,
     last_events,
 )
 from app.handover.rules.shift_times import Shift, site_time
-from app.handover.signatures import LoggedSignature, Signature, SignedPart, SignedSheet
+from app.handover.signatures import MissingSignature, ShiftSignature, SignedSheet
 from app.settings import Settings
 from app.web.shape import Instant, MessageShown, iso, message_shown
 from bus.instants import UnixTime
@@ -56,14 +57,6 @@ class ShiftNote(TypedDict):
     corrects: Annotated[int | None, Field(description="The note in whose place it is.")]
     corrected_by: Annotated[int | None, Field(description="The note that is in its place.")]
     pictures: Annotated[list[str], Field(description="The SHA-256 of each, by which it is loaded.")]
-
-
-class ShiftEventsShown(TypedDict):
-    """Events of the shift: at most the newest 200, oldest first."""
-
-    total: Annotated[int, Field(description="How many there were in all.")]
-    outcomes: Annotated[dict[str, int], Field(description="How many had each outcome; empty: had none.")]
-    events: list[EventShown]
 
 
 class SignedShiftSheet(TypedDict):
@@ -101,13 +94,6 @@ class SignedShiftSheet(TypedDict):
     omissions: Annotated[list[MessageShown], Field(description="What the store does not hold of the shift.")]
 
 
-class ShiftSignature(TypedDict):
-    """Who signed, and when by the clock of the server."""
-
-    who: str
-    at: Instant
-
-
 class ShiftSignatures(TypedDict):
     """What was signed."""
 
@@ -118,15 +104,8 @@ class ShiftSignatures(TypedDict):
     coming: ShiftSignature | None
 
 
-class MissingSignature(ShiftSignature):
-    """A signature that the audit log names."""
-
-    part: SignedPart
-    event: Annotated[int, Field(description="The number of its entry.")]
-
-
-class ShiftSheet(SignedShiftSheet):
-    """The sheet, as it was signed where it is."""
+class SignaturesOfSheet(TypedDict):
+    """What a sheet has beside what is signed."""
 
     signed: ShiftSignatures | None
     missing_signatures: Annotated[
@@ -138,14 +117,17 @@ class ShiftSheet(SignedShiftSheet):
     ]
 
 
+class ShiftSheet(SignedShiftSheet, SignaturesOfSheet):
+    """The sheet, as it was signed where it is."""
+
+
 def write_sheet(
-    connection: sqlite3.Connection, settings: Settings, shift: Shift, now: UnixTime
+    connection: StoreConnection, settings: Settings, shift: Shift, now: UnixTime
 ) -> dict[str, Any]:
     """The sheet of a shift as the store is at one instant; in a transaction."""
     until = min(shift.end, now)
     seen = Shift(shift.start, until)
     alarms, events = alarms_at(connection, until), ShiftEvents(connection, seen)
-    sections = {name: events.of(kinds) for name, kinds in SECTIONS.items()}
     blocked = [each for each in last_events(connection, "block", until) if each["new"] is not None]
     before = last_events(connection, "control", shift.start)
     return {
@@ -155,19 +137,19 @@ def write_sheet(
         "made_at": iso(now),
         "site": settings.site.name,
         "time_zone": settings.site.zone,
-        "standing": _transitions(entry for entry in alarms if entry.after not in HIDDEN),
-        **{state: _transitions(entry for entry in alarms if entry.after == state) for state in HIDDEN},
-        "drift": _transitions(entry for entry in alarms if entry.code == DRIFT),
-        "blocked": [_event(each) for each in blocked],
-        **{name: _section(each) for name, each in sections.items()},
-        "control_before": [_event(each) for each in before],
+        "standing": [transition_json(entry) for entry in alarms if entry.after not in HIDDEN],
+        **{state: [transition_json(entry) for entry in alarms if entry.after == state] for state in HIDDEN},
+        "drift": [transition_json(entry) for entry in alarms if entry.code == DRIFT],
+        "blocked": [event_json(each) for each in blocked],
+        **{name: events.of(kinds) for name, kinds in SECTIONS.items()},
+        "control_before": [event_json(each) for each in before],
         "notes": notes_json(notes_of(connection, shift)),
         "omissions": [*map(message_shown, _omissions(connection, settings, seen, alarms))],
     }
 
 
 def _omissions(
-    connection: sqlite3.Connection, settings: Settings, shift: Shift, alarms: Sequence[JournalEntry]
+    connection: StoreConnection, settings: Settings, shift: Shift, alarms: Sequence[JournalEntry]
 ) -> Iterator[Message]:
     begins = first_event_at(connection)
     if begins is None or begins > shift.start:
@@ -190,21 +172,12 @@ def signed_json(signed: SignedSheet | None) -> ShiftSignatures | None:
     if signed is None:
         return None
     return {
-        "digest": signed.frozen.digest,
-        "page_digest": signed.frozen.page_digest,
+        "digest": signed.digest,
+        "page_digest": signed.page_digest,
         "altered": signed.is_altered,
-        "leaving": signature_json(signed.signatures.get("leaving")),
-        "coming": signature_json(signed.signatures.get("coming")),
+        "leaving": signed.signatures.get("leaving"),
+        "coming": signed.signatures.get("coming"),
     }
-
-
-def missing_json(missing: Sequence[LoggedSignature]) -> list[MissingSignature]:
-    """Lost signatures as the API has them."""
-    return [{"part": each.part, "who": each.who, "at": iso(each.at), "event": each.event} for each in missing]
-
-
-def signature_json(signature: Signature | None) -> ShiftSignature | None:
-    return None if signature is None else {"who": signature.who, "at": iso(signature.at)}
 
 
 def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
@@ -226,20 +199,3 @@ def notes_json(notes: Sequence[Note]) -> list[ShiftNote]:
         }
         for note in notes
     ]
-
-
-def _transitions(entries: Iterator[JournalEntry]) -> list[AlarmTransition]:
-    return [transition_json(entry) for entry in entries]
-
-
-def _section(found: EventsOfShift) -> dict[str, Any]:
-    return {
-        "total": found.total,
-        "outcomes": found.outcomes,
-        "events": [_event(each) for each in found.events],
-    }
-
-
-def _event(event: dict[str, Any]) -> dict[str, Any]:
-    """Without the frames, which are in the events."""
-    return shown({**event, "frames": "[]"})

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import sqlite3
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Literal
 from zoneinfo import ZoneInfo
 
+from pydantic import Field
+
 from app.audit import store
+from app.database import StoreConnection
+from app.database.engine import has_column, json_member
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift, site_time
-from app.web.shape import iso
+from app.web.shape import ShownInstant, iso
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
@@ -20,30 +23,41 @@ SignedPart = Literal["leaving", "coming"]
 """Who signs: the person whose shift ends, then the one whose shift begins."""
 EVENTS: dict[SignedPart, str] = {"leaving": "event_shift_signed_over", "coming": "event_shift_taken_over"}
 
-_LOGGED = """
-SELECT json_extract(messages, '$.what.code'), who, time, id, json_extract(messages, '$.what.params.start')
-FROM events WHERE kind = 'shift' AND about IS NULL
-AND CASE WHEN json_valid(messages) THEN json_extract(messages, '$.what.code') IN (?, ?) END
+_CODE, _START = json_member("messages", "what.code"), json_member("messages", "what.params.start")
+_LOGGED = f"""
+SELECT {_CODE}, who, time, id, {_START}
+FROM events WHERE kind = 'shift' AND about IS NULL AND {_CODE} IN (?, ?)
 """
 
 
 @dataclass(frozen=True, slots=True)
-class Signature:
-    """``event``: its number in the audit log."""
+class ShiftSignature:
+    """Who signed, and when by the clock of the server."""
 
     part: SignedPart
     who: str
-    at: UnixTime
-    event: int
+    at: ShownInstant
+    event: Annotated[int, Field(description="The number of its entry in the audit log.")]
 
 
 @dataclass(frozen=True, slots=True)
-class FrozenSheet:
-    """A sheet as it was signed: JSON, and its page in the language of the site."""
+class MissingSignature(ShiftSignature):
+    """A signature that the audit log names and the store has lost."""
+
+    start: Annotated[str, Field(exclude=True)]
+    """Of its shift, by the clock of the site."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignedSheet:
+    """A sheet as it was signed: JSON, and its page in the language of the site. ``is_altered``: it is not the
+    one that the audit log names."""
 
     shift: Shift
     sheet: bytes
     page: bytes
+    signatures: Mapping[SignedPart, ShiftSignature] = field(default_factory=dict)
+    is_altered: bool = False
 
     @property
     def digest(self) -> str:
@@ -55,75 +69,55 @@ class FrozenSheet:
         return hashlib.sha256(self.page).hexdigest()
 
 
-@dataclass(frozen=True, slots=True)
-class SignedSheet:
-    """``is_altered``: it is not what the audit log names."""
-
-    frozen: FrozenSheet
-    signatures: Mapping[SignedPart, Signature]
-    is_altered: bool
-
-
-def signed_sheet(connection: sqlite3.Connection, start: UnixTime) -> SignedSheet | None:
+def signed_sheet(connection: StoreConnection, start: UnixTime) -> SignedSheet | None:
     """The signed sheet of the shift that starts then."""
     row = connection.execute("SELECT ends, sheet, page FROM shift_sheet WHERE start = ?", (start,)).fetchone()
     if row is None:
         return None
-    frozen = FrozenSheet(Shift(start, UnixTime(row["ends"])), row["sheet"], row["page"])
     signatures = signatures_of(connection, start)
-    altered = any(not _is_named(connection, frozen, each) for each in signatures.values())
-    return SignedSheet(frozen, signatures, altered or not signatures)
+    signed = SignedSheet(Shift(start, UnixTime(row["ends"])), row["sheet"], row["page"], signatures)
+    is_named = all(_is_named(connection, signed, each) for each in signatures.values())
+    return signed if signatures and is_named else replace(signed, is_altered=True)
 
 
-def signatures_of(connection: sqlite3.Connection, start: UnixTime) -> dict[SignedPart, Signature]:
+def signatures_of(connection: StoreConnection, start: UnixTime) -> dict[SignedPart, ShiftSignature]:
     query = "SELECT part, who, at, event FROM shift_signature WHERE start = ?"
-    return {row["part"]: Signature(*row) for row in connection.execute(query, (start,))}
+    return {row["part"]: ShiftSignature(*row) for row in connection.execute(query, (start,))}
 
 
-@dataclass(frozen=True, slots=True)
-class LoggedSignature(Signature):
-    """A signature as the audit log has it. ``start``: of its shift, by the clock of the site."""
-
-    start: str
-
-
-def missing_signatures(connection: sqlite3.Connection, start: str | None = None) -> list[LoggedSignature]:
+def missing_signatures(connection: StoreConnection, start: str | None = None) -> list[MissingSignature]:
     """The signatures that the audit log names and the store has lost, oldest first; ``start``: of one shift.
     Of a store of any version."""
-    if not _has(connection, "pragma_table_info('events')", "messages"):
+    if not has_column(connection, "events", "messages"):
         return []
-    stored = _has(connection, "sqlite_master", "shift_signature")
-    query = _LOGGED if not stored else f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)"
+    stored = has_column(connection, "shift_signature", "event")
+    query = f"{_LOGGED} AND id NOT IN (SELECT event FROM shift_signature)" if stored else _LOGGED
     parts = {code: part for part, code in EVENTS.items()}
     found = connection.execute(f"{query} ORDER BY id", tuple(parts))
-    logged = (LoggedSignature(parts[row[0]], row[1], row[2], row[3], row[4] or "") for row in found)
+    logged = (MissingSignature(parts[row[0]], row[1], row[2], row[3], row[4] or "") for row in found)
     return [each for each in logged if start in (None, each.start)]
 
 
-def _has(connection: sqlite3.Connection, of: str, name: str) -> bool:
-    return connection.execute(f"SELECT 1 FROM {of} WHERE name = ?", (name,)).fetchone() is not None
-
-
-def signed_between(connection: sqlite3.Connection, start: UnixTime, end: UnixTime) -> list[Shift]:
+def signed_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Shift]:
     """The shifts with a signed sheet, newest first. They keep their times when the configuration changes."""
     query = "SELECT start, ends FROM shift_sheet WHERE start >= ? AND start <= ? ORDER BY start DESC"
     return [Shift(*row) for row in connection.execute(query, (start, end))]
 
 
-def freeze(connection: sqlite3.Connection, frozen: FrozenSheet) -> None:
+def freeze(connection: StoreConnection, signed: SignedSheet) -> None:
     """Store a sheet that its first signature follows."""
-    row = frozen.shift.start, frozen.shift.end, frozen.sheet, frozen.digest, frozen.page, frozen.page_digest
+    row = signed.shift.start, signed.shift.end, signed.sheet, signed.digest, signed.page, signed.page_digest
     connection.execute("INSERT INTO shift_sheet VALUES (?, ?, ?, ?, ?, ?)", row)
 
 
-def add(connection: sqlite3.Connection, start: UnixTime, part: SignedPart, who: str, at: UnixTime) -> None:
+def add(connection: StoreConnection, start: UnixTime, part: SignedPart, who: str, at: UnixTime) -> None:
     """Store a signature, in the transaction of its event, which is the newest."""
     (event,) = connection.execute("SELECT max(id) FROM events").fetchone()
     connection.execute("INSERT INTO shift_signature VALUES (?, ?, ?, ?, ?)", (start, part, who, at, event))
 
 
 def check_turn(
-    signatures: Mapping[SignedPart, Signature], part: SignedPart, who: str, zone: ZoneInfo
+    signatures: Mapping[SignedPart, ShiftSignature], part: SignedPart, who: str, zone: ZoneInfo
 ) -> None:
     """Whether a person may sign this part now. Raises Problem 409."""
     earlier = signatures.get(part)
@@ -137,11 +131,11 @@ def check_turn(
         raise Problem(409, "same_person", Message.of("shift_same_person", who=who))
 
 
-def _is_named(connection: sqlite3.Connection, frozen: FrozenSheet, signature: Signature) -> bool:
+def _is_named(connection: StoreConnection, signed: SignedSheet, signature: ShiftSignature) -> bool:
     """Whether the event of a signature names this sheet."""
     event = store.one(connection, signature.event)
     what = None if event is None else event["messages"].get("what")
-    digests = {"digest": frozen.digest, "page_digest": frozen.page_digest}
+    digests = {"digest": signed.digest, "page_digest": signed.page_digest}
     return (
         event is not None
         and what is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable
 from typing import Annotated
 
@@ -10,13 +9,13 @@ from pydantic import Field
 
 from app.audit.log import EventLog
 from app.auth.signin import SignIn, WrongSecretError
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem
 from app.handover import signatures
 from app.handover.acts import SIGN, SIGNATURES
 from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover
-from app.handover.signatures import FrozenSheet, SignedPart
+from app.handover.signatures import SignedPart, SignedSheet
 from app.web.access import Person
 from app.web.shape import StrictBody
 from bus.instants import Clock, unix_now
@@ -71,40 +70,40 @@ class Signing:
             names = ", ".join(each.who for each in missing)
             raise Problem(409, "not_in_state", Message.of("shift_signature_missing", names=names))
         part = request.part or ("leaving" if signed is None else "coming")
-        signatures.check_turn(
-            {} if signed is None else signed.signatures, part, signer.name, self._handover.zone
-        )
-        frozen = await self._freeze(shift) if signed is None else signed.frozen
-        if request.digest is not None and request.digest != frozen.digest and signed is not None:
-            raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=frozen.digest)
-        if signed is not None and signed.is_altered:
+        there = {} if signed is None else signed.signatures
+        signatures.check_turn(there, part, signer.name, self._handover.zone)
+        if signed is None:
+            signed = await self._freeze(shift)
+        elif request.digest not in (None, signed.digest):
+            raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=signed.digest)
+        elif signed.is_altered:
             raise Problem(409, "not_in_state", Message("shift_sheet_altered"))
-        await self._store(signer, part, frozen, is_new=signed is None)
+        await self._store(signer, part, signed)
 
-    async def _freeze(self, shift: Shift) -> FrozenSheet:
+    async def _freeze(self, shift: Shift) -> SignedSheet:
         earliest = shift.end - EARLIEST_S
         if self._clock() < earliest:
             times = {"end": self._handover.local(shift.end), "earliest": self._handover.local(earliest)}
             raise Problem(409, "not_in_state", Message.of("shift_sign_too_early", **times))
         sheet = (await self._handover.sheet(shift)).sheet
-        return FrozenSheet(shift, sheet, self._page_of(sheet))
+        return SignedSheet(shift, sheet, self._page_of(sheet))
 
-    async def _store(self, signer: Person, part: SignedPart, frozen: FrozenSheet, *, is_new: bool) -> None:
-        start, now = frozen.shift.start, self._clock()
+    async def _store(self, signer: Person, part: SignedPart, signed: SignedSheet) -> None:
+        start, now = signed.shift.start, self._clock()
 
-        def store(connection: sqlite3.Connection) -> None:
+        def store(connection: StoreConnection) -> None:
             there = signatures.signatures_of(connection, start)
             signatures.check_turn(there, part, signer.name, self._handover.zone)
-            if is_new:
-                signatures.freeze(connection, frozen)
+            if not signed.signatures:
+                signatures.freeze(connection, signed)
             signatures.add(connection, start, part, signer.name, now)
 
         await self._events.record(
             **SIGNATURES[part].by(
                 signer,
                 start=self._handover.local(start),
-                digest=frozen.digest,
-                page_digest=frozen.page_digest,
+                digest=signed.digest,
+                page_digest=signed.page_digest,
             ),
             at=now,
             also=store,

@@ -10,16 +10,17 @@ from typing import TypeVar
 import structlog
 
 from app.audit.kinds import EventKind
+from app.database.engine import is_intact
 from app.errors import DamagedStoreError, StoreError
 from app.history.intake.tail import Tail
 from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.intervals import Interval
 from app.history.series.runs import SECOND, micros
-from app.history.status import Status
+from app.history.status import HistoryStatus
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.inspection import TABLES, damaged_blocks, is_intact
+from app.history.store.inspection import TABLES, damaged_blocks
 from app.settings import Settings
 from bus.contract import Update
 from bus.instants import UnixTime, unix_now
@@ -70,7 +71,7 @@ class History:
         self._writer.take((bus, updates))
 
     @property
-    def status(self) -> Status:
+    def status(self) -> HistoryStatus:
         """Whether history is well, and if not, why."""
         return self._writer.status
 

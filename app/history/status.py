@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
 
 from app.web.formats import Formats
+from app.web.shape import MessageObject, ShownInstant
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -14,28 +17,31 @@ StoreState = Literal["ok", "low", "scarce", "paused", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """``ok``; ``low``: the disk is nearly full; ``scarce``: the oldest readings are being given up;
-    ``paused``: nothing is stored; ``failed``: the store cannot be used. Times in seconds."""
+class HistoryStatus:
+    """State of the history. ``low``: the disk is nearly full; ``scarce``: the oldest readings go."""
 
-    state: StoreState = "ok"
-    message: Message | None = None
-    cause: Message | None = None
-    """Why the store cannot be used."""
-    since: UnixTime = UnixTime(0.0)
+    __pydantic_config__ = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    state: Annotated[
+        StoreState, Field(description="low, scarce: little disk space; paused, failed: nothing is stored.")
+    ] = "ok"
+    message: Annotated[MessageObject | None, Field(description="What to do; null: nothing.")] = None
+    cause: Annotated[
+        MessageObject | None, Field(description="Why the store cannot be used; null: it can.")
+    ] = None
+    since: Annotated[ShownInstant, Field(description="Since when.")] = UnixTime(0.0)
     size_bytes: int = 0
-    free_bytes: int = 0
-    oldest_reading: UnixTime | None = None
-    waiting: int = 0
-    """Updates that are not on disk yet."""
-    lost: int = 0
-    """Updates that could not be stored."""
-    damaged: int = 0
-    """How often something that was kept turned out to be damaged, in the last seven days."""
-    put_aside: str = ""
-    """The file of a damaged store, put aside in the last seven days; empty: there is none."""
-    begun: UnixTime | None = None
-    """When the store was begun in its place."""
+    free_bytes: Annotated[int, Field(description="Free space on the disk.")] = 0
+    oldest_reading: Annotated[ShownInstant | None, Field(description="null: none is stored.")] = None
+    waiting: Annotated[int, Field(description="Updates that are not on disk yet.")] = 0
+    lost: Annotated[int, Field(description="Updates that could not be stored.")] = 0
+    damaged: Annotated[int, Field(description="Damages found in the last seven days.")] = 0
+    put_aside: Annotated[
+        str, Field(description="File of the damaged history, of the last seven days; empty: there is none.")
+    ] = ""
+    begun: Annotated[
+        ShownInstant | None, Field(description="When history began again; null: none was damaged.")
+    ] = None
 
 
 NOTICES: dict[StoreState, Message] = {
@@ -47,7 +53,7 @@ NOTICES: dict[StoreState, Message] = {
 DAMAGED = Message("history_damaged")
 
 
-def damage_message(status: Status, shown: Callable[[UnixTime], str]) -> Message | None:
+def damage_message(status: HistoryStatus, shown: Callable[[UnixTime], str]) -> Message | None:
     """Message about history that is not shown because it was damaged; ``shown`` writes a time as text."""
     if status.begun is not None:
         return Message.of("history_put_aside", time=shown(status.begun), file=status.put_aside)
@@ -61,7 +67,7 @@ def store_message(state: StoreState, cause: Message | None = None) -> Message | 
     return Message.of("history_because", notice=NOTICES[state], cause=cause)
 
 
-def store_notice(status: Status, formats: Formats, now: UnixTime) -> Message | None:
+def store_notice(status: HistoryStatus, formats: Formats, now: UnixTime) -> Message | None:
     """The notice on the pages; None while history is stored."""
     since = formats.since(status.since, now)
     match status.state:

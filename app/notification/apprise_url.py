@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import Any
 
 from app.notification.compose import Letter
-from app.notification.in_thread import in_thread
 from app.notification.secret_file import NotDeliveredError, read_secret_text
 from app.notification.settings import AppriseSettings
+from app.server.in_thread import in_thread
 from bus.messages import Message
 
 

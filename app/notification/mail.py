@@ -14,9 +14,9 @@ from email.utils import format_datetime
 from typing import Any
 
 from app.notification.compose import Letter
-from app.notification.in_thread import in_thread
 from app.notification.secret_file import NotDeliveredError, mail_password
 from app.notification.settings import SmtpSettings
+from app.server.in_thread import in_thread
 from bus.messages import Message
 
 SOCKET_S = 10.0

@@ -53,8 +53,8 @@ def iso(at: UnixTime) -> str:
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
-Moment = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
-"""An instant as the member of a response, which pages render by the clock of the site."""
+ShownInstant = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
+"""A Unix time as the member of a response, which pages format in the language of the reader."""
 
 
 def parse_integer(text: str, digits: int = 18) -> int | None:

@@ -34,7 +34,7 @@ from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
-from app.history.status import Status
+from app.history.status import HistoryStatus
 from app.live.api.routes import router as live_router
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
@@ -119,7 +119,7 @@ class History:
 
     def __init__(self) -> None:
         self.updates: list[Update] = []
-        self.status = Status()
+        self.status = HistoryStatus()
 
     def append(self, bus: str, updates: Sequence[Update]) -> None:
         """As the real one."""

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from app.audit.chain import FIELDS, Head, entry_hash, sealed_entry, sealed_head
 from app.audit.entry import new_entry
 from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
-from app.audit.walk import Verdict, Walk
+from app.audit.walk import AuditVerification, Walk
 
 Log = list[dict[str, Any]]
 RING = KeyRing((b"k" * 32,))
@@ -20,7 +20,7 @@ STRANGERS_RING = KeyRing((b"s" * 32,))
 
 def verify(
     log: Log, head: Head | None, ring: KeyRing = RING, anchors: dict[int, str] | None = None
-) -> Verdict:
+) -> AuditVerification:
     walk = Walk(ring, anchors)
     walk.follow(log)
     return walk.end(head)

@@ -17,7 +17,7 @@ from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.of_server import DAY_S, certificate_expires, token_expires
 from app.database import Database
-from app.history.status import Status
+from app.history.status import HistoryStatus
 from app.live.diagnosis.links import bus_facts
 from app.web.access import Role
 from bus.contract import BusFigures, BusLink, ParameterValue
@@ -228,7 +228,7 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
         return tokens
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
-    conditions = site_conditions(lambda: Status(), AnchorStatus, FailingEndpoints(), expiry)
+    conditions = site_conditions(lambda: HistoryStatus(), AnchorStatus, FailingEndpoints(), expiry)
     site = SiteAlarms(conditions, AlarmStore(database))
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))

@@ -22,6 +22,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from app.audit.log import EventLog
 from app.database import Database
 from app.history.api.routes import router
+from app.history.export import rows as export_rows
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.series.runs import Run
@@ -264,7 +265,7 @@ async def test_an_export_reads_the_tail_before_the_store(
     """A minute that is folded in between is in neither of them otherwise."""
     fill(history)
     order = list[str]()
-    still, runs = tables.snapshot, Tail.runs
+    still, runs = export_rows.snapshot, Tail.runs
 
     def stand_still(connection: tables.StoreConnection) -> AbstractContextManager[None]:
         order.append("store")
@@ -274,7 +275,7 @@ async def test_an_export_reads_the_tail_before_the_store(
         order.append("tail")
         return runs(*args)
 
-    monkeypatch.setattr(tables, "snapshot", stand_still)
+    monkeypatch.setattr(export_rows, "snapshot", stand_still)
     monkeypatch.setattr(Tail, "runs", read_tail)
     params = {"series": ["dry-end/1/actual", "dry-end/1/commanded"], "from": at(0), "to": at(20)}
     assert (await client.get("/history/export", params=params)).status_code == 200

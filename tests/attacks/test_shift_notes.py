@@ -12,6 +12,7 @@ import pytest
 from app.database.reserve import MIN_FREE_OF_OTHERS
 from app.handover import notes, quota
 from app.handover.quota import MAX_AGE_DAYS, MAX_PER_HOUR
+from app.handover.rules.shift_times import Shift
 from app.handover.service import Handover
 from app.handover.settings import ShiftSettings
 from app.settings import ServerSettings
@@ -53,7 +54,7 @@ async def test_a_shift_of_long_ago_gets_no_note_and_no_signature(house: House) -
         page = (await operator.get(f"/shifts/{old['start']}")).text
         assert 'method="post"' not in page.partition("<main")[2], "the page offers neither"
     shifts = await house.services[Handover].summaries(None, 100)
-    recent = [each.shift for each in shifts if quota_of_site.is_recent(each.shift)]
+    recent = [each for each in shifts if quota_of_site.is_recent(Shift(each.start, each.end))]
     assert 3 * MAX_AGE_DAYS <= len(recent) < len(shifts)
     assert await house.events("shift") == []
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 from itertools import groupby
 
 from app.alarms.settings import AlarmSettings
@@ -45,10 +44,8 @@ class StoredHour:
                 replay.see_run(run, self._is_at_rest)
 
     def _source(self, unit: int) -> StoredUnit | None:
-        key = tables.find_unit(self._connection, self._bus.name, unit)
-        if key is None:
-            return None
-        return StoredUnit(self._connection, key, self._tail.runs(key, self._start, self._end))
+        span = (self._start, self._end)
+        return unit_history.stored_unit(self._connection, self._tail, self._bus.name, unit, *span)
 
     def _runs_of(self, source: StoredUnit) -> dict[int, list[Run]]:
         if self._runs is None:
@@ -78,7 +75,5 @@ class StoredHour:
 
 def minutes_of(source: StoredUnit, start: int, end: int) -> Iterable[Rollup]:
     """The minutes that are stored of a span (µs)."""
-    for begin, data in source.blocks("minutes", start, end):
-        for row in source.unpacked("minutes", begin, partial(unpack_rollups, data, begin)):
-            if start <= row.start < end:
-                yield row
+    for _, rows in source.blocks("minutes", start, end, unpack_rollups):
+        yield from (row for row in rows if start <= row.start < end)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from app.audit.api import Events
-from app.audit.log import EventLog
+from app.audit.log import Event
 from app.audit.store import Filter
 from app.errors import Problem
 from app.history.api import spans
-from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, HistoryStatus, Sparkline, json_of
+from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
 from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.export import download
 from app.history.export.download import ExportResolution, Format
@@ -22,9 +21,11 @@ from app.history.query.query import QueryResult, SeriesQuery
 from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
+from app.history.status import HistoryStatus
+from app.messages import Language
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import iso, json_response, maybe_shown, message_shown
+from app.web.shape import iso, json_response, message_shown
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
@@ -33,8 +34,12 @@ from bus.messages import Message
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
 MAX_SPARKS = 255
+MAX_MARKS = 500
+MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
+"""Events that explain a curve; sign-ins do not."""
 _TEXTS = ("what", "old", "new")
 """The fields of a mark that may be messages."""
+_OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)
 TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
@@ -135,29 +140,34 @@ async def get_history_marks(
     """Events of a span, oldest first: events (setpoint changes too) of the site and of each
     ``bus/unit`` named. At most the newest 500; ``more``: there were more. ``shown``: ``what``,
     ``old`` and ``new`` in the reader's language."""
-    marks, more = await collect_marks(events, span, unit or [])
+    wanted = Filter(since=seconds(span.start), until=seconds(span.end))
+    found, after = await events.page(wanted, MAX_MARKS)
     language = templates_of(request).language_of(request)
-    for mark in marks:
-        mark["t"] = _time(mark["t"], times)
-        messages = mark["messages"]
-        mark["shown"] = {
-            name: language.t(messages[name]) if name in messages else mark[name]
-            for name in _TEXTS
-            if mark[name]
-        }
-        mark["messages"] = {name: message_shown(messages[name]) for name in _TEXTS if name in messages}
-    return await json_response(lambda: {"marks": marks, "more": more})
+    marks = [_mark(event, times, language) for event in reversed(found) if _explains(event, unit)]
+    return await json_response(lambda: {"marks": marks, "more": after is not None})
+
+
+def _explains(event: Event, units: list[str] | None) -> bool:
+    is_of_chosen = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
+    return event["kind"] in MARK_KINDS and is_of_chosen
+
+
+def _mark(event: Event, times: str, language: Language) -> dict[str, Any]:
+    messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
+    texts = {name: event[name] for name in _TEXTS if event[name]}
+    return {
+        **{name: event[name] for name in _OF_MARK},
+        "t": _time(event["time"], times),
+        "messages": {name: message_shown(message) for name, message in messages.items()},
+        "shown": texts | {name: language.t(messages[name]) for name in messages.keys() & texts},
+    }
 
 
 @router.get("/status")
 async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
     """State of the history: ``state`` ok, low or scarce (little disk space), paused or failed; ``message``:
     what to do. The rest of Lineside works in every state."""
-    status = history.status
-    texts = {"message": maybe_shown(status.message), "cause": maybe_shown(status.cause)}
-    times = {"since": status.since, "oldest_reading": status.oldest_reading, "begun": status.begun}
-    shown_times = {name: None if at is None else iso(at) for name, at in times.items()}
-    return cast(HistoryStatus, asdict(status) | texts | shown_times)
+    return history.status
 
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
@@ -175,23 +185,3 @@ async def export_history(
     """
     requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
     return await download.response(history, requested, file, resolution)
-
-
-MAX_MARKS = 500
-MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
-"""Events that explain a curve; sign-ins do not."""
-_SHOWN = ("id", "kind", "what", "who", "bus", "unit", "old", "new", "outcome", "messages")
-
-
-async def collect_marks(events: EventLog, span: Span, units: list[str]) -> tuple[list[dict[str, Any]], bool]:
-    """Marks oldest first, and whether there were more than fit."""
-    wanted = Filter(since=seconds(span.start), until=seconds(span.end))
-    found, after = await events.page(wanted, MAX_MARKS)
-    marks = [{"t": event["time"], **{name: event[name] for name in _SHOWN}} for event in found]
-    shown = [
-        mark
-        for mark in reversed(marks)
-        if mark["kind"] in MARK_KINDS
-        and (mark["unit"] is None or not units or f"{mark['bus']}/{mark['unit']}" in units)
-    ]
-    return shown, after is not None

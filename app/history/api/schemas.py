@@ -8,9 +8,8 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from app.history.query.query import Resolution
-from app.history.status import StoreState
 from app.web.schema import problems
-from app.web.shape import Instant, MaybeInstant, MessageShown
+from app.web.shape import Instant, MessageShown
 
 Column = Annotated[list[float | None], Field(description="In display units; null: a gap.")]
 TimeList = Annotated[
@@ -79,25 +78,6 @@ class HistoryMarks(TypedDict):
 
     marks: list[HistoryMark]
     more: Annotated[bool, Field(description="Whether there are more than the newest 500.")]
-
-
-class HistoryStatus(TypedDict):
-    """State of the history."""
-
-    state: Annotated[
-        StoreState, Field(description="low, scarce: little disk space; paused, failed: nothing is stored.")
-    ]
-    message: Annotated[MessageShown | None, Field(description="What to do; null: nothing.")]
-    cause: Annotated[MessageShown | None, Field(description="Why the store cannot be used; null: it can.")]
-    since: Annotated[Instant, Field(description="Since when.")]
-    size_bytes: int
-    free_bytes: Annotated[int, Field(description="Free space on the disk.")]
-    oldest_reading: Annotated[MaybeInstant, Field(description="null: none is stored.")]
-    waiting: Annotated[int, Field(description="Updates that are not on disk yet.")]
-    lost: Annotated[int, Field(description="Updates that could not be stored.")]
-    damaged: Annotated[int, Field(description="Damages found in the last seven days.")]
-    put_aside: Annotated[str, Field(description="File of the damaged history; empty: there is none.")]
-    begun: Annotated[MaybeInstant, Field(description="When history began again; null: none was damaged.")]
 
 
 def json_of(model: Any) -> dict[int | str, dict[str, Any]]:

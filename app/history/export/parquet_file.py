@@ -48,7 +48,7 @@ async def stream(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncI
     from pyarrow import parquet
 
     schema = _schema(pyarrow, table)
-    sink = _Sink()
+    sink = io.BytesIO()
     with parquet.ParquetWriter(sink, schema, compression="zstd") as writer:
         waiting: list[ExportRow] = []
         async for rows in pieces:
@@ -56,10 +56,10 @@ async def stream(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> AsyncI
             if len(waiting) >= GROUP_ROWS:
                 await asyncio.to_thread(_write, pyarrow, writer, waiting)
                 waiting = []
-                yield sink.taken()
+                yield _taken(sink)
         if waiting:
             await asyncio.to_thread(_write, pyarrow, writer, waiting)
-    yield sink.taken()
+    yield _taken(sink)
 
 
 def _schema(arrow: Any, table: Table) -> pyarrow.Schema:
@@ -80,21 +80,9 @@ def _write(arrow: Any, writer: Any, rows: Sequence[ExportRow]) -> None:
     writer.write_table(arrow.Table.from_arrays(arrays, schema=writer.schema))
 
 
-class _Sink(io.RawIOBase):
-    """A file that is given away as it is written."""
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = []
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, data: Any) -> int:
-        part = bytes(data)
-        self._parts.append(part)
-        return len(part)
-
-    def taken(self) -> bytes:
-        """Take the bytes that were written since the last call."""
-        parts, self._parts = self._parts, []
-        return b"".join(parts)
+def _taken(sink: io.BytesIO) -> bytes:
+    """Take the bytes that were written since the last call; the writer counts where in the file it is."""
+    written = sink.getvalue()
+    sink.seek(0)
+    sink.truncate()
+    return written

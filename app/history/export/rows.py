@@ -13,9 +13,10 @@ from functools import partial
 from itertools import groupby
 from typing import Literal, NamedTuple
 
+from app.database.engine import snapshot
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
-from app.history.query.query import Resolution, SeriesQuery, marks_of, scale_of
+from app.history.query.query import Resolution, SeriesQuery, scale_of
 from app.history.series import values
 from app.history.series.gaps import holes, usual_interval
 from app.history.series.runs import DAY, HOUR, Run, micros
@@ -101,10 +102,10 @@ def _rows(
     numbered = list(enumerate(part))
     by_unit = sorted(numbered, key=lambda item: (item[1].bus.name, item[1].unit))
     sources = [
-        (_source(connection, tail, unit, part[0], damaged), list(group))
+        (unit_history.stored_unit(connection, tail, *unit, part[0].start, part[0].end), list(group))
         for unit, group in groupby(by_unit, key=lambda item: (item[1].bus.name, item[1].unit))
     ]
-    with tables.snapshot(connection):
+    with snapshot(connection):
         for source, wanted in sources:
             if source is None:
                 continue
@@ -112,23 +113,9 @@ def _rows(
                 rows += _reading_rows(source, wanted, len(part), last_until)
             else:
                 rows += _rollup_rows(source, wanted, 3 * len(part), table.fineness)
+            damaged += source.damaged
     rows.sort(key=lambda row: row.at)
     return rows if table.fineness == "readings" else _together(rows)
-
-
-def _source(
-    connection: tables.StoreConnection,
-    tail: Tail,
-    unit: tuple[str, int],
-    span: SeriesQuery,
-    damaged: list[BlockKey],
-) -> unit_history.StoredUnit | None:
-    """The sources of a unit; None for one without history. Made before the snapshot of the store: a block
-    folded in between is there twice, not never."""
-    key = tables.find_unit(connection, *unit)
-    if key is None:
-        return None
-    return unit_history.StoredUnit(connection, key, tail.runs(key, span.start, span.end), damaged)
 
 
 def _reading_rows(
@@ -142,7 +129,7 @@ def _reading_rows(
     runs = unit_history.runs_between(source, first.start, first.end)
     if not runs:
         return
-    holes = _holes(source, first, last_until.get(unit), runs)
+    holes = _holes(source, last_until.get(unit), runs)
     scales = {place: scale_of(source, query) for place, query in wanted}
     for position, run in enumerate(runs):
         if position in holes:
@@ -156,12 +143,11 @@ def _reading_rows(
     last_until[unit] = runs[-1].until
 
 
-def _holes(
-    source: unit_history.StoredUnit, query: SeriesQuery, before: int | None, runs: Sequence[Run]
-) -> dict[int, int]:
+def _holes(source: unit_history.StoredUnit, before: int | None, runs: Sequence[Run]) -> dict[int, int]:
     """Before which runs there is a hole, and from when."""
     ends = ([] if before is None else [before, before]) + [t for run in runs for t in (run.at, run.until)]
-    found = holes(ends, marks_of(source, query, ends[0], ends[-1]), usual_interval(runs))
+    marks = tables.link_marks(source.connection, source.unit, ends[0], ends[-1])
+    found = holes(ends, marks, usual_interval(runs))
     offset = 0 if before is None else 1
     return {(i + 1) // 2 - offset: ends[i] + 1 for i in found if i % 2}
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from app.database.connection import Database
 from app.history.intake.tail import Tail
-from app.history.intake.updates import Delivery, Intake, Taken
+from app.history.intake.updates import Delivery, Intake
 from app.history.series.intervals import splice
 from app.history.series.rollup import combine, replace_row, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND, Run, merge
@@ -41,7 +41,7 @@ class Recorder:
         self._database = database
         self._on_damage = on_damage
         self._tail = tail
-        self._intake = Intake(tail)
+        self._intake = Intake()
         self._folding: deque[tuple[int, int]] = deque()
         self._folded_minute = 0
         self._commits = 0
@@ -61,17 +61,14 @@ class Recorder:
         self._tail.interrupt()
 
     def commit(self, deliveries: Sequence[Delivery]) -> None:
-        """Write deliveries to the disk. Raises StoreError; then nothing of them is stored."""
-
-        def write(connection: tables.StoreConnection) -> Taken:
-            return self._intake.write(connection, deliveries)
-
+        """Write deliveries to the disk, then to the tail. Raises StoreError; then nothing is stored."""
         try:
-            taken = self._database.write_now(write)
+            taken = self._database.write_now(lambda connection: self._intake.write(connection, deliveries))
         except BaseException:
             self._intake.forget()
             raise
-        self._intake.keep(taken)
+        self._tail.mark_lost(taken.lost)
+        self._tail.add(taken.rows)
 
     def fold(self, now: int, deadline: Monotonic) -> None:
         """Fold minutes and hours complete at ``now`` (µs) until ``deadline`` (monotonic seconds)."""
@@ -105,24 +102,18 @@ class Recorder:
         return minute != self._folded_minute and now >= minute + GRACE
 
     def _fold_some(self, keys: Sequence[tuple[int, int]]) -> None:
-        last = len(keys) == len(self._folding)
-        kept: list[tuple[int, Run]] = []
+        done, is_last = set(keys), len(keys) == len(self._folding)
 
         def write(connection: tables.StoreConnection) -> None:
-            buses = self._intake.bus_keys(connection)
             given_up = tables.raw_from(connection)
             for unit, minute in keys:
                 runs = self._tail.minute(unit, minute)
                 if runs and minute + MINUTE > given_up:
-                    fold(connection, unit, [buses[unit]] if unit in buses else [], minute, runs)
-            if last:
-                # All of it is in blocks, or is written again here.
-                connection.execute("DELETE FROM journal")
-                kept.extend(row for row in self._tail.everything() if _key(row) not in done)
-                if kept:
-                    tables.write_journal(connection, kept)
+                    fold(connection, unit, minute, runs)
+            if is_last:
+                # The rest, which is in no block yet, is written again.
+                tables.write_journal_again(connection, self._tail.everything(without=done))
 
-        done = set(keys)
         try:
             self._database.write_now(write)
         except DamagedBlock as found:
@@ -134,21 +125,15 @@ class Recorder:
             self._folding.popleft()
 
 
-def _key(row: tuple[int, Run]) -> tuple[int, int]:
-    return row[0], row[1].at - row[1].at % MINUTE
-
-
-def fold(
-    connection: tables.StoreConnection, unit: int, buses: Sequence[int], minute: int, runs: list[Run]
-) -> None:
-    """One minute of one unit into its block, its rollups and its bits. ``buses``: its port's key."""
+def fold(connection: tables.StoreConnection, unit: int, minute: int, runs: list[Run]) -> None:
+    """One minute of one unit into its block, its rollups and its bits."""
     block = tables.raw_block(connection, unit, minute)
     start, span, known = block or (minute, MINUTE, [])
     everything = merge(known, runs)
     tables.write_raw(connection, unit, start, span, everything)
     of_minute = [run for run in everything if minute <= run.at < minute + MINUTE]
     _roll_up(connection, unit, minute, of_minute)
-    _bits(connection, [unit, *buses], minute, of_minute)
+    _bits(connection, unit, minute, of_minute)
 
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
@@ -168,11 +153,11 @@ def _roll_up(connection: tables.StoreConnection, unit: int, minute: int, runs: S
     tables.write_rollups(connection, "hours", unit, day, replace_row(hours, combine(minutes, hour)))
 
 
-def _bits(connection: tables.StoreConnection, units: Sequence[int], minute: int, runs: Sequence[Run]) -> None:
-    stored = tables.bits_around(connection, units[0], minute, minute + MINUTE)
+def _bits(connection: tables.StoreConnection, unit: int, minute: int, runs: Sequence[Run]) -> None:
+    stored = tables.bits_around(connection, unit, minute, minute + MINUTE)
     if not stored:
         since, until = minute, minute + MINUTE
     else:
         since, until = stored[0].at, max(stored[-1].until, minute + MINUTE)
-    marks = tables.link_marks(connection, units, since, until)
-    tables.replace_bits(connection, units[0], stored, splice(stored, minute, runs, marks))
+    marks = tables.link_marks(connection, unit, since, until)
+    tables.replace_bits(connection, unit, stored, splice(stored, minute, runs, marks))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from bisect import bisect_right, insort
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 
 from app.history.series.runs import MINUTE, SECOND, Run, follows, joined
 
@@ -96,9 +96,11 @@ class Tail:
             self._minutes.clear()
             self._lost.clear()
 
-    def everything(self) -> list[tuple[int, Run]]:
+    def everything(self, without: Container[tuple[int, int]] = ()) -> list[tuple[int, Run]]:
+        """Each run with its unit; ``without`` these units and minutes."""
         with self._lock:
-            return [(unit, run) for (unit, _), runs in sorted(self._minutes.items()) for run in runs]
+            minutes = sorted(key for key in self._minutes if key not in without)
+            return [(key[0], run) for key in minutes for run in self._minutes[key]]
 
     def __len__(self) -> int:
         with self._lock:

@@ -1,11 +1,10 @@
-"""Writes what is kept of the workers' updates within one transaction, and then puts it into the tail."""
+"""Writes what is kept of the workers' updates within one transaction."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from app.history.intake.tail import Tail
 from app.history.series.runs import Run, micros, run_of
 from app.history.series.scaling import DECIDING, ParameterStep
 from app.history.store import tables
@@ -30,8 +29,7 @@ class Taken:
 class Intake:
     """Knows the keys of the units, and the last value of each, to keep changes only."""
 
-    def __init__(self, tail: Tail) -> None:
-        self._tail = tail
+    def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
@@ -55,24 +53,12 @@ class Intake:
             tables.write_journal(connection, taken.rows)
         return taken
 
-    def keep(self, taken: Taken) -> None:
-        """The transaction is on disk: from now on readers see it."""
-        self._tail.mark_lost(taken.lost)
-        self._tail.add(taken.rows)
-
     def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:
         """The key of a unit, or of a bus as number 0."""
         known = self._keys.get((bus, number))
         if known is None:
             known = self._keys[bus, number] = tables.unit_id(connection, bus, number)
         return known
-
-    def bus_keys(self, connection: tables.StoreConnection) -> dict[int, int]:
-        """For each unit's key, that of its bus."""
-        rows = connection.execute(
-            "SELECT unit.id, line.id FROM unit JOIN unit AS line ON line.bus = unit.bus AND line.number = 0"
-        )
-        return dict(rows.fetchall())
 
     def _write_link(
         self, connection: tables.StoreConnection, bus: str, update: UnitLink | BusLink, taken: Taken

@@ -14,9 +14,9 @@ from pathlib import Path
 import structlog
 
 from app.audit.kinds import EventKind
-from app.database.connection import STEPS, Database
+from app.database.connection import Database
 from app.database.copies import put_aside
-from app.database.presence import examining
+from app.database.presence import proves_intact
 from app.database.reserve import free_bytes
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
@@ -26,10 +26,10 @@ from app.history.intake.updates import Delivery
 from app.history.intake.upkeep import DiskReserve, Upkeep, space
 from app.history.series.runs import DAY, SECOND, micros
 from app.history.settings import HistorySettings
-from app.history.status import NOTICES, Status, StoreState, damage_message, store_message
+from app.history.status import NOTICES, HistoryStatus, StoreState, damage_message, store_message
 from app.history.store import tables
 from app.history.store.damage import BlockKey
-from app.history.store.inspection import FoundDamage, is_intact, set_aside
+from app.history.store.inspection import FoundDamage, set_aside
 from app.web.shape import iso
 from bus.instants import Monotonic, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, in_english, number
@@ -86,7 +86,7 @@ class Writer:
         self._lost = 0
         self._open: _Open | None = None
         self._writable = False
-        self._status = Status(since=unix_now())
+        self._status = HistoryStatus(since=unix_now())
         self._space: StoreState = "ok"
         self._clock = ClockWatch(unix_now(), monotonic_now())
         self._retry_at = self._look_at = self._give_up_at = Monotonic(0.0)
@@ -124,7 +124,7 @@ class Writer:
         self._torn = True
 
     @property
-    def status(self) -> Status:
+    def status(self) -> HistoryStatus:
         status = self._status
         message = status.message or damage_message(status, iso)
         return replace(status, message=message, waiting=self._waiting - self._taken, lost=self._lost)
@@ -218,23 +218,20 @@ class Writer:
             self._open.database.close()
 
     def _open_store(self) -> None:
-        database = Database(self._path, MIGRATIONS, synchronous="FULL")
+        database = Database(self._path, MIGRATIONS)
+        recorder = Recorder(database, self.tail, self._on_damage)
         try:
-            opened = self._begin(database)
+            # The first row shows whether the store can be written.
+            database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
+            recorder.replay()
         except BaseException:
             database.close()
             raise
-        before, self._open = self._open, opened
+        upkeep = Upkeep(database, self._kept, self._reserve, self._on_damage)
+        before, self._open = self._open, _Open(database, recorder, upkeep)
         self._writable, self._look_at = True, Monotonic(0.0)
         if before is not None:
             before.database.close()
-
-    def _begin(self, database: Database) -> _Open:
-        """Raises StoreError when it cannot be written: the first row shows it."""
-        database.write_now(lambda c: tables.write_raw_from(c, tables.raw_from(c)))
-        recorder = Recorder(database, self.tail, self._on_damage)
-        recorder.replay()
-        return _Open(database, recorder, Upkeep(database, self._kept, self._reserve, self._on_damage))
 
     def _replace_store(self) -> None:
         """Put a store with damaged pages aside, and go on in a new one. A second look decides: the first may
@@ -246,22 +243,14 @@ class Writer:
         opened, self._writable, self._open = self._open, False, None
         if opened is not None:
             opened.database.close()
-        if self._is_intact():
+        # The end of the server does not wait for a look at all pages.
+        if proves_intact(self._path, self._ending.is_set):
             self._open_store()
             return
         file = put_aside(self._path).name
         self._open_store()
         self.database.write_now(lambda c: tables.note_replaced(c, file, micros(unix_now())))
         self._on_damage(Message.of("event_history_put_aside", file=file))
-
-    def _is_intact(self) -> bool:
-        try:
-            with examining(self._path) as connection:
-                # The end of the server does not wait for a look at all pages.
-                connection.set_progress_handler(self._ending.is_set, STEPS)
-                return is_intact(connection)
-        except DamagedStoreError:
-            return False
 
     def _fail(self, cause: Message) -> None:
         """Stored history can still be read, until the store is opened again."""

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from app.database.engine import snapshot
 from app.history.intake.tail import Tail
-from app.history.intake.updates import BUS
 from app.history.query import unit_history
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.gaps import Marks
-from app.history.series.intervals import intervals
 from app.history.series.runs import HOUR, MINUTE
 from app.history.series.scaling import Scaling, scaling
 from app.history.series.values import Value
@@ -53,27 +52,20 @@ class QueryResult:
 
 def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
-    key = tables.find_unit(connection, query.bus.name, query.unit)
-    if key is None:
+    unit = (query.bus.name, query.unit)
+    source = unit_history.stored_unit(connection, tail, *unit, query.start, query.end)
+    if source is None:
         return QueryResult(Series())
-    recent = tail.runs(key, query.start, query.end)
-    with tables.snapshot(connection):
-        return _run(unit_history.StoredUnit(connection, key, recent), query)
+    with snapshot(connection):
+        return _run(source, query)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:
-    marks = marks_of(source, query, query.start - MARGIN, query.end)
+    marks = tables.link_marks(source.connection, source.unit, query.start - MARGIN, query.end)
     resolution, points = _points(source, query, marks)
     scales = scale_of(source, query)
     decimals = scales.at(query.end).decimals
     return QueryResult(series(points, marks, scales), resolution, points.width, decimals, source.damaged)
-
-
-def marks_of(source: unit_history.StoredUnit, query: SeriesQuery, start: int, end: int) -> Marks:
-    """When the unit or its bus was lost and found within a span, µs."""
-    bus = tables.find_unit(source.connection, query.bus.name, BUS)
-    keys = [source.unit] if bus is None else [source.unit, bus]
-    return tables.link_marks(source.connection, keys, start, end)
 
 
 def scale_of(source: unit_history.StoredUnit, query: SeriesQuery) -> Scaling:
@@ -87,9 +79,9 @@ def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -
     value, start, end, most = query.value, query.start, query.end, query.most
     width, _ = grid(start, end, most)
     exact: Points | None = None
-    if value.kind == "bit":
-        exact = _exact_bits(source, query, marks)
-        if exact is not None and _fits(exact, marks, most):
+    if value.kind == "bit" and tables.count_bits(source.connection, source.unit, start, end) <= MAX_INTERVALS:
+        exact = unit_history.bit_points(source, value.bit, start, end, marks)
+        if _fits(exact, marks, most):
             return "readings", exact
     is_kept = has_raw(source.connection, source.unit, start)
     if is_kept and unit_history.estimate(source, start, end) <= MAX_READINGS:
@@ -106,14 +98,6 @@ def _points(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -
 
 def _fits(points: Points, marks: Marks, most: int) -> bool:
     return len(points.at) + len(holes_in(points, marks)) <= most
-
-
-def _exact_bits(source: unit_history.StoredUnit, query: SeriesQuery, marks: Marks) -> Points | None:
-    if tables.count_bits(source.connection, source.unit, query.start, query.end) > MAX_INTERVALS:
-        return None
-    usual = unit_history.usual_of(source, query.end)
-    parts = unit_history.bit_intervals(source, query.value.bit, query.start, query.end)
-    return unit_history.interval_points(intervals(parts, marks, usual), query.start, query.end, usual)
 
 
 def has_raw(connection: tables.StoreConnection, unit: int, start: int) -> bool:

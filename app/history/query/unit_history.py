@@ -8,19 +8,22 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, pairwise
 from statistics import median_low
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from app.history.intake.tail import Tail
 from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
-from app.history.series.gaps import usual_interval
-from app.history.series.intervals import Interval
-from app.history.series.rollup import FIELDS, Rollup, rollup
+from app.history.series.gaps import Marks, usual_interval
+from app.history.series.intervals import Interval, intervals
+from app.history.series.rollup import FIELDS, rollup
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
 from app.history.store.damage import BlockKey, StoredTier
 
 T = TypeVar("T")
+Unpacking = Callable[[bytes, int], list[T]]
+"""The content of a block of these bytes from this time on (µs). Raises ValueError where it is damaged."""
 RawRow = tuple[int, int, int, int]
 """at, until, count and one raw value of a run."""
 
@@ -38,22 +41,42 @@ class StoredUnit:
     damaged: list[BlockKey] = field(default_factory=list)
     """Blocks that could not be read, and were left out."""
 
-    def blocks(self, tier: StoredTier, start: int, end: int) -> Iterator[tuple[int, bytes]]:
-        """Start and content of each that may touch a span (µs), in order of time."""
+    def blocks(
+        self, tier: StoredTier, start: int, end: int, unpack: Unpacking[T]
+    ) -> Iterator[tuple[int, list[T]]]:
+        """Start and content of each block that may touch a span (µs), in order of time. A damaged one is
+        noted and left out."""
         span = "span" if tier == "raw" else tables.ROW_SPAN[tier]
         longest = HOUR if tier == "raw" else tables.ROW_SPAN[tier]
         within = f"unit = ? AND start > ? AND start < ? AND start + {span} > ?"
         query = f"SELECT start, data FROM {tier} WHERE {within} ORDER BY start"
-        for row in self.connection.execute(query, (self.unit, start - longest, end, start)):
-            yield row[0], row[1]
+        rows = self.connection.execute(query, (self.unit, start - longest, end, start))
+        return self._intact(tier, rows, unpack)
 
-    def unpacked(self, tier: StoredTier, begin: int, unpack: Callable[[], list[T]]) -> list[T]:
-        """The content of a block; empty where it is damaged, which is noted."""
-        try:
-            return unpack()
-        except ValueError:
-            self.damaged.append(BlockKey(tier, self.unit, begin))
-            return []
+    def newest(self, tier: StoredTier, end: int, unpack: Unpacking[T]) -> list[T]:
+        """The content of the last block that begins before a time, µs; empty where there is none."""
+        query = f"SELECT start, data FROM {tier} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
+        rows = self.connection.execute(query, (self.unit, end))
+        return next((content for _, content in self._intact(tier, rows, unpack)), [])
+
+    def _intact(
+        self, tier: StoredTier, rows: Iterable[Any], unpack: Unpacking[T]
+    ) -> Iterator[tuple[int, list[T]]]:
+        for begin, data in rows:
+            try:
+                content = unpack(data, begin)
+            except ValueError:
+                self.damaged.append(BlockKey(tier, self.unit, begin))
+            else:
+                yield begin, content
+
+
+def stored_unit(
+    connection: tables.StoreConnection, tail: Tail, bus: str, number: int, start: int, end: int
+) -> StoredUnit | None:
+    """The sources of a unit over a span, µs; None for one without history. Called before a snapshot."""
+    key = tables.find_unit(connection, bus, number)
+    return None if key is None else StoredUnit(connection, key, tail.runs(key, start, end))
 
 
 def estimate(source: StoredUnit, start: int, end: int) -> int:
@@ -70,22 +93,15 @@ def estimate(source: StoredUnit, start: int, end: int) -> int:
 
 def readings(source: StoredUnit, value: Value, start: int, end: int) -> Points:
     """Every reading between two times, µs: a run as its first and, if it lasted, its last one."""
-    rows = [row for part in _stored(source, value.column, start, end) for row in part]
+    rows: list[RawRow] = []
+    unpack = partial(unpack_columns, names=("at", "until", "readings", value.column))
+    for _, (at, until, count, values) in source.blocks("raw", start, end, unpack):
+        first, last = bisect_left(at, start - MINUTE), bisect_left(at, end)
+        rows += list(zip(at, until, count, values, strict=True))[first:last]
     rows += [(run.at, run.until, run.readings, getattr(run, value.column)) for run in source.tail]
     is_rising = not source.tail or all(a[0] <= b[0] for a, b in pairwise(rows))
     ordered = rows if is_rising else sorted(set(rows))
     return _points(_clip(ordered, start, end), value.bit, usual_interval(rows))
-
-
-def _stored(source: StoredUnit, column: str, start: int, end: int) -> Iterator[list[RawRow]]:
-    wanted = ("at", "until", "readings", column)
-    for begin, data in source.blocks("raw", start, end):
-        unpacked = source.unpacked("raw", begin, partial(unpack_columns, data, begin, wanted))
-        if not unpacked:
-            continue
-        at, until, count, values = unpacked
-        rows = list(zip(at, until, count, values, strict=True))
-        yield rows[bisect_left(at, start - MINUTE) : bisect_left(at, end)]
 
 
 def _clip(rows: Iterable[RawRow], start: int, end: int) -> Iterator[RawRow]:
@@ -115,22 +131,27 @@ def _points(rows: Iterable[RawRow], bit: int, usual: int) -> Points:
 
 def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: int, end: int) -> Points:
     """Minutes or hours that touch a span, each with its part of the tail."""
-    wanted = _wanted(value)
-    found = Points(width=tables.STEP[tier])
-    since = start - start % tables.STEP[tier]
-    for begin, data in source.blocks(tier, since, end):
-        unpacked = source.unpacked(tier, begin, partial(columns.unpack, data, wanted))
-        if not unpacked:
-            continue
-        starts, count, *rest = unpacked
-        _extend(found, [begin + at for at in starts], count, rest, value.bit, (since, end))
-    for row in _tail_rollups(source, tables.STEP[tier]):
-        flat = [*row[:-1], *row.on]
-        _extend(found, [row.start], [row.readings], [[flat[i]] for i in wanted[2:]], value.bit, (since, end))
+    wanted, found = _wanted(value), Points(width=tables.STEP[tier])
+    since = start - start % found.width
+    stored = source.blocks(tier, since, end, lambda data, _: columns.unpack(data, wanted))
+    waiting = _tail_rollups(source, found.width, wanted)
+    for begin, (starts, count, least, greatest, total) in chain(stored, waiting):
+        at = [begin + each for each in starts]
+        within = slice(bisect_left(at, since), bisect_left(at, end))
+        found.at += at[within]
+        found.least += _bit_of(least[within], value.bit)
+        found.greatest += _bit_of(greatest[within], value.bit)
+        found.total += total[within]
+        found.weight += count[within]
     found.solid = [False] * len(found.at)
     if found.weight:
         found.usual = found.width // max(1, median_low(found.weight))
     return in_order(found)
+
+
+def _bit_of(words: list[int], bit: int) -> list[int]:
+    """One bit of each; the numbers themselves where ``bit`` is below 0."""
+    return words if bit < 0 else [word >> bit & 1 for word in words]
 
 
 def _wanted(value: Value) -> list[int]:
@@ -141,68 +162,42 @@ def _wanted(value: Value) -> list[int]:
     return [FIELDS[name] for name in ("start", "readings", *names)]
 
 
-def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
+def _tail_rollups(
+    source: StoredUnit, step: int, wanted: Sequence[int]
+) -> Iterator[tuple[int, list[list[int]]]]:
+    """The tail as one block of rollups, from time 0 on, where it has any."""
     by_start: dict[int, list[Run]] = {}
     for run in merge((), source.tail):
         by_start.setdefault(run.at - run.at % step, []).append(run)
-    return [rollup(runs, start) for start, runs in sorted(by_start.items())]
+    if by_start:
+        rows = [rollup(runs, start) for start, runs in sorted(by_start.items())]
+        table = list(zip(*([*row[:-1], *row.on] for row in rows), strict=True))
+        yield 0, [list(table[i]) for i in wanted]
 
 
-def _extend(
-    points: Points,
-    at: Sequence[int],
-    count: Sequence[int],
-    reach: Sequence[Sequence[int]],
-    bit: int,
-    within: tuple[int, int],
-) -> None:
-    first, last = bisect_left(at, within[0]), bisect_left(at, within[1])
-    least, greatest, total = (column[first:last] for column in reach)
-    if bit >= 0:
-        least, greatest = [v >> bit & 1 for v in least], [v >> bit & 1 for v in greatest]
-    points.at += at[first:last]
-    points.least += least
-    points.greatest += greatest
-    points.total += total
-    points.weight += count[first:last]
-
-
-def bit_intervals(source: StoredUnit, bit: int, start: int, end: int) -> list[Interval]:
-    """One bit as intervals over a span, neighbours that are equal still apart."""
+def bit_points(source: StoredUnit, bit: int, start: int, end: int, marks: Marks) -> Points:
+    """One bit over a span, exactly: the intervals in which it stays, as points at both their ends."""
     stored = tables.bits_around(source.connection, source.unit, start, end)
     recent = [Interval(run.at, run.until, run.word) for run in source.tail]
     touching = (part for part in chain(stored, recent) if part.until >= start and part.at < end)
-    return [part._replace(word=part.word >> bit & 1) for part in touching]
+    usual = usual_of(source, end)
+    parts = intervals((part._replace(word=part.word >> bit & 1) for part in touching), marks, usual)
+    rows = ((part.at, part.until, 2, part.word) for part in parts)
+    return _points(_clip(rows, start, end), -1, usual)
 
 
 def usual_of(source: StoredUnit, end: int) -> int:
     """How often the unit responded before a time, µs, whether or not its readings are still kept."""
     if source.tail:
         return usual_interval(source.tail)
-    latest = "SELECT start, data FROM {} WHERE unit = ? AND start < ? ORDER BY start DESC LIMIT 1"
-    row = source.connection.execute(latest.format("raw"), (source.unit, end)).fetchone()
-    if row is not None:
-        unpack = partial(unpack_columns, row[1], row[0], ("at", "until", "readings"))
-        runs = source.unpacked("raw", row[0], unpack)
+    if runs := source.newest("raw", end, partial(unpack_columns, names=("at", "until", "readings"))):
         return usual_interval(list(zip(*runs, strict=True)))
-    row = source.connection.execute(latest.format("minutes"), (source.unit, end)).fetchone()
-    if row is None:
-        return 0
-    counts = source.unpacked("minutes", row[0], partial(columns.unpack, row[1], [FIELDS["readings"]]))
-    return MINUTE // max(counts[0]) if counts else 0
-
-
-def interval_points(parts: Iterable[Interval], start: int, end: int, usual: int) -> Points:
-    """Intervals as points at both their ends."""
-    rows = ((part.at, part.until, 2, part.word) for part in parts)
-    return _points(_clip(rows, start, end), -1, usual)
+    minutes = source.newest("minutes", end, lambda data, _: columns.unpack(data, [FIELDS["readings"]]))
+    return MINUTE // max(minutes[0]) if minutes else 0
 
 
 def runs_between(source: StoredUnit, start: int, end: int) -> list[Run]:
     """Complete runs, for an export: those that begin within a span, in order of time."""
-    found = [
-        run
-        for begin, data in source.blocks("raw", start, end)
-        for run in source.unpacked("raw", begin, partial(unpack_runs, data, begin))
-    ]
+    stored = source.blocks("raw", start, end, unpack_runs)
+    found = chain.from_iterable(runs for _, runs in stored)
     return [run for run in merge(found, source.tail) if start <= run.at < end]

@@ -9,15 +9,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
-from operator import le, truediv
-from typing import TypeVar
+from operator import itemgetter, le, truediv
 
 from app.history.series.gaps import Marks, holes
 from app.history.series.runs import DAY, HOUR, MINUTE, SECOND
 from app.history.series.scaling import Scaling
 
-T = TypeVar("T")
 _MS = 1000
 WIDTHS = tuple(
     unit * factor
@@ -113,22 +110,10 @@ def _opened(series: Series, after: Sequence[int], width: int) -> Series:
     if not after:
         return series
     times = [series.at[i] + max(width, (series.at[i + 1] - series.at[i]) // 2) for i in after]
-    nothing = [None] * len(after)
-    return Series(
-        _inserted(series.at, after, times),
-        _inserted(series.least, after, nothing),
-        _inserted(series.greatest, after, nothing),
-        _inserted(series.average, after, nothing),
-    )
-
-
-def _inserted(column: list[T], after: Sequence[int], new: Sequence[T]) -> list[T]:
-    cuts = [0, *(i + 1 for i in after), len(column)]
-    result = column[: cuts[1]]
-    for entry, (i, j) in zip(new, pairwise(cuts[1:]), strict=True):
-        result.append(entry)
-        result += column[i:j]
-    return result
+    at, nothing = series.at + times, [None] * len(times)
+    ordered = itemgetter(*sorted(range(len(at)), key=at.__getitem__))
+    least, greatest = ordered(series.least + nothing), ordered(series.greatest + nothing)
+    return Series(list(ordered(at)), list(least), list(greatest), list(ordered(series.average + nothing)))
 
 
 def holes_in(points: Points, marks: Marks) -> list[int]:

@@ -30,10 +30,8 @@ def set_aside(database: Database, block: BlockKey, on_damage: FoundDamage) -> No
     """Move a block where it is damaged, and report it. Raises StoreError."""
 
     def move(connection: tables.StoreConnection) -> str | None:
-        if not tables.is_damaged(connection, block):
-            return None
-        tables.move_damaged(connection, block, micros(unix_now()))
-        return tables.name_of(connection, block.unit)
+        is_moved = tables.move_damaged(connection, block, micros(unix_now()))
+        return tables.name_of(connection, block.unit) if is_moved else None
 
     unit = database.write_now(move)
     if unit is not None:
@@ -46,12 +44,6 @@ TABLES = (*_HELD, "bits", "link", "parameter", "journal")
 MAX_AT_ONCE = 20
 REST = 4
 """How many times as long as each look took the check rests: a fifth of a core at most, and not for long."""
-
-
-def is_intact(connection: tables.StoreConnection, table: str = "") -> bool:
-    """SQLite's own check of one table, or of all. Raises DamagedStoreError where it cannot even be made."""
-    check = f"PRAGMA quick_check({table})" if table else "PRAGMA quick_check"
-    return [row[0] for row in connection.execute(check)] == ["ok"]
 
 
 async def damaged_blocks(database: Database) -> AsyncIterator[BlockKey]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 from app.database import StoreConnection as StoreConnection
+from app.database.engine import upsert
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
@@ -23,19 +23,9 @@ LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
 
 
-@contextmanager
-def snapshot(connection: StoreConnection) -> Iterator[None]:
-    """Everything that is read within is of one instant of the store."""
-    connection.execute("BEGIN")
-    try:
-        yield
-    finally:
-        connection.execute("ROLLBACK")
-
-
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
     """The key of a unit (number 0: of the bus itself), given to it now when it has none."""
-    connection.execute("INSERT OR IGNORE INTO unit (bus, number) VALUES (?, ?)", (bus, number))
+    connection.execute("INSERT INTO unit (bus, number) VALUES (?, ?) ON CONFLICT DO NOTHING", (bus, number))
     found = find_unit(connection, bus, number)
     assert found is not None
     return found
@@ -66,6 +56,13 @@ def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) 
     lengths = [b - a for a, b in zip(at, until, strict=True)]
     data = columns.pack([units, at, lengths, *rest], _JOURNAL_LEVEL)
     connection.execute("INSERT INTO journal (data) VALUES (?)", (data,))
+
+
+def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) -> None:
+    """All that the journal holds from now on."""
+    connection.execute("DELETE FROM journal")
+    if rows:
+        write_journal(connection, rows)
 
 
 def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] | None]:
@@ -164,8 +161,8 @@ def write_rollups(
     connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
 ) -> None:
     """One row of a tier, new or again."""
-    query = f"INSERT OR REPLACE INTO {tier} (unit, start, data) VALUES (?, ?, ?)"
-    connection.execute(query, (unit, start, pack_rollups(rows, start)))
+    row = (unit, start, pack_rollups(rows, start))
+    connection.execute(upsert(tier, ("unit", "start"), ("data",)), row)
 
 
 def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
@@ -183,20 +180,16 @@ def drop_rollups(connection: StoreConnection, before: int) -> None:
     connection.execute("DELETE FROM damaged WHERE found < ?", (before,))
 
 
-def is_damaged(connection: StoreConnection, block: BlockKey) -> bool:
-    """Whether a block is there and not what was written."""
-    query = f"SELECT data FROM {block.tier} WHERE unit = ? AND start = ?"
-    return not all(sound(data) for (data,) in connection.execute(query, (block.unit, block.start)))
-
-
-def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> None:
-    """Move a block to the damaged ones, as it is; ``now`` in µs."""
-    where = f"FROM {block.tier} WHERE unit = ? AND start = ?"
-    key = (block.unit, block.start)
-    connection.execute(
-        f"INSERT OR IGNORE INTO damaged SELECT ?, unit, start, ?, data {where}", (block.tier, now, *key)
-    )
+def move_damaged(connection: StoreConnection, block: BlockKey, now: int) -> bool:
+    """Move a block, as it is, to the damaged ones; False where it is not there or intact. ``now`` in µs."""
+    where, key = f"FROM {block.tier} WHERE unit = ? AND start = ?", (block.unit, block.start)
+    row = connection.execute(f"SELECT data {where}", key).fetchone()
+    if row is None or sound(row[0]):
+        return False
+    values = (block.tier, *key, now, row[0])
+    connection.execute("INSERT INTO damaged VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING", values)
     connection.execute(f"DELETE {where}", key)
+    return True
 
 
 def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
@@ -243,23 +236,28 @@ def replace_bits(
         [(unit, part.at, part.word) for part in before - after],
     )
     connection.executemany(
-        "INSERT OR REPLACE INTO bits (unit, at, word, until) VALUES (?, ?, ?, ?)",
+        upsert("bits", ("unit", "at", "word"), ("until",)),
         [(unit, part.at, part.word, part.until) for part in sorted(after - before)],
     )
 
 
 def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:
     """A unit or a port came into a state."""
-    connection.execute("INSERT OR IGNORE INTO link VALUES (?, ?, ?, ?)", (unit, at, state, cause))
+    query = "INSERT INTO link VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING"
+    connection.execute(query, (unit, at, state, cause))
 
 
-def link_marks(connection: StoreConnection, units: Sequence[int], start: int, end: int) -> Marks:
-    """When these (a unit and its bus) were lost and found within a span, µs."""
-    places = ", ".join("?" * len(units))
-    rows = connection.execute(
-        f"SELECT at, state FROM link WHERE unit IN ({places}) AND at >= ? AND at <= ? ORDER BY at",
-        (*units, start, end),
-    ).fetchall()
+_MARKED = "unit JOIN unit AS marked ON unit.bus = marked.bus AND marked.number IN (0, unit.number)"
+"""Each unit with itself and with its port, whose marks are its units' too."""
+
+
+def link_marks(connection: StoreConnection, unit: int, start: int, end: int) -> Marks:
+    """When a unit or its port was lost and found within a span, µs."""
+    query = (
+        f"SELECT at, state FROM link WHERE unit IN (SELECT marked.id FROM {_MARKED} WHERE unit.id = ?) "
+        "AND at >= ? AND at <= ? ORDER BY at"
+    )
+    rows = connection.execute(query, (unit, start, end)).fetchall()
     return Marks(
         lost=[at for at, state in rows if state in LOST_STATES],
         found=[at for at, state in rows if state not in LOST_STATES],
@@ -267,21 +265,15 @@ def link_marks(connection: StoreConnection, units: Sequence[int], start: int, en
 
 
 def marks_since(connection: StoreConnection, start: int) -> list[tuple[int, int]]:
-    """Every unit that was lost or found from a time on (µs), and when; a port's marks are its units' too."""
-    rows = connection.execute(
-        "SELECT unit.id, link.at FROM link JOIN unit AS marked ON marked.id = link.unit JOIN unit "
-        "ON unit.bus = marked.bus AND marked.number IN (0, unit.number) WHERE link.at >= ?",
-        (start,),
-    )
-    return [(row[0], row[1]) for row in rows]
+    """Every unit that was lost or found from a time on, with its port, and when; µs."""
+    query = f"SELECT unit.id, at FROM {_MARKED} JOIN link ON link.unit = marked.id WHERE at >= ?"
+    return [(row[0], row[1]) for row in connection.execute(query, (start,))]
 
 
 def write_parameter(connection: StoreConnection, unit: int, step: ParameterStep) -> None:
     """A scaling parameter was read with a value."""
-    connection.execute(
-        "INSERT OR REPLACE INTO parameter (unit, number, at, raw) VALUES (?, ?, ?, ?)",
-        (unit, step.number, step.at, step.raw),
-    )
+    query = upsert("parameter", ("unit", "number", "at"), ("raw",))
+    connection.execute(query, (unit, step.number, step.at, step.raw))
 
 
 def parameter_steps(connection: StoreConnection, unit: int) -> list[ParameterStep]:
@@ -298,4 +290,4 @@ def raw_from(connection: StoreConnection) -> int:
 
 def write_raw_from(connection: StoreConnection, at: int) -> None:
     """Readings before this time are given up."""
-    connection.execute("INSERT OR REPLACE INTO fact VALUES ('raw_from', ?)", (at,))
+    connection.execute(upsert("fact", ("name",), ("value",)), ("raw_from", at))

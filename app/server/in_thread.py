@@ -24,7 +24,7 @@ async def in_thread(work: Callable[[], T], *, stop: Callable[[], None] | None = 
         except BaseException as error:
             done.set_exception(error)
 
-    threading.Thread(target=run, name="notification", daemon=True).start()
+    threading.Thread(target=run, name="detached", daemon=True).start()
     try:
         return await asyncio.wrap_future(done)
     except asyncio.CancelledError:
