@@ -12,8 +12,7 @@ import msgspec
 
 from app.auth.rights import Rights
 from app.commands.authority import while_permitted
-from app.commands.catalogue import kind_of_command
-from app.commands.check import check
+from app.commands.catalogue import check, kind_of_command
 from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
