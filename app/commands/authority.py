@@ -4,37 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
-from app.web.access import AccountSubscriber, Person
 from bus.contract import Result
 from bus.messages import Message, joined
 
 RECHECK_S = 0.25
 """Most commands are over by then; a change of the baud rate or of many units is not."""
-
-
-class Authority(Protocol):
-    """What accounts may do now."""
-
-    async def check(self, person: Person) -> None:
-        """Raises Problem 403 ``rights_withdrawn``."""
-
-
-class Withdrawals(Authority, Protocol):
-    """What accounts may do now, and which of them may do less than before."""
-
-    def on_withdrawn(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` with each account that may do less than before."""
-
-
-class SessionEnds(Protocol):
-    """Whose session is signed in."""
-
-    def on_signed_out(self, subscriber: AccountSubscriber) -> None:
-        """Call ``subscriber`` with each account whose last session has ended."""
 
 
 async def while_permitted(

@@ -14,8 +14,14 @@ from typing import Any, Generic, TypeVar
 
 from app.commands import wording
 from app.commands.rules import action_checks
-from app.commands.rules.objection import RuleContext
-from app.commands.rules.setpoint import NewSetpoint, by_unit, of_write_parameter, staged_setpoints
+from app.commands.rules.objection import RuleContext, objection
+from app.commands.rules.setpoint import (
+    NewSetpoint,
+    by_unit,
+    check_setpoint,
+    of_write_parameter,
+    staged_setpoints,
+)
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
 from app.web.access import Role
@@ -37,7 +43,7 @@ from bus.contract import (
     WriteParameter,
 )
 from bus.contract.durations import longest_stage_s
-from bus.messages import Message
+from bus.messages import Message, term
 
 
 def timeout_s_for(bus: BusLive, staged_units: int = 0) -> float:
@@ -198,3 +204,17 @@ ROLES_BY_COMMAND: dict[str, Role] = {request.__name__: kind.role for request, ki
 
 def kind_of_command(action: Action) -> CommandKind[Any]:
     return COMMANDS[type(action)]
+
+
+def check(action: Action, now: RuleContext) -> None:
+    """Raises Problem for the first reason not to send ``action``."""
+    kind = kind_of_command(action)
+    for unit in kind.units_written(action, now.bus):
+        if (block := now.block(unit)) is not None:
+            raise objection("blocked", block.refusal(unit), unit=unit)
+    kind.check(action, now)
+    for setpoint in kind.setpoints(action, now.bus):
+        check_setpoint(setpoint.unit, setpoint.raw, now, setpoint.kind)
+    danger = kind.danger(action)
+    if danger and not now.confirm:
+        raise objection("dangerous", term(danger), unit=action.only_unit)

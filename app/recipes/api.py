@@ -1,4 +1,4 @@
-"""Recipes over HTTP: listed, saved as versions, tried out, loaded."""
+"""Recipes over HTTP: listed, saved as versions, tried out, loaded; with the schemas of them."""
 
 from __future__ import annotations
 
@@ -6,23 +6,26 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import Field
+from typing_extensions import TypedDict
 
 from app.commands.api.commands import RESULT_RESPONSES
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.catalogue import SET_LINE
+from app.commands.rules.setpoint import setpoint_text
 from app.commands.service.writer import permitted_writer
 from app.errors import Problem, or_404
 from app.live.api.routes import Live
+from app.live.api.schemas import Time
 from app.live.lookup import bus_or_404
+from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.book import RecipeBook
-from app.recipes.rules import Recipe, RecipeDryRun, setpoints_now
-from app.recipes.view import LoadedRecipe, RecipeShown, loaded_json, recipe_json
+from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.services import service
-from app.web.shape import StrictBody, parse_integer
+from app.web.shape import StrictBody, iso, parse_integer
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -43,6 +46,40 @@ class LoadRecipeRequest(StrictBody):
     """``confirm``: steps that an engineer wants reviewed have been reviewed."""
 
     confirm: bool = False
+
+
+class RecipeSetpointShown(TypedDict):
+    """The setpoint of one unit."""
+
+    raw: Annotated[int, Field(description="Integer on the wire, 0 to 99999.")]
+    kind: Annotated[str, Field(description="speed, or ratio times 10000.")]
+    value: Annotated[
+        str | None, Field(description="As its unit displays it; null: not configured or not known.")
+    ]
+
+
+class RecipeShown(TypedDict):
+    """One version of a recipe."""
+
+    id: int
+    bus: str
+    name: str
+    version: Annotated[int, Field(description="From 1 on.")]
+    comment: str
+    who: str
+    saved_at: Time
+    setpoints: Annotated[dict[str, RecipeSetpointShown], Field(description="By address of the unit.")]
+
+
+class LoadedRecipe(TypedDict):
+    """The recipe that a bus was loaded with last."""
+
+    id: int
+    name: str
+    version: int
+    who: str
+    loaded_at: Time
+    departed: list[RecipeDeparture]
 
 
 Book = Annotated[RecipeBook, service(RecipeBook)]
@@ -111,13 +148,45 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
     """The last loaded recipe of the bus, and the units that drifted from it since."""
     bus_or_404(live, bus)
     loaded = book.loaded(bus)
-    return None if loaded is None else loaded_json(loaded, book.departed(bus))
+    if loaded is None:
+        return None
+    return {
+        "id": loaded.recipe.id,
+        "name": loaded.recipe.name,
+        "version": loaded.recipe.version,
+        "who": loaded.who,
+        "loaded_at": iso(loaded.at),
+        "departed": book.departed(bus),
+    }
 
 
 @router.delete("/buses/{bus}/recipes/{name}", status_code=204)
 async def delete_recipe(person: Annotated[Person, DELETE.permitted], book: Book, bus: str, name: str) -> None:
     """Take a recipe out of the list; its versions stay on record."""
     await book.retire(person, bus, name)
+
+
+def recipe_json(recipe: Recipe, bus: BusLive | None) -> RecipeShown:
+    """One version; setpoints also as their units show them, where the unit is configured."""
+    return {
+        "id": recipe.id,
+        "bus": recipe.bus,
+        "name": recipe.name,
+        "version": recipe.version,
+        "comment": recipe.comment,
+        "who": recipe.who,
+        "saved_at": iso(recipe.saved_at),
+        "setpoints": {
+            str(setpoint.unit): {
+                "raw": setpoint.raw,
+                "kind": setpoint.kind,
+                "value": setpoint_text(bus.units[setpoint.unit], setpoint.raw, setpoint.kind)
+                if bus is not None and setpoint.unit in bus.units
+                else None,
+            }
+            for setpoint in recipe.setpoints
+        },
+    }
 
 
 def unit_setpoints(given: dict[str, int]) -> dict[int, int]:

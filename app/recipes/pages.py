@@ -10,8 +10,8 @@ from starlette.responses import RedirectResponse
 from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
 from app.commands.forms.page_context import Confirmed, Page
-from app.commands.review.ramp import present_setpoint
-from app.commands.review.risks import by_remark
+from app.commands.review import by_remark, present_setpoint
+from app.commands.rules.setpoint import setpoint_text
 from app.commands.service.writer import permitted
 from app.errors import Problem
 from app.live.api.routes import Live
@@ -19,7 +19,7 @@ from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.api import Book, KnownRecipe
-from app.recipes.rules import setpoint_kind, setpoint_text, setpoints_now
+from app.recipes.rules import setpoint_kind, setpoints_now
 from app.web.access import Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
@@ -140,7 +140,10 @@ async def retire(
 
 def _present(bus: BusLive) -> dict[int, str]:
     """The present setpoint of each unit as it shows it; empty where it is not known."""
-    known = {one.unit: setpoint_text(bus.units[one.unit], one) for one in setpoints_now(bus.units.values())}
+    known = {
+        one.unit: setpoint_text(bus.units[one.unit], one.raw, one.kind)
+        for one in setpoints_now(bus.units.values())
+    }
     return dict.fromkeys(bus.units, "") | known
 
 

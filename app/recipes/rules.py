@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated
 
 from pydantic import Field, InstanceOf, PlainSerializer
 
-from app.commands.review.ramp import ramp_of
-from app.commands.review.risks import obstacle_of, risks_of
+from app.commands.review import obstacle_of, ramp_of, risks_of
+from app.commands.rules.setpoint import setpoint_text
+from app.commands.rules.setpoint_range import SetpointKind, kind_of
 from app.commands.values import in_measure, measure_of_setpoint
 from app.live.api.schemas import UnitAddress
-from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.bus_live import BusLive, UnitLive, follower
 from app.web.shape import MessageObject
-from bus.catalogue.numbers import DECIMALS, FOLLOWER_MODE, RATIO_SETPOINT
-from bus.catalogue.values import ratio_text, speed_text
+from bus.catalogue.numbers import RATIO_SETPOINT
 from bus.contract.durations import change_s
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
 
-RecipeKind = Literal["speed", "ratio"]
 SetpointRefusal = Callable[[int, int], Message | None]
 
 NOT_CONFIGURED = Message("unit_not_configured")
@@ -32,7 +31,7 @@ class RecipeSetpoint:
 
     unit: int
     raw: int
-    kind: RecipeKind
+    kind: SetpointKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,20 +92,9 @@ class RecipeDeparture:
     now: Annotated[MessageObject, Field(description="Present setpoint.")]
 
 
-def setpoint_kind(unit: UnitLive) -> RecipeKind | None:
+def setpoint_kind(unit: UnitLive) -> SetpointKind | None:
     """What a setpoint of this unit is: by #8, None while that has not been read."""
-    mode = unit.parameter_raw(FOLLOWER_MODE)
-    if mode is None:
-        return None
-    return "speed" if mode == 0 else "ratio"
-
-
-def setpoint_text(unit: UnitLive, setpoint: RecipeSetpoint) -> str:
-    """The setpoint as the unit would show it; the bare integer while its decimals are not known."""
-    if setpoint.kind == "ratio":
-        return ratio_text(setpoint.raw)
-    decimals = unit.parameter_raw(DECIMALS)
-    return str(setpoint.raw) if decimals is None else speed_text(setpoint.raw, decimals)
+    return None if follower(unit) is None else kind_of(unit)
 
 
 def dry_run(recipe: Recipe, bus: BusLive, refusal: SetpointRefusal, now: UnixTime) -> RecipeDryRun:
@@ -136,8 +124,8 @@ def _step(
     ramp_s = 0.0 if present == setpoint.raw else None if ramp is None else ramp.seconds
     old = None
     if unit.reading is not None and present is not None:
-        old = number(setpoint_text(unit, replace(setpoint, raw=present)))
-    new, measure = setpoint_text(unit, setpoint), measure_of_setpoint(unit)
+        old = number(setpoint_text(unit, present, setpoint.kind))
+    new, measure = setpoint_text(unit, setpoint.raw, setpoint.kind), measure_of_setpoint(unit)
     return RecipeDryRunStep(
         unit=setpoint.unit,
         name=unit.settings.name,
@@ -183,7 +171,7 @@ def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixT
     return None
 
 
-def present_raw(unit: UnitLive, kind: RecipeKind) -> int | None:
+def present_raw(unit: UnitLive, kind: SetpointKind) -> int | None:
     """The present command of the unit: CS of its last response, or #37 for a ratio."""
     if kind == "ratio":
         return unit.parameter_raw(RATIO_SETPOINT)
@@ -199,11 +187,11 @@ def _departure(setpoint: RecipeSetpoint, unit: UnitLive | None, since: UnixTime)
     now = present_raw(unit, setpoint.kind)
     if now is None or now == setpoint.raw:
         return None
-    shown = number(setpoint_text(unit, replace(setpoint, raw=now)))
-    return RecipeDeparture(setpoint.unit, unit.settings.name, setpoint_text(unit, setpoint), shown)
+    wanted, shown = (setpoint_text(unit, raw, setpoint.kind) for raw in (setpoint.raw, now))
+    return RecipeDeparture(setpoint.unit, unit.settings.name, wanted, number(shown))
 
 
-def _commanded_since(unit: UnitLive, kind: RecipeKind, moment: UnixTime) -> bool:
+def _commanded_since(unit: UnitLive, kind: SetpointKind, moment: UnixTime) -> bool:
     """#37 is read in the slow scan: a value from before the recipe was loaded does not count."""
     if kind == "speed":
         return unit.reading is not None

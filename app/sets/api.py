@@ -1,30 +1,33 @@
-"""Parameter sets over HTTP: taken, listed, compared."""
+"""Parameter sets over HTTP: taken, listed, compared; with the schemas of them. #21 never leaves here."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
+from typing_extensions import TypedDict
 
 from app.audit.api import Events
 from app.errors import Problem
 from app.live.api.routes import Live
+from app.live.api.schemas import MaybeTime, UnitAddress
 from app.live.lookup import bus_or_404, unit_or_404
-from app.sets import view
 from app.sets.acts import EXPORT_SECRET, MARK_GOLDEN, SAVE, SCHEDULE
-from app.sets.compare import ParameterDifference, compare
+from app.sets.compare import ParameterDifference, compare, with_unit
 from app.sets.document import write_document
-from app.sets.drift import BusDrift
+from app.sets.drift import BusDrift, DriftedParameter
 from app.sets.keeper import SetKeeper
 from app.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
-from app.sets.model import ParameterSetSummary
+from app.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, StoredRaw, UnitRows
 from app.sets.schedule import SetSchedule
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.schema import problems
 from app.web.services import bus_service, bus_service_of
-from app.web.shape import StrictBody, UnitAddresses
+from app.web.shape import MessageObject, StrictBody, UnitAddresses, iso
+from bus.catalogue.parameters import PARAMETERS
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -56,6 +59,74 @@ class SaveScheduleRequest(StrictBody):
     minute_of_day: Annotated[int, Field(ge=0, le=1439)] | None
 
 
+class ParameterSetParameter(TypedDict):
+    """One parameter in a set."""
+
+    number: Number
+    name: str
+    raw: StoredRaw
+    value: Annotated[str | None, Field(description="As shown to people; null: not known, or a secret.")]
+    available: Annotated[bool, Field(description="Whether the unit has it.")]
+    read_at: MaybeTime
+    frame: Annotated[
+        str | None, Field(description="The response with the value, hexadecimal; null: a secret.")
+    ]
+
+
+class ParameterSetUnit(TypedDict):
+    """One unit in a set."""
+
+    id: UnitAddress
+    name: str
+    parameters: list[ParameterSetParameter]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSetShown(SetHead):
+    """A stored parameter set with its values."""
+
+    units: list[ParameterSetUnit]
+
+
+class GoldenSet(TypedDict):
+    """The golden set of a unit."""
+
+    set: int
+    unit: UnitAddress
+    golden: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DriftRow(ParameterDifference):
+    """A row in which a unit differs from its golden set, and whose change it is."""
+
+    changed_by: Annotated[str | None, Field(description="User or token; null: changed at the panel.")]
+    changed_at: MaybeTime
+    changed: Annotated[MessageObject, Field(description="at the panel, or by whom.")]
+
+
+class DriftShown(TypedDict):
+    """Where a unit as last read differs from its golden set."""
+
+    golden: Annotated[bool, Field(description="Whether it has a golden set.")]
+    unread: Annotated[int, Field(description="How many parameters could not be compared yet, 0 to 40.")]
+    rows: list[DriftRow]
+
+
+class OverdueSave(TypedDict):
+    """A unit whose set of the day could not be saved yet."""
+
+    unit: UnitAddress
+    why: Annotated[MessageObject | None, Field(description="Why.")]
+
+
+class SaveSchedule(TypedDict):
+    """When the sets of a bus are saved."""
+
+    minute_of_day: Annotated[int | None, Field(description="Local time, 0 to 1439; null: not by schedule.")]
+    overdue: list[OverdueSave]
+
+
 ParameterSets = Annotated[SetKeeper, bus_service(SetKeeper)]
 Drift = Annotated[BusDrift, bus_service(BusDrift)]
 ScheduleOfBus = Annotated[SetSchedule, bus_service(SetSchedule)]
@@ -81,19 +152,19 @@ async def save_parameter_set(
     live: Live,
     bus: str,
     wanted: SaveSetRequest,
-) -> view.ParameterSetShown:
+) -> ParameterSetShown:
     """Read the units now and save the values; nothing is saved if a unit does not respond."""
     known = bus_or_404(live, bus).units
     units = wanted.units or list(known)
     for unit in units:
         unit_or_404(live, bus, unit)
-    return view.set_json(await keeper.take(person, units, wanted.name, wanted.comment))
+    return set_json(await keeper.take(person, units, wanted.name, wanted.comment))
 
 
 @router.get("/sets/{set_id}")
-async def get_parameter_set(_: Viewer, stored: StoredSet) -> view.ParameterSetShown:
+async def get_parameter_set(_: Viewer, stored: StoredSet) -> ParameterSetShown:
     """A set with the evidence of each value; #21 is masked."""
-    return view.set_json(stored)
+    return set_json(stored)
 
 
 @router.get("/sets/{set_id}/document", response_class=Response, responses=DOCUMENT)
@@ -117,7 +188,7 @@ async def mark_golden_set(
     person: Annotated[Person, MARK_GOLDEN.permitted],
     stored: StoredSet,
     mark: GoldenSetRequest,
-) -> view.GoldenSet:
+) -> GoldenSet:
     """Make this set the golden set of the unit."""
     await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
     return {"set": stored.id, "unit": mark.unit, "golden": True}
@@ -140,21 +211,21 @@ async def compare_parameter_sets(
 
 
 @router.get("/buses/{bus}/units/{unit}/drift")
-async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> view.DriftShown:
+async def get_drift(_: Viewer, drift: Drift, live: Live, bus: str, unit: int) -> DriftShown:
     """Drift of the unit, as last read, from its golden set, and who changed it: ``changed_by`` null is a
     change at the panel. ``unread``: parameters that could not be compared yet."""
     unit_or_404(live, bus, unit)
     return {
         "golden": drift.has_golden(unit),
         "unread": drift.unread(unit),
-        "rows": [view.departure_json(one) for one in await drift.traced(unit)],
+        "rows": [departure_json(one) for one in await drift.traced(unit)],
     }
 
 
 @router.get("/buses/{bus}/set-schedule")
-async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> view.SaveSchedule:
+async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus: str) -> SaveSchedule:
     """Minute of the day at which the units of the bus are read, and overdue units with the reason."""
-    overdue: list[view.OverdueSave] = [
+    overdue: list[OverdueSave] = [
         {"unit": unit, "why": each.why} for unit, each in schedule.overdue().items()
     ]
     return {"minute_of_day": (await sets.schedule()).get(bus), "overdue": overdue}
@@ -163,7 +234,55 @@ async def get_save_schedule(_: Viewer, sets: Sets, schedule: ScheduleOfBus, bus:
 @router.put("/buses/{bus}/set-schedule")
 async def set_save_schedule(
     person: Annotated[Person, SCHEDULE.permitted], schedule: ScheduleOfBus, wanted: SaveScheduleRequest
-) -> view.SaveSchedule:
+) -> SaveSchedule:
     """Read all units of the bus daily, or end the schedule."""
     await schedule.set(person, wanted.minute_of_day)
     return {"minute_of_day": wanted.minute_of_day, "overdue": []}
+
+
+def set_json(stored: ParameterSet) -> ParameterSetShown:
+    """A complete set; secrets masked."""
+    return ParameterSetShown(
+        id=stored.id,
+        bus=stored.bus,
+        name=stored.name,
+        comment=stored.comment,
+        taken_at=stored.taken_at,
+        who=stored.who,
+        origin=stored.origin,
+        golden_for=tuple(sorted(stored.golden_for)),
+        units=[_unit_json(rows) for rows in stored.units],
+    )
+
+
+def _unit_json(rows: UnitRows) -> ParameterSetUnit:
+    parameters: list[ParameterSetParameter] = []
+    for number, row in sorted(rows.rows.items()):
+        parameter = PARAMETERS[number]
+        raw = None if parameter.secret else row.raw
+        parameters.append(
+            {
+                "number": number,
+                "name": parameter.name,
+                "raw": raw,
+                "value": None if raw is None else str(with_unit(parameter, raw, rows)),
+                "available": row.available,
+                "read_at": None if row.read_at is None else iso(row.read_at),
+                "frame": None if parameter.secret else row.frame.hex(" "),
+            }
+        )
+    return {"id": rows.unit, "name": rows.name, "parameters": parameters}
+
+
+def departure_json(departure: DriftedParameter) -> DriftRow:
+    """A row of a comparison with the golden set, and whose change it is."""
+    change = departure.change
+    row: dict[str, Any] = {each.name: getattr(departure.row, each.name) for each in fields(departure.row)}
+    return DriftRow(
+        **row,
+        changed_by=None if change is None else change["who"],
+        changed_at=None if change is None else iso(change["time"]),
+        changed=Message("changed_at_panel")
+        if change is None
+        else Message.of("changed_by", who=change["who"]),
+    )

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from datetime import date, datetime
-from typing import Protocol
 
 import structlog
 
-from app.commands.service.command_service import WriteSubscriber
+from app.commands.service.command_service import CommandService
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.background import Background
@@ -23,19 +22,12 @@ from bus.instants import UnixTime
 _log = structlog.get_logger(__name__)
 
 
-class Writes(Protocol):
-    """Announces each write before it is sent."""
-
-    def on_write(self, subscriber: WriteSubscriber) -> None:
-        """Call and await ``subscriber`` before each write."""
-
-
 class FirstWrites:
     """Stores a set before the first write of a day to a unit of one bus. ``clock`` returns the local time
     with its zone: a day begins at its midnight."""
 
     def __init__(
-        self, live: BusLive, writes: Writes, keeper: SetKeeper, clock: Callable[[], datetime]
+        self, live: BusLive, commands: CommandService, keeper: SetKeeper, clock: Callable[[], datetime]
     ) -> None:
         self._live = live
         self._bus = live.settings.name
@@ -43,7 +35,7 @@ class FirstWrites:
         self._clock = clock
         self._kept: dict[int, date] = {}
         self.background = Background()
-        writes.on_write(self.before)
+        commands.on_write(self.before)
 
     async def before(self, person: Person, units: Sequence[int], *, parameters: bool) -> None:
         """``units`` are about to be written to. A write of ``parameters`` waits until they are stored (a few

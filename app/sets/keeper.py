@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import structlog
 
 from app.audit.log import EventLog
-from app.commands.authority import Authority
+from app.auth.rights import Rights
 from app.errors import Problem
 from app.live.state.bus_live import BusLive
 from app.sets.acts import MARK_GOLDEN, SAVE
@@ -35,7 +35,7 @@ class SetKeeper:
     _drift: BusDrift
     store: SetStore
     _events: EventLog
-    _rights: Authority
+    _rights: Rights
 
     @property
     def bus(self) -> str:

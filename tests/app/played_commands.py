@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from app.commands import check
+from app.commands import catalogue
 from app.commands.rules.objection import RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
@@ -88,7 +88,7 @@ class PlayedCommands:
         now = RuleContext(
             self.live.buses["dry-end"], lambda _: NO_LIMITS, lambda _: None, lambda _: 0, confirm=confirm
         )
-        check.check(action, now)
+        catalogue.check(action, now)
 
     @property
     def _timed_out(self) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.commands.check import check
+from app.commands.catalogue import check
 from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-from app.commands.review.ramp import Ramp, nudges, present_setpoint, ramp_of, ramp_parameters_missing
-from app.commands.review.risks import change_of
+from app.commands.review import Ramp, change_of, nudges, present_setpoint, ramp_of, ramp_parameters_missing
 from app.commands.safeguards.limits import Limits
 from bus.contract import ParameterValue
 from tests.app.screens import line, reading

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.commands.review.ramp import Ramp
-from app.commands.review.risks import by_remark, obstacle_of, risks_of, risks_of_writing
+from app.commands.review import Ramp, by_remark, obstacle_of, risks_of, risks_of_writing
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, Update
 from bus.messages import Message

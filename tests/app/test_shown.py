@@ -6,8 +6,7 @@ import time
 
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from app.commands.api.responses import result_json
-from app.commands.api.schemas import CommandResult
+from app.commands.api.responses import CommandResult, result_json
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
 from app.live.api.view import bus_json, parameter_json
 from app.live.state.bus_live import LiveState

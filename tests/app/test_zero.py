@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from app.commands.review.zero import plan_zero
+from app.commands.review import plan_zero
 from bus.contract import BusLink, ParameterValue
 from tests.app.screens import AT_SPEED, HEALTHY, line, reading
 

@@ -21,8 +21,7 @@ from app.commands.api.bodies import (
     SpeedRequest,
     SpeedsRequest,
 )
-from app.commands.api.responses import FramesWanted, command_response
-from app.commands.api.schemas import CommandResult
+from app.commands.api.responses import CommandResult, FramesWanted, command_response
 from app.commands.catalogue import (
     CHANGE_BAUD,
     EXECUTE_ALL,

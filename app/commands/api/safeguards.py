@@ -8,10 +8,11 @@ from typing import Annotated
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
+from typing_extensions import TypedDict
 
 from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
 from app.commands.api.commands import UnitInPath
-from app.commands.api.schemas import CommandBlockShown, ControlShown
+from app.commands.api.responses import Moment
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
@@ -63,6 +64,28 @@ class HandOverRequest(StrictBody):
     model_config = ConfigDict(str_strip_whitespace=True)
 
     to: Annotated[str, Field(min_length=1, max_length=60)]
+
+
+class CommandBlockShown(TypedDict):
+    """Whether commands to a unit are blocked."""
+
+    blocked: bool
+    reason: str | None
+    by: Annotated[str | None, Field(description="Who blocked it; null: it is not blocked.")]
+    since: Moment
+
+
+class ControlShown(TypedDict):
+    """Who has control of a line."""
+
+    required: Annotated[bool, Field(description="Whether commands need control (control in [site]).")]
+    lapses_after_s: Annotated[
+        float, Field(description="Control without a command lapses after this, seconds.")
+    ]
+    holder: Annotated[str | None, Field(description="Name of the user or token; null: control is free.")]
+    is_token: Annotated[bool | None, Field(description="Whether the holder is a token.")]
+    since: Moment
+    lapses_at: Moment
 
 
 Guards = Annotated[Safeguards, bus_service(Safeguards)]

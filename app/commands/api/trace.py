@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from starlette.responses import JSONResponse, Response, StreamingResponse
+from typing_extensions import TypedDict
 
-from app.commands.api.responses import frame_json
-from app.commands.api.schemas import TraceShown
+from app.commands.api.responses import FrameShown, frame_json
 from app.commands.api.trace_file import trace_line
 from app.commands.catalogue import READ_TRACE
 from app.commands.service.command_service import CommandService
@@ -32,6 +32,13 @@ RECENT_S = 60.0
 PIECE = 2000
 MAX_PIECES = 200
 """An hour of a full bus has 140. Bounds a download from a worker that always has more frames."""
+
+
+class TraceShown(TypedDict):
+    """The last frames of a bus, oldest first."""
+
+    bus: str
+    frames: list[FrameShown]
 
 
 TRACE: dict[int | str, dict[str, Any]] = {

@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from app.commands.forms.outcome import OutcomeText, outcome_text
 from app.commands.forms.page_context import BusPage
-from app.commands.review.ramp import present_setpoint
+from app.commands.review import present_setpoint
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower

@@ -15,8 +15,13 @@ from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, outcome_text
-from app.commands.review.ramp import present_setpoint, ramp_parameters_missing
-from app.commands.review.risks import SetpointChange, change_of, obstacle_of
+from app.commands.review import (
+    SetpointChange,
+    change_of,
+    obstacle_of,
+    present_setpoint,
+    ramp_parameters_missing,
+)
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService

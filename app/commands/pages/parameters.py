@@ -11,7 +11,7 @@ from starlette.responses import Response
 from app.commands.catalogue import READ_PARAMETERS, WRITE_PARAMETER
 from app.commands.forms.outcome import OutcomeText, outcome_text
 from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
-from app.commands.review.risks import risks_of_writing
+from app.commands.review import risks_of_writing
 from app.commands.rules.setpoint_range import parameter_bounds
 from app.commands.service.writer import permitted, permitted_writer
 from app.commands.values import measure_of_value, parameter_message

@@ -12,7 +12,7 @@ from starlette.responses import Response
 from app.commands.catalogue import SET_LINE, longest_change_s
 from app.commands.forms.line_change import followers_of, proven, reviewed
 from app.commands.forms.page_context import BusPage, Confirmed, Page
-from app.commands.review.risks import by_remark
+from app.commands.review import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.service.writer import permitted
 from app.commands.values import measure_of_setpoint, setpoint_message

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
 from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
-from app.commands.review.ramp import nudges
+from app.commands.review import nudges
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
 from app.live.state.bus_live import follower

@@ -9,7 +9,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
 from app.commands.forms.page_context import OfUnit, UnitPage
-from app.commands.review.ramp import nudges
+from app.commands.review import nudges
 from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.values import measure_of_setpoint

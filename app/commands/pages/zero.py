@@ -10,8 +10,7 @@ from starlette.responses import Response
 from app.commands.catalogue import SET_LINE, longest_change_s, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, ResultRow
 from app.commands.forms.page_context import BusPage, Confirmed, Page
-from app.commands.review.risks import by_remark
-from app.commands.review.zero import ZeroPlan, plan_zero
+from app.commands.review import ZeroPlan, by_remark, plan_zero
 from app.commands.service.writer import permitted
 from app.commands.values import setpoint_message
 from app.errors import Problem

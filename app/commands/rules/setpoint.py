@@ -78,12 +78,12 @@ def _check_range(live: UnitLive, raw: int, limits: Limits, kind: SetpointKind | 
         return
     unit, nearest = live.settings.id, allowed.nearest(raw)
     numbers = {"value": raw, "lowest": allowed.lowest, "highest": allowed.highest, "nearest": nearest}
-    shown = {name: number(_text(live, raw, allowed.kind)) for name, raw in numbers.items()}
+    shown = {name: number(setpoint_text(live, raw, allowed.kind)) for name, raw in numbers.items()}
     reason = Message.of(f"setpoint_outside_{allowed.basis}", unit=unit, **shown)
     raise objection("invalid", reason, unit=unit, nearest=nearest)
 
 
-def _text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
+def setpoint_text(live: UnitLive, raw: int, kind: SetpointKind) -> str:
     """A setpoint as the unit shows it; the bare integer while its decimals are not known."""
     sign, size = ("-" if raw < 0 else ""), abs(raw)
     if kind == "ratio":

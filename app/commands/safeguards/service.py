@@ -7,6 +7,8 @@ from dataclasses import InitVar, dataclass, field
 
 from app.audit.act import Act
 from app.audit.log import EventLog
+from app.auth.rights import Rights
+from app.auth.signin import SignIn
 from app.commands.acts import (
     BLOCK,
     FORCE_CONTROL,
@@ -16,7 +18,6 @@ from app.commands.acts import (
     TAKE_CONTROL,
     UNBLOCK,
 )
-from app.commands.authority import SessionEnds, Withdrawals
 from app.commands.safeguards.control import Control, Holding
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
@@ -40,11 +41,11 @@ class Safeguards:
     _events: EventLog
     control_required: InitVar[bool]
     find: AccountLookup
-    rights: Withdrawals
-    sessions: InitVar[SessionEnds]
+    rights: Rights
+    sessions: InitVar[SignIn]
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
 
-    def __post_init__(self, database: Database, control_required: bool, sessions: SessionEnds) -> None:
+    def __post_init__(self, database: Database, control_required: bool, sessions: SignIn) -> None:
         self.limits = LimitsStore(database, self._bus)
         self.blocks = BlockStore(database, self._bus)
         self.control = Control(required=control_required)

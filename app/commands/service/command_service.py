@@ -10,9 +10,9 @@ from typing import Protocol
 
 import msgspec
 
-from app.commands.authority import Authority, while_permitted
-from app.commands.catalogue import kind_of_command
-from app.commands.check import check
+from app.auth.rights import Rights
+from app.commands.authority import while_permitted
+from app.commands.catalogue import check, kind_of_command
 from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
@@ -54,7 +54,7 @@ class CommandService:
     _record: CommandRecord
     _cache: IdempotencyCache
     _guards: Safeguards
-    _rights: Authority
+    _rights: Rights
     _monotonic: MonotonicClock = monotonic_now
     _moves: Moves = field(default_factory=Moves)
     _under_way: set[asyncio.Task[Result]] = field(default_factory=set)

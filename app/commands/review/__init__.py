@@ -1,1 +1,0 @@
-"""What a review shows of a command before it is confirmed. Pure."""
