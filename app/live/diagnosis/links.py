@@ -15,22 +15,23 @@ from bus.settings import wire_seconds
 
 def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
     """Of a bus."""
-    is_readable = _is_readable(bus, now)
+    worker_is_lost = bus.worker_lost is not None or worker_timed_out(bus, now)
+    port_is_closed = bus.link.link == "closed"
     turnaround_s = wire_seconds(POLL_BYTES, bus.baud) + bus.settings.turnaround_s
     return BusFacts(
-        worker_is_lost=bus.worker_lost is not None or worker_timed_out(bus, now),
-        port_is_closed=bus.link.link == "closed",
-        has_no_response=is_readable and has_no_response(bus, now),
+        worker_is_lost=worker_is_lost,
+        port_is_closed=port_is_closed,
+        has_no_response=not (worker_is_lost or port_is_closed) and _has_no_response(bus, now),
         scan_s=None if bus.figures is None else bus.figures.scan_s,
         longest_scan_s=len(bus.units) * turnaround_s,
     )
 
 
-def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime) -> LinkFacts:
+def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
     """Of a unit."""
     lost_at = _lost_at(bus, unit, now)
     return LinkFacts(
-        bus_is_readable=_is_readable(bus, now),
+        bus_is_readable=bus_is_readable,
         is_lost=lost_at is not None,
         is_online=unit_link_now(bus, unit, now) == "online",
         is_alone=lost_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, lost_at),
@@ -43,11 +44,7 @@ def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool 
     return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
 
 
-def _is_readable(bus: BusLive, now: UnixTime) -> bool:
-    return bus.worker_lost is None and not worker_timed_out(bus, now) and bus.link.link != "closed"
-
-
-def has_no_response(bus: BusLive, now: UnixTime) -> bool:
+def _has_no_response(bus: BusLive, now: UnixTime) -> bool:
     """Whether no unit of several has responded since one was found lost. Where only that one is lost, the
     next response of another ends it."""
     if len(bus.units) == 1:
