@@ -141,8 +141,8 @@ class BusAlarms:
                 case Reading() if update.unit in self._monitors:
                     self._monitors[update.unit].see_reading(now)
                 case UnitLink() if update.unit in self._monitors:
-                    self._see_bus(now)
-                    self._monitors[update.unit].see_link(now)
+                    is_readable = self._see_bus(now)
+                    self._monitors[update.unit].see_link(now, bus_is_readable=is_readable)
                 case ParameterValue() | Staged() if update.unit in self._monitors:
                     read.add(update.unit)
                 case BusLink():
@@ -160,15 +160,17 @@ class BusAlarms:
             self.list.suppress(alarm, True, now)
         self.list.observe(alarm, holds, now)
 
-    def _see_bus(self, now: UnixTime) -> None:
+    def _see_bus(self, now: UnixTime) -> bool:
+        """Observe the conditions of the bus; whether it can be read."""
         facts = bus_facts(self._live, now)
         for row in BY_BUS:
             self._observe(self._alarm_of(row.code), row.holds(facts), now)
+        return facts.is_readable
 
     def _see_links(self, now: UnixTime) -> None:
-        self._see_bus(now)
+        is_readable = self._see_bus(now)
         for monitor in self._monitors.values():
-            monitor.see_link(now)
+            monitor.see_link(now, bus_is_readable=is_readable)
 
     def _see_figures(self, figures: BusFigures, now: UnixTime) -> None:
         for unit in figures.units:

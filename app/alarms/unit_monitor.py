@@ -15,7 +15,6 @@ from app.conditions.catalogue import UNIT_ALARMS
 from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
 from app.live.diagnosis.links import link_facts, unit_facts
-from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, UnitLive
 from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import Reading, UnitFigures
@@ -131,12 +130,12 @@ class UnitMonitor:
             if holds is not alarm.holds:
                 self._observe(alarm, holds, now)
 
-    def see_link(self, now: UnixTime) -> None:
+    def see_link(self, now: UnixTime, *, bus_is_readable: bool) -> None:
         """Time has passed, or the state of the link has changed."""
-        link = link_facts(self._bus, self._unit, now)
+        link = link_facts(self._bus, self._unit, now, bus_is_readable=bus_is_readable)
         self.is_lost_alone = link.is_alone
         self._observe(self._offline, of_unit.UNIT_OFFLINE.holds(link), now)
-        if self._status is None or unit_link_now(self._bus, self._unit, now) == "online":
+        if self._status is None or link.is_online:
             return
         self._status = None
         self._observe(self._degraded, None, now)

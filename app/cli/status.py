@@ -60,8 +60,8 @@ def _state(url: str, token: str) -> tuple[list[dict[str, Any]], list[dict[str, A
     """The buses, and the faults of the server."""
     with dashboard(url, token) as client:
         line, alarms = client.get("/line"), client.get("/alarms")["alarms"]
-    history = line["history_message"]
-    stored = {"code": history["code"], "since": None, "message": line["history"]} if history else None
+    history = line["history"]
+    stored = {"code": history["code"], "since": None, "message": history["detail"]} if history else None
     faults = [
         {name: alarm[name] for name in ("code", "since", "message")}
         for alarm in alarms
@@ -71,7 +71,7 @@ def _state(url: str, token: str) -> tuple[list[dict[str, Any]], list[dict[str, A
 
 
 def _bus(bus: dict[str, Any]) -> dict[str, Any]:
-    shown = ("name", "worker", "link", "link_cause", "link_cause_message")
+    shown = ("name", "worker", "link", "link_cause")
     return {
         **{name: bus.get(name) for name in shown},
         "units": len(bus["units"]),
@@ -82,5 +82,5 @@ def _bus(bus: dict[str, Any]) -> dict[str, Any]:
 def _line(bus: dict[str, Any]) -> Message:
     units = {"bus": bus["name"], "online": bus["units_online"], "units": bus["units"], "link": bus["link"]}
     if bus["link_cause"]:
-        return Message("bus_not_open", {**units, "cause": bus["link_cause"]})
+        return Message("bus_not_open", {**units, "cause": bus["link_cause"]["detail"]})
     return Message("bus_open", units)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from app.live.api.view import setpoint_text
-from app.live.state.bus_live import UnitLive, follower
+from app.live.state.bus_live import UnitLive, follower, setpoint_decimals
 from bus.catalogue import values
 from bus.catalogue.numbers import DECIMALS
 from bus.catalogue.parameter import Parameter, Scale
@@ -13,10 +12,7 @@ from bus.messages import Message, number, term
 
 def setpoint_message(raw: int | None, live: UnitLive) -> str | Message:
     """A setpoint as the unit shows it, marked while its decimals are not known; empty for None."""
-    if raw is None:
-        return ""
-    text = setpoint_text(live, raw)
-    return values.bare(raw) if text is None else number(text)
+    return "" if raw is None else values.speed_message(raw, setpoint_decimals(live))
 
 
 def parameter_message(parameter: Parameter, raw: int, live: UnitLive) -> Message:
@@ -33,7 +29,7 @@ def in_measure(value: str | Message, measure: str | Message) -> Message:
 
 def measure_of_setpoint(unit: UnitLive) -> str:
     """Measure of a setpoint; "" of a ratio, and while the decimals are not known."""
-    is_shown = not follower(unit) and setpoint_text(unit, 0) is not None
+    is_shown = not follower(unit) and setpoint_decimals(unit) is not None
     return unit.settings.labels.unit if is_shown else ""
 
 

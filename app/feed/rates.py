@@ -36,7 +36,6 @@ MAX_BYTES_PER_S, MAX_BYTES_AT_ONCE = 100_000.0, 16_000_000.0
 """Of all messages; below 9 GB a day. A full buffer of a worker, with a complete snapshot, is 3 MB."""
 MAX_VALUES_PER_S, MAX_VALUES_AT_ONCE = 100.0, 40_000.0
 """Stored readings and parameters: twice what a worker polls at 9600 baud, and all that it keeps at once."""
-HELLOS_PER_S, MAX_HELLOS_AT_ONCE = 0.5, 20.0
 
 
 @dataclass(slots=True)
@@ -59,11 +58,6 @@ class FeedQuota:
             case UnitLink() | BusLink():
                 return self._values.take(now, TEXT_COST)
         return True
-
-
-def hello_bucket() -> Bucket:
-    """What the connections by one token are measured by."""
-    return Bucket(HELLOS_PER_S, MAX_HELLOS_AT_ONCE)
 
 
 def cost_of(message: WorkerMessage) -> float:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 from app.feed.bus_feed import BusFeed, WorkerConnection, send_away
 from app.feed.holders import Credential, refusal
-from app.feed.rates import hello_bucket
 from app.live.change_recorder import ChangeRecorder
 from app.pipeline import refusal_of_worker
 from bus.bucket import Bucket
@@ -17,6 +16,7 @@ from bus.instants import monotonic_now, unix_now
 
 TOO_OFTEN = "this bus was connected to too often; wait a minute"
 HELLO_WITHIN_S = 10.0
+HELLOS_PER_S, MAX_HELLOS_AT_ONCE = 0.5, 20.0
 
 
 class Workers:
@@ -27,7 +27,9 @@ class Workers:
         self._feeds = feeds
         self._recorder = recorder
         self.monotonic = monotonic_now
-        self._hello_buckets: defaultdict[str, Bucket] = defaultdict(hello_bucket)
+        self._hello_buckets: defaultdict[str, Bucket] = defaultdict(
+            lambda: Bucket(HELLOS_PER_S, MAX_HELLOS_AT_ONCE)
+        )
         """By token, so that one cannot use up what another has."""
         self._own_called: set[str] = set()
         """Buses whose own worker connected since `responds` was last called."""

@@ -35,18 +35,13 @@ class LineEvent:
 
 
 @dataclass(slots=True)
-class _UnitMemory:
-    conditions: frozenset[str] | None = None
-    link: UnitLinkState = "unknown"
-
-
-@dataclass(slots=True)
 class Changes:
     """The last state of one bus. The first state seen is no change."""
 
     settings: BusSettings
     _port: BusLinkState | None = None
-    _units: dict[int, _UnitMemory] = field(default_factory=dict)
+    _conditions: dict[int, frozenset[str]] = field(default_factory=dict)
+    _links: dict[int, UnitLinkState] = field(default_factory=dict)
 
     def see(self, update: Update) -> list[LineEvent]:
         """What this update changes, compared with the one before."""
@@ -59,27 +54,22 @@ class Changes:
                 return self._see_port(update)
         return []
 
-    def _memory(self, unit: int) -> _UnitMemory:
-        return self._units.setdefault(unit, _UnitMemory())
-
     def _see_reading(self, reading: Reading) -> list[LineEvent]:
-        memory = self._memory(reading.unit)
-        before = memory.conditions
+        before = self._conditions.get(reading.unit)
         now = status_conditions(status_bits(reading.outputs, reading.inputs, self.settings.estop_healthy))
-        memory.conditions = now
+        self._conditions[reading.unit] = now
         if before is None or before == now:
             return []
         changed = [row for row in BY_READING if row.event and (row.code in before) != (row.code in now)]
         return [_event(row, reading.unit, reading.at, row.code in now) for row in changed]
 
     def _see_unit_link(self, update: UnitLink) -> list[LineEvent]:
-        memory = self._memory(update.unit)
-        before = memory.link
+        before = self._links.get(update.unit, "unknown")
         if update.link not in ("online", "offline") or update.link == before:
             return []
         if update.link == "offline" and self._port == "closed":
             return []
-        memory.link = update.link
+        self._links[update.unit] = update.link
         if before == "unknown":
             return []
         return [_event(UNIT_OFFLINE, update.unit, update.at, update.link == "offline", update.cause)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from app.live.api.view import LineView
 from app.live.screen.fields import Translator
 from app.live.screen.screen import Screen
 from app.live.state.bus_live import LiveState
@@ -49,6 +50,11 @@ def reading(
     return Reading(
         unit=unit, at=at, commanded=commanded, actual=actual, analog=127, outputs=outputs, inputs=inputs
     )
+
+
+def line_view(live: LiveState, blocks: dict[int, str] | None = None) -> LineView:
+    """The view of the API."""
+    return LineView("Mill 7", live, played_sources(live.buses, blocks), translator())
 
 
 def screen(live: LiveState, tag: str = "en", blocks: dict[int, str] | None = None) -> Screen:

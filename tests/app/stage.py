@@ -36,6 +36,7 @@ from app.feed.socket import router as feed_router
 from app.feed.workers import Workers
 from app.history.status import HistoryStatus
 from app.live.api.routes import router as live_router
+from app.live.api.view import LineView
 from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
@@ -70,6 +71,7 @@ from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoRecipes
+from tests.app.screens import translator
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -252,9 +254,10 @@ class Stage:
             lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
+        view = LineView(configuration.site.name, self.live, sources, translator())
         self.app.state.services = Registry(
             (
-                *(configuration, _templates(), sources),
+                *(configuration, _templates(), view),
                 *(self.live, self.workers, self.events, Turns()),
             ),
             {settings.name: (bus, self.commands, self.guards)},

@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 
 from app.conditions.of_unit import suspicion
-from app.live.api.view import unit_json
 from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
 from app.live.diagnosis.cause import Cause, bus_cause
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import Message, term
-from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, reading, translator
+from tests.app.screens import AT_SPEED, HEALTHY, RUN, line, line_view, reading
 
 NOW = 100.0
 
@@ -77,7 +76,8 @@ def test_a_unit_for_which_another_may_respond_is_abnormal(
     live.buses["dry"].apply([reading(), update])
     cause = shown_cause(bus, bus.units[1], NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
-    assert unit_json(bus, bus.units[1], NOW, lambda _unit: None, translator())["suspect"] == found
+    shown = line_view(live).unit("dry", 1, NOW)["suspect"]
+    assert (shown and shown["detail"]) == found
 
 
 def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:

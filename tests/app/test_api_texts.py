@@ -14,8 +14,6 @@ from tests.app.complete_app import settings_in
 
 AS_DATA = {
     "Alarm.message": "alarm_message",
-    "Bus.diagnosis": "diagnosis_messages",
-    "BusStatistics.diagnosis": "diagnosis_messages",
     "Cause.detail": "code",
     "CommandResult.detail": "reason",
     "Event.message": "messages",

@@ -37,7 +37,7 @@ BUS = {
     "name": "dry-end",
     "worker": True,
     "link": "closed",
-    "link_cause": "/dev/ttyUSB0 is not there",
+    "link_cause": {"code": "port_absent", "params": {}, "detail": "/dev/ttyUSB0 is not there"},
     "units": [{"link": "online"}, {"link": "stale"}],
 }
 
@@ -52,14 +52,14 @@ ALARMS = [
     alarm("notification_failed", active=False),
     alarm("port_lost", bus="dry-end"),
 ]
-HISTORY = {"history": "the disk is full", "history_message": {"code": "history_disk_full", "params": {}}}
+DISK_FULL = {"code": "history_disk_full", "params": {}, "detail": "the disk is full"}
 
 
 class PlayedDashboard:
     """A context like `app.cli.dashboard.dashboard`, with the responses of one."""
 
-    def __init__(self, alarms: list[dict[str, object]], history: dict[str, object]) -> None:
-        self._responses = {"/line": {"buses": [BUS], **history}, "/alarms": {"alarms": alarms}}
+    def __init__(self, alarms: list[dict[str, object]], history: dict[str, object] | None) -> None:
+        self._responses = {"/line": {"buses": [BUS], "history": history}, "/alarms": {"alarms": alarms}}
 
     def __enter__(self) -> PlayedDashboard:
         return self
@@ -83,7 +83,7 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Callable[[PlayedDashboard], None]:
 
 
 def test_a_dashboard_that_serves(config: Path, play: Callable[[PlayedDashboard], None]) -> None:
-    play(PlayedDashboard([], {"history": "", "history_message": None}))
+    play(PlayedDashboard([], None))
     plain = CliRunner().invoke(cli, ["status", "--config", str(config)])
     assert plain.exit_code == 0
     assert plain.stdout.startswith("Mill 7: serving at http://127.0.0.1:")
@@ -93,12 +93,12 @@ def test_a_dashboard_that_serves(config: Path, play: Callable[[PlayedDashboard],
     assert words in result.stdout
     assert "degraded" not in result.stdout
     printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)
-    assert printed["buses"][0] == {**BUS, "link_cause_message": None, "units": 2, "units_online": 1}
+    assert printed["buses"][0] == {**BUS, "units": 2, "units_online": 1}
     assert printed["degraded"] == []
 
 
 def test_faults_of_the_server_are_listed(config: Path, play: Callable[[PlayedDashboard], None]) -> None:
-    play(PlayedDashboard(ALARMS, HISTORY))
+    play(PlayedDashboard(ALARMS, DISK_FULL))
     call = ["status", "--config", str(config), "--token", "secret"]
     result = CliRunner().invoke(cli, call)
     assert result.exit_code == 0

@@ -279,7 +279,7 @@ async def test_a_lost_worker_closes_the_bus_and_nothing_looks_fresh(stage: Stage
     await until(lambda: not stage.live.buses["dry-end"].worker_connected, "the loss")
     line = (await stage.http().get("/api/v1/line")).json()["buses"][0]
     assert line["link"] == "closed"
-    assert line["link_cause"] == "the bus worker is not connected"
+    assert line["link_cause"]["detail"] == "the bus worker is not connected"
     assert {unit["link"] for unit in line["units"]} == {"stale"}
     result = await stage.request("POST", "/units/1/speed", {"raw": 5})
     assert result.status_code == 503

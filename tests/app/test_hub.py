@@ -174,7 +174,7 @@ async def test_frames_go_only_to_who_follows(world: World) -> None:
     follower, other = world.join("anna"), world.join("bernd")
     await sent(follower)
     await sent(other)
-    world.hub.follow(follower, frozenset(), "dry")
+    world.hub.follow(follower, (), "dry")
     frame = Frame(at=100.1, direction="out", data=b"\x10\x02", meanings=[term("a beginning")])
     world.live.buses["dry"].apply([Frames(frames=[frame])])
     (shown,) = await sent(follower)
@@ -185,15 +185,15 @@ async def test_frames_go_only_to_who_follows(world: World) -> None:
 
 async def test_the_worker_gets_the_watched_units_until_there_are_none(world: World) -> None:
     browser = world.join()
-    world.hub.follow(browser, frozenset({("dry", 2), ("elsewhere", 1)}), "")
-    world.hub.follow(browser, frozenset({("dry", 2)}), "")
+    world.hub.follow(browser, ("dry/2", "elsewhere/1"), "")
+    world.hub.follow(browser, ("dry/2",), "")
     world.hub.leave(browser)
     assert world.watched == [("dry", [1, 2], False), ("dry", [2], False), ("dry", [], False)]
 
 
 async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
     browser = world.join()
-    world.hub.follow(browser, frozenset({("dry", 2)}), "")
+    world.hub.follow(browser, ("dry/2",), "")
     await sent(browser)
     units = [UnitFigures(unit=n, polls=5, responses=5) for n in (1, 2)]
     world.live.buses["dry"].apply(

@@ -11,11 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.live.api.line_stream import AWAY_S, RETRY, TICKS_OF_ALL, LineStream
-from app.live.api.view import line_json
 from app.live.state.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink, Update
-from tests.app.played_sources import played_sources
-from tests.app.screens import line, reading, translator
+from tests.app.screens import line, line_view, reading
 from tests.app.test_recent_events import read
 
 
@@ -28,17 +26,16 @@ class World:
     now: float = 100.0
 
     def __post_init__(self) -> None:
-        self.sources = played_sources(self.live.buses, blocks=self.blocks)
         clock = lambda: self.now  # noqa: E731
-        self.stream = LineStream("Mill 7", self.live, self.sources, translator(), clock, clock)
+        self.view = line_view(self.live, self.blocks)
+        self.stream = LineStream(self.view, clock, clock)
 
     def apply(self, *updates: Update) -> None:
         self.live.buses["dry"].apply(updates)
 
     def shown(self) -> dict[str, Any]:
         """As GET /line."""
-        blocks = {name: self.sources.guards[name].block_reason for name in self.live.buses}
-        return line_json("Mill 7", self.live.buses, self.now, blocks, None, translator())
+        return self.view.line(self.now)
 
 
 @dataclass

@@ -36,7 +36,7 @@ def test_nothing_is_kept_of_who_has_gone() -> None:
 
 def test_what_any_page_shows_is_watched() -> None:
     watched = Watched({"dry": [1, 2, 3]})
-    shown = watched.known(frozenset({("dry", 1), ("dry", 2), ("dry", 99), ("wet", 1)}))
+    shown = watched.known(("dry/1", "dry/2", "dry/99", "wet/1", "dry/²", "dry"))
     assert shown == {("dry", 1), ("dry", 2)}
     watched.turn(frozenset(), shown, "", "dry")
     watched.turn(frozenset(), frozenset({("dry", 2)}), "", "")

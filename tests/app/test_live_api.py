@@ -36,18 +36,17 @@ async def test_an_anonymous_client_sees_nothing(stage: Stage) -> None:
         assert (await stage.request("GET", path, role="")).status_code == 401
 
 
-async def test_a_text_stands_beside_its_code(stage: Stage) -> None:
+async def test_a_text_is_one_object_with_its_code(stage: Stage) -> None:
     worker = await stage.worker()
     late = Message("diagnosis_no_response")
     await worker.update(BusFigures(1.0, 12.0, 0.08, 0.98, 0.1, responds_for_all=2, diagnosis=[late]))
     await until(lambda: stage.live.buses["dry-end"].figures is not None, "figures")
     await stage.request("POST", "/units/1/block", {"reason": "belt off"}, role="operator")
     bus = (await stage.http("viewer").get("/api/v1/buses/dry-end")).json()
-    assert bus["diagnosis_messages"] == [
-        {"code": "diagnosis_no_response", "params": {}, "detail": bus["diagnosis"]}
-    ]
+    assert bus["diagnosis"] == [{"code": "diagnosis_no_response", "params": {}, "detail": str(late)}]
+    assert bus["link_cause"] is None
     unit = bus["units"][0]
-    assert unit["suspect_message"]["params"] == {"unit": 2}
-    assert unit["suspect_message"]["detail"] == unit["suspect"]
-    assert unit["blocked"] == unit["blocked_message"]["detail"]
-    assert unit["blocked_message"]["params"]["reason"] == "belt off"
+    assert (unit["suspect"]["code"], unit["suspect"]["params"]) == ("suspect_by_duplicates", {"unit": 2})
+    assert unit["suspect"]["detail"] == "unit 2 may respond in its place (each response comes twice)"
+    assert unit["blocked"]["params"]["reason"] == "belt off"
+    assert "belt off" in unit["blocked"]["detail"]

@@ -223,7 +223,7 @@ def test_the_app_knows_its_worker_and_reports_the_missing_port(config: Path) -> 
             return httpx.get(f"{url}/api/v1/line", headers=headers, trust_env=False).json()["buses"][0]
 
         eventually(lambda: bus()["worker"], "the worker is linked")
-        eventually(lambda: "absent" in bus()["link_cause"], "the cause names the port")
+        eventually(lambda: "absent" in bus()["link_cause"]["detail"], "the cause names the port")
         assert bus()["link"] == "closed"
         harmless = {"LINESIDE_PARENT", "PYDANTIC_DISABLE_PLUGINS", "COLUMNS", "LINES"}
         assert shown_by_ps(only_child(process)) <= harmless

@@ -8,12 +8,12 @@ from pydantic import ConfigDict, TypeAdapter, with_config
 
 from app.commands.api.responses import CommandResult, result_json
 from app.live.api.schemas import BusShown, CauseShown, ParameterShown, UnitShown
-from app.live.api.view import bus_json, parameter_json
+from app.live.api.view import parameter_json
 from app.live.state.bus_live import LiveState
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import Command, Frame, Result, UnitOutcome, Update
-from bus.messages import Message, term
-from tests.app.screens import translator
+from bus.messages import term
+from tests.app.screens import line_view
 from tests.app.stage import Stage, bus_settings, result_of, snapshot
 
 EXACT = with_config(ConfigDict(extra="forbid", strict=True))
@@ -21,9 +21,9 @@ EXACT = with_config(ConfigDict(extra="forbid", strict=True))
 
 def test_units_and_buses_read_and_unread() -> None:
     live = LiveState([bus_settings()], time.time())
-    block = Message.of("block_by", reason="belt off", who="anna")
+    view = line_view(live, blocks={1: "belt off"})
     for _ in range(2):
-        bus = bus_json(live.buses["dry-end"], time.time(), lambda _unit: block, translator())
+        bus = view.bus("dry-end", time.time())
         TypeAdapter(EXACT(BusShown)).validate_python(bus)
         for unit in bus["units"]:
             TypeAdapter(EXACT(UnitShown)).validate_python(unit)

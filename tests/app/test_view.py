@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from app.live.api.view import bus_json, line_json, parameter_json, unit_json
+from app.live.api.view import parameter_json
 from app.live.state.bus_live import LiveState
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitLink
 from bus.messages import term
-from tests.app.screens import translator
+from tests.app.screens import line_view
 from tests.app.stage import HEALTHY, PARAMETERS, REMOTE, bus_settings, reading, snapshot
 
 CONTRACT_UNIT = {
@@ -30,15 +30,9 @@ def live_with(**settings: Any) -> LiveState:
     return live
 
 
-def not_blocked(unit: int) -> None:
-    """No unit is."""
-    assert unit > 0
-
-
 def shown(live: LiveState, unit: int = 1, later_s: float = 0.0) -> dict[str, Any]:
     """One unit's JSON."""
-    bus = live.buses["dry-end"]
-    return unit_json(bus, bus.units[unit], time.time() + later_s, not_blocked, translator())
+    return line_view(live).unit("dry-end", unit, time.time() + later_s)
 
 
 def parameter(number: int, raw: int | None, **more: Any) -> ParameterValue:
@@ -130,20 +124,18 @@ def test_a_follower_stages_a_ratio_and_shows_a_speed_or_a_ratio_by_dialect() -> 
 
 def test_a_bus_with_and_without_figures() -> None:
     live = live_with()
-    bus = bus_json(live.buses["dry-end"], time.time(), not_blocked, translator())
+    bus = line_view(live).bus("dry-end", time.time())
     assert bus.keys() >= CONTRACT_BUS
     assert (bus["link"], bus["scan_hz"], len(bus["units"])) == ("open", None, 3)
     figures = BusFigures(at=1.0, scan_hz=12.5, scan_s=0.08, wire_utilisation=0.98, scan_s_with_one_more=0.1)
     live.buses["dry-end"].apply([figures, BusLink(at=2.0, link="closed", cause=term("unplugged"))])
-    bus = bus_json(live.buses["dry-end"], time.time(), not_blocked, translator())
-    assert (bus["link"], bus["link_cause"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
+    bus = line_view(live).bus("dry-end", time.time())
+    assert (bus["link"], bus["link_cause"]["detail"], bus["scan_hz"]) == ("closed", "unplugged", 12.5)
 
 
 def test_the_line_has_every_bus() -> None:
-    line = line_json(
-        "Paper machine 2", live_with().buses, time.time(), {"dry-end": not_blocked}, None, translator()
-    )
-    assert line["site"] == "Paper machine 2"
+    line = line_view(live_with()).line(time.time())
+    assert (line["site"], line["history"]) == ("Mill 7", None)
     assert [bus["name"] for bus in line["buses"]] == ["dry-end"]
 
 

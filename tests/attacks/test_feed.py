@@ -25,8 +25,8 @@ from app.feed.bus_feed import BusFeed, WorkerLeft
 from app.feed.channel import Channel
 from app.feed.holders import Credential
 from app.feed.ingest import Ingest
-from app.feed.rates import MAX_HELLOS_AT_ONCE, FeedQuota
-from app.feed.workers import TOO_OFTEN, Workers
+from app.feed.rates import FeedQuota
+from app.feed.workers import MAX_HELLOS_AT_ONCE, TOO_OFTEN, Workers
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
 from app.live.change_recorder import ChangeRecorder

@@ -149,7 +149,7 @@ def test_pages_that_turn_without_end_do_not_flood_the_workers(
     monkeypatch.setattr(hub, "_monotonic", lambda: 100.0)
     browser = Browser("anna", "viewer", "en")
     for turn in range(1000):
-        hub.follow(browser, frozenset({("dry-end", turn % 2 + 1)}), "")
+        hub.follow(browser, (f"dry-end/{turn % 2 + 1}",), "")
     assert len(watch_calls) <= MAX_WATCH_BURST
     monkeypatch.setattr(hub, "_monotonic", lambda: 101.0)
     hub.tick()
@@ -160,6 +160,6 @@ def test_a_page_cannot_make_the_server_remember_what_there_is_not(client: TestCl
     hub = hub_of(client)
     browser = Browser("anna", "engineer", "en")
     for turn in range(100):
-        hub.follow(browser, frozenset({(f"bus-{turn}", 1), ("dry-end", turn + 3)}), f"bus-{turn}")
+        hub.follow(browser, (f"bus-{turn}/1", f"dry-end/{turn + 3}"), f"bus-{turn}")
     assert (browser.units, browser.trace) == (frozenset(), "")
     assert len(hub._pages._traces) <= 2

@@ -93,7 +93,7 @@ def state(site: Site) -> str:
 
 def notice(site: Site) -> str:
     """Return the notice about the history on the pages."""
-    return str(response_of(site, "/line")["history"])
+    return str((response_of(site, "/line")["history"] or {"detail": ""})["detail"])
 
 
 def test_a_clock_that_is_set_back_and_forward_is_noticed_and_everything_goes_on(

@@ -206,7 +206,7 @@ def _dead(pid: int) -> bool:
 def test_a_worker_that_stays_stuck_closes_the_bus(plant: Plant) -> None:
     with stopped(plant):
         bus = eventually(lambda: (shown := plant.line())["link"] == "closed" and shown, "closed")
-        assert "does not respond" in bus["link_cause"]
+        assert "does not respond" in bus["link_cause"]["detail"]
         assert speed(plant, 1, 4321).json()["code"] == "bus_closed"
     plant.see(1, "online again", lambda shown: shown["link"] == "online")
     assert plant.cable.units[1].writes == []

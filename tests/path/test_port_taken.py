@@ -68,7 +68,7 @@ def closed(plant: Dashboard, words: str) -> dict[str, Any]:
 
     def look() -> dict[str, Any] | None:
         bus = plant.line()
-        return bus if bus["link"] == "closed" and words in bus["link_cause"] else None
+        return bus if bus["link"] == "closed" and words in bus["link_cause"]["detail"] else None
 
     shown: dict[str, Any] = eventually(look, f"closed with {words!r}; it is {plant.line()}")
     return shown

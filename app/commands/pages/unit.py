@@ -14,10 +14,10 @@ from app.commands.rules.setpoint_range import setpoint_range
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.values import measure_of_setpoint
 from app.errors import Problem
-from app.live.state.bus_live import UnitLive, follower
+from app.live.state.bus_live import UnitLive, follower, setpoint_decimals
 from app.web.access import Person, Viewer
-from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE, DECIMALS
-from bus.catalogue.values import RATIO_DECIMALS, speed_raw, speed_text
+from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
+from bus.catalogue.values import speed_raw, speed_text
 from bus.errors import CallerError
 from bus.messages import Message, number
 from bus.text import OneLine
@@ -86,7 +86,7 @@ def _raw(live: UnitLive, text: str) -> int | None:
     """Raises CallerError and Problem for what cannot be a limit."""
     if not text.strip():
         return None
-    decimals = RATIO_DECIMALS if follower(live) else live.parameter_raw(DECIMALS)
+    decimals = setpoint_decimals(live)
     if decimals is None:
         raise CallerError(Message("decimals_unknown"))
     raw = speed_raw(text, decimals)

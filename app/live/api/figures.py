@@ -8,8 +8,9 @@ from msgspec.structs import asdict
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.live.api.schemas import WireShown
 from app.live.api.view import Json, wire_json
-from app.web.shape import MaybeInstant, MessageShown, iso
+from app.web.shape import MaybeInstant, iso
 from bus.contract import BusFigures, UnitFigures
 from bus.errors import unit_error_name
 
@@ -47,18 +48,12 @@ class UnitStatisticsShown(TypedDict):
     response_s_max: ResponseSeconds
 
 
-class BusStatistics(TypedDict):
+class BusStatistics(WireShown):
     """The figures of a bus, measured about once a second; null while no worker measures."""
 
     bus: str
     measured: Annotated[bool, Field(description="Whether a worker measures; without one all else is null.")]
     at: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds.")]
-    scan_hz: Annotated[float | None, Field(description="Scans per second.")]
-    scan_s: Annotated[
-        float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
-    ]
-    scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
-    wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
     noise_bytes: Annotated[
         int | None, Field(description="Bytes that are no frame, since the worker started.")
     ]
@@ -69,24 +64,18 @@ class BusStatistics(TypedDict):
     responds_for_all: Annotated[
         int | None, Field(description="Unit that seems to respond to every address, 1 to 255; 0: none.")
     ]
-    diagnosis: Annotated[str | None, Field(description="Likely cause of faults on the bus; empty: none.")]
-    diagnosis_messages: Annotated[list[MessageShown], Field(description="diagnosis as data.")]
     units: list[UnitStatisticsShown]
+
+
+_COUNTS = ("noise_bytes", "echoes", "updates_lost", "responds_for_all")
 
 
 def figures_json(bus: str, figures: BusFigures | None) -> Json:
     """The figures of a bus, None where no worker measures them."""
-    return wire_json(figures) | {
-        "bus": bus,
-        "measured": figures is not None,
-        "at": iso(figures.at) if figures else None,
-        "noise_bytes": figures.noise_bytes if figures else None,
-        "echoes": figures.echoes if figures else None,
-        "updates_lost": figures.updates_lost if figures else None,
-        "responds_for_all": figures.responds_for_all if figures else None,
-        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else None,
-        "units": [_unit_json(unit) for unit in figures.units] if figures else [],
-    }
+    measured: Json = {name: getattr(figures, name, None) for name in _COUNTS} | wire_json(figures)
+    units = [_unit_json(unit) for unit in figures.units] if figures else []
+    at = iso(figures.at) if figures else None
+    return measured | {"bus": bus, "measured": figures is not None, "at": at, "units": units}
 
 
 def _unit_json(unit: UnitFigures) -> Json:

@@ -19,11 +19,9 @@ from typing import Any
 
 from app.live.admission import Admission
 from app.live.api.recent_events import PIECE_BYTES, RecentEvents
-from app.live.api.view import Json, bus_fields, line_json, unit_json
+from app.live.api.view import Json, LineView, bus_fields
 from app.live.screen.diff import put_fields
-from app.live.screen.fields import Translator
-from app.live.screen.sources import Sources
-from app.live.state.bus_live import Audience, LiveState, changed_by
+from app.live.state.bus_live import Audience, changed_by
 from app.web.shape import iso
 from bus.contract import Update
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now
@@ -49,10 +47,7 @@ RETRY = b"retry: 2000\n"
 class LineStream:
     """Notes changes while someone reads. ``clock``: Unix time in seconds."""
 
-    _site: str
-    _live: LiveState
-    _sources: Sources
-    _english: Translator
+    _view: LineView
     clock: Clock
     monotonic: MonotonicClock = monotonic_now
 
@@ -61,7 +56,7 @@ class LineStream:
         self._recent = RecentEvents(token_hex(4), MAX_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
-        buses = self._live.buses
+        buses = self._view.live.buses
         self._keys = [(name, unit) for name, bus in buses.items() for unit in (None, *bus.units)]
         self._turns = cycle(self._keys)
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
@@ -114,15 +109,9 @@ class LineStream:
         now = self.monotonic()
         if now - made_at > SNAPSHOT_S or not self._recent.has_all_after(number):
             number = self._recent.newest
-            text = self._recent.text("snapshot", number, self._line(bus))
+            text = self._recent.text("snapshot", number, self._view.line(self.clock(), bus))
             self._snapshots[bus] = now, number, text
         return number, text
-
-    def _line(self, bus: str | None) -> Json:
-        buses = self._live.buses if bus is None else {bus: self._live.buses[bus]}
-        blocks = {name: self._sources.guards[name].block_reason for name in buses}
-        fault = self._sources.history_fault()
-        return line_json(self._site, buses, self.clock(), blocks, fault, self._english)
 
     # --- what changes ---------------------------------------------------------------------------------
 
@@ -154,7 +143,7 @@ class LineStream:
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
         if self._shown:
-            units, is_bus = changed_by(self._live.buses[bus_name], updates)
+            units, is_bus = changed_by(self._view.live.buses[bus_name], updates)
             for unit in (None, *units) if is_bus else units:
                 self._compare(bus_name, unit)
 
@@ -164,11 +153,9 @@ class LineStream:
             self.add("change", bus_name, lambda: {"bus": bus_name, "unit": unit} | changed[key])
 
     def _fields(self, bus_name: str, unit: int | None) -> Json:
-        bus = self._live.buses[bus_name]
         if unit is None:
-            return bus_fields(bus)
-        block = self._sources.guards[bus_name].block_reason
-        fields = unit_json(bus, bus.units[unit], self.clock(), block, self._english)
+            return bus_fields(self._view.live.buses[bus_name])
+        fields = self._view.unit(bus_name, unit, self.clock())
         # It grows on its own, and ``read_at`` does not.
         del fields["age_ms"]
         return fields

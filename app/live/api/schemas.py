@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from app.web.shape import Instant, MaybeInstant, MaybeMessage, MessageShown
+from app.web.shape import Instant, MaybeInstant, MessageShown
 from bus.contract import BusLinkState, UnitLinkState
 
 Raw = Annotated[int | None, Field(description="Integer on the wire, 0 to 99999; null: not known.")]
@@ -66,17 +66,18 @@ class UnitShown(TypedDict):
         UnitLinkState,
         Field(description="stale: a response is overdue; offline: several missed; unknown: never seen."),
     ]
-    link_cause: Annotated[str, Field(description="Cause of the state of the link; empty while it is online.")]
-    link_cause_message: MaybeMessage
+    link_cause: Annotated[
+        MessageShown | None, Field(description="Cause of the state of the link; null while it is online.")
+    ]
     cause: Annotated[
         CauseShown | None, Field(description="Why it is not at speed; null: it is, or nothing is known.")
     ]
-    blocked: Annotated[str | None, Field(description="Why commands to it are blocked; null: they are not.")]
-    blocked_message: MaybeMessage
-    suspect: Annotated[
-        str | None, Field(description="Why another unit may respond in its name; null: no sign.")
+    blocked: Annotated[
+        MessageShown | None, Field(description="Why commands to it are blocked; null: they are not.")
     ]
-    suspect_message: MaybeMessage
+    suspect: Annotated[
+        MessageShown | None, Field(description="Why another unit may respond in its name; null: no sign.")
+    ]
     read_at: Annotated[MaybeInstant, Field(description="When the values below were read, ISO 8601 in UTC.")]
     age_ms: Annotated[int | None, Field(description="How old they are by the server's clock, milliseconds.")]
     commanded_raw: Raw
@@ -106,28 +107,33 @@ class UnitShown(TypedDict):
     staged: DisplayedValue
 
 
-class BusShown(TypedDict):
+class WireShown(TypedDict):
+    """What the wire of a bus carries; null while no worker measures it."""
+
+    scan_hz: Annotated[float | None, Field(description="Scans per second.")]
+    scan_s: Annotated[
+        float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
+    ]
+    scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
+    wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
+    diagnosis: Annotated[list[MessageShown], Field(description="Likely causes of faults on the bus.")]
+
+
+class BusShown(WireShown):
     """One bus. Figures are null while no worker measures them."""
 
     name: str
     port: str
     baud: Annotated[int, Field(description="Bits per second: 300, 600, 1200, 2400, 4800 or 9600.")]
     link: Annotated[BusLinkState, Field(description="Whether the port is open or closed.")]
-    link_cause: Annotated[str, Field(description="Why the port is closed; empty while it is open.")]
-    link_cause_message: MaybeMessage
+    link_cause: Annotated[
+        MessageShown | None, Field(description="Why the port is closed; null while it is open.")
+    ]
     link_since: Time
     worker: Annotated[bool, Field(description="Whether the bus worker is connected.")]
-    scan_hz: Annotated[float | None, Field(description="Scans per second.")]
-    scan_s: Annotated[
-        float | None, Field(description="Duration of one scan, seconds; null while no unit responds.")
-    ]
-    scan_s_with_one_more: Annotated[float | None, Field(description="The same with one unit more, seconds.")]
     scan_s_expected: Annotated[
         float, Field(description="Duration of a scan that the staleness is judged by, seconds.")
     ]
-    wire_utilisation: Annotated[float | None, Field(description="Share of the wire's time in use, 0 to 1.")]
-    diagnosis: Annotated[str, Field(description="Likely cause of faults on the bus; empty: none.")]
-    diagnosis_messages: Annotated[list[MessageShown], Field(description="diagnosis as data.")]
     units: Annotated[list[UnitShown], Field(description="In floor order.")]
 
 
@@ -136,8 +142,7 @@ class Line(TypedDict):
 
     site: str
     time: Time
-    history: Annotated[str, Field(description="Why no history is stored; empty while it is.")]
-    history_message: MaybeMessage
+    history: Annotated[MessageShown | None, Field(description="Why no history is stored; null while it is.")]
     buses: list[BusShown]
 
 

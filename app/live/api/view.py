@@ -7,15 +7,23 @@ may be responding in place of this one; null without a sign of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Translator
+from app.live.screen.sources import Sources
 from app.live.state.age import unit_link_now
-from app.live.state.bus_live import BusLive, UnitLive, follower
+from app.live.state.bus_live import (
+    BusLive,
+    LiveState,
+    UnitLive,
+    follower,
+    setpoint_decimals,
+    speed_decimals,
+)
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.scan_time import scan_s_of
 from app.web.shape import iso, maybe_shown, message_shown
@@ -32,17 +40,14 @@ from bus.catalogue.values import (
     analog_input_value,
     parameter_text,
     parameter_unit,
-    ratio_text,
     rpm,
     speed_text,
 )
 from bus.contract import BusFigures, Reading
 from bus.instants import UnixTime
-from bus.messages import Message, in_english
+from bus.messages import Message
 
 Json = dict[str, Any]
-BlockReason = Callable[[int], Message | None]
-"""Why a unit is blocked; None when it is not."""
 
 _NEVER_READ = dict.fromkeys(
     (
@@ -51,80 +56,80 @@ _NEVER_READ = dict.fromkeys(
         *("at_speed", "remote", "mode", "outputs", "inputs"),
     )
 )
+_NOT_MEASURED: Json = {
+    **dict.fromkeys(("scan_hz", "scan_s", "scan_s_with_one_more", "wire_utilisation")),
+    "diagnosis": [],
+}
 
 
-def line_json(
-    site: str,
-    buses: Mapping[str, BusLive],
-    now: UnixTime,
-    blocks: Mapping[str, BlockReason],
-    history: Message | None,
-    english: Translator,
-) -> Json:
-    """Every bus with its units in floor order. ``blocks``: by bus. ``history``: why none is kept;
-    None while it is."""
-    shown = [bus_json(bus, now, blocks[name], english) for name, bus in buses.items()]
-    stored = {"history": in_english(history), "history_message": maybe_shown(history)}
-    return {"site": site, "time": iso(now), **stored, "buses": shown}
+@dataclass(frozen=True, slots=True)
+class LineView:
+    """The line with its texts in English. Times are Unix times in seconds."""
 
+    site: str
+    live: LiveState
+    sources: Sources
+    english: Translator
 
-def bus_json(bus: BusLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
-    """One bus with its units."""
-    units = [unit_json(bus, unit, now, block, english) for unit in bus.units.values()]
-    return bus_fields(bus) | {"units": units}
+    def line(self, now: UnixTime, only: str | None = None) -> Json:
+        """Every bus, or ``only`` one, with its units in floor order."""
+        buses = [self.bus(name, now) for name in self.live.buses if only in (None, name)]
+        stored = maybe_shown(self.sources.history_fault())
+        return {"site": self.site, "time": iso(now), "history": stored, "buses": buses}
+
+    def bus(self, name: str, now: UnixTime) -> Json:
+        """One bus with its units."""
+        bus = self.live.buses[name]
+        return bus_fields(bus) | {"units": [self.unit(name, unit, now) for unit in bus.units]}
+
+    def unit(self, name: str, number: int, now: UnixTime) -> Json:
+        """One unit of a bus, with the age of its reading by the server's clock."""
+        bus = self.live.buses[name]
+        unit = bus.units[number]
+        shown: Json = {
+            "id": number,
+            "name": unit.settings.name,
+            "group": unit.settings.group,
+            "labels": unit.settings.labels.model_dump(),
+            "link": unit_link_now(bus, unit, now),
+            "link_cause": maybe_shown(unit.link.cause),
+            "cause": cause_json(unit_cause(bus, unit, now), now, self.english),
+            "suspect": maybe_shown(suspicion(bus, unit)),
+            "blocked": maybe_shown(self.sources.guards[name].block_reason(number)),
+            "decimals": unit.parameter_raw(DECIMALS),
+            "follower": follower(unit),
+            "staged_raw": unit.staged,
+            "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
+            "at_speed_window_raw": unit.parameter_raw(AT_SPEED_WINDOW),
+        }
+        return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
 
 
 def bus_fields(bus: BusLive) -> Json:
-    """One bus. Figures are null while no worker measures them."""
-    figures = bus.figures
-    return wire_json(figures) | {
+    """One bus without its units."""
+    return wire_json(bus.figures) | {
         "name": bus.settings.name,
         "port": bus.settings.port,
         "baud": bus.baud,
         "link": bus.link.link,
-        "link_cause": in_english(bus.link.cause),
-        "link_cause_message": maybe_shown(bus.link.cause),
+        "link_cause": maybe_shown(bus.link.cause),
         "link_since": iso(bus.link_onset.at),
         "worker": bus.worker_connected,
-        "diagnosis": " ".join(map(str, figures.diagnosis)) if figures else "",
         "scan_s_expected": scan_s_of(bus),
     }
 
 
 def wire_json(figures: BusFigures | None) -> Json:
     """The measurements of the wire of a bus; None: there are none."""
+    if figures is None:
+        return _NOT_MEASURED
     return {
-        "scan_hz": figures.scan_hz if figures else None,
-        "scan_s": (figures.scan_s or None) if figures else None,
-        "scan_s_with_one_more": figures.scan_s_with_one_more if figures else None,
-        "wire_utilisation": figures.wire_utilisation if figures else None,
-        "diagnosis_messages": [message_shown(each) for each in figures.diagnosis] if figures else [],
+        "scan_hz": figures.scan_hz,
+        "scan_s": figures.scan_s or None,
+        "scan_s_with_one_more": figures.scan_s_with_one_more,
+        "wire_utilisation": figures.wire_utilisation,
+        "diagnosis": [message_shown(each) for each in figures.diagnosis],
     }
-
-
-def unit_json(bus: BusLive, unit: UnitLive, now: UnixTime, block: BlockReason, english: Translator) -> Json:
-    """One unit with the age of its reading, by the server's clock."""
-    suspect, blocked = suspicion(bus, unit), block(unit.settings.id)
-    shown: Json = {
-        "id": unit.settings.id,
-        "name": unit.settings.name,
-        "group": unit.settings.group,
-        "labels": unit.settings.labels.model_dump(),
-        "link": unit_link_now(bus, unit, now),
-        "link_cause": in_english(unit.link.cause),
-        "link_cause_message": maybe_shown(unit.link.cause),
-        "cause": cause_json(unit_cause(bus, unit, now), now, english),
-        "suspect": in_english(suspect) or None,
-        "suspect_message": maybe_shown(suspect),
-        "blocked": in_english(blocked) or None,
-        "blocked_message": maybe_shown(blocked),
-        "decimals": unit.parameter_raw(DECIMALS),
-        "follower": follower(unit),
-        "staged_raw": unit.staged,
-        "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
-        "at_speed_window_raw": unit.parameter_raw(AT_SPEED_WINDOW),
-    }
-    return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
 
 
 def cause_json(cause: Cause | None, now: UnixTime, english: Translator) -> Json | None:
@@ -174,7 +179,7 @@ def parameter_json(unit: UnitLive, number: int) -> Json:
 
 def setpoint_text(unit: UnitLive, raw: int) -> str | None:
     """A setpoint as the unit takes it: a ratio for a follower, else a speed; None: decimals not known."""
-    return ratio_text(raw) if follower(unit) else _speed_text(unit, raw)
+    return _speed_text(raw, setpoint_decimals(unit))
 
 
 def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:
@@ -184,16 +189,17 @@ def _parameter_text(unit: UnitLive, number: int, raw: int) -> str:
 
 def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime) -> Json:
     bits = bits_of(bus, reading)
+    decimals = speed_decimals(bus, unit)
     error = reading.actual - reading.commanded
-    size = _shown(bus, unit, abs(error))
+    size = _speed_text(abs(error), decimals)
     return {
         "read_at": iso(reading.at),
         "age_ms": max(0, round(1000 * (now - reading.at))),
         "commanded_raw": reading.commanded,
         "actual_raw": reading.actual,
         "deviation_raw": error,
-        "commanded": _shown(bus, unit, reading.commanded),
-        "actual": _shown(bus, unit, reading.actual),
+        "commanded": _speed_text(reading.commanded, decimals),
+        "actual": _speed_text(reading.actual, decimals),
         "deviation": f"-{size}" if error < 0 and size is not None else size,
         "rpm": _rpm(unit, reading.actual),
         "analog_raw": reading.analog,
@@ -206,13 +212,7 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
     }
 
 
-def _shown(bus: BusLive, unit: UnitLive, raw: int) -> str | None:
-    ratio = follower(unit) and bus.settings.follower_speed == "ratio"
-    return ratio_text(raw) if ratio else _speed_text(unit, raw)
-
-
-def _speed_text(unit: UnitLive, raw: int) -> str | None:
-    decimals = unit.parameter_raw(DECIMALS)
+def _speed_text(raw: int, decimals: int | None) -> str | None:
     return None if decimals is None else speed_text(raw, decimals)
 
 

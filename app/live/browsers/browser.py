@@ -11,6 +11,7 @@ import asyncio
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -29,7 +30,7 @@ MAX_WAITING = 64
 encode = msgspec.json.Encoder().encode
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False)
 class Diff:
     """What changed between the numbers ``before`` and ``after``, the same object for all of a language."""
 
@@ -37,38 +38,23 @@ class Diff:
     after: int
     at: UnixTime
     groups: Groups
-    _payload: bytes = b""
-    _text: str = ""
-    _frame: bytes = b""
     _since: dict[int, Diff] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def payload(self) -> bytes:
         """Encoded once for all browsers."""
-        if not self._payload:
-            message = {
-                "is": "diff",
-                "p": self.before,
-                "n": self.after,
-                "t": round(self.at, 3),
-                "f": self.groups,
-            }
-            self._payload = encode(message)
-        return self._payload
+        message = {"is": "diff", "p": self.before, "n": self.after, "t": round(self.at, 3), "f": self.groups}
+        return encode(message)
 
-    @property
+    @cached_property
     def frame(self) -> bytes:
         """As it goes over the wire."""
-        if not self._frame:
-            self._frame = text_frame(self.payload)
-        return self._frame
+        return text_frame(self.payload)
 
-    @property
+    @cached_property
     def text(self) -> str:
         """For a socket that frames for itself."""
-        if not self._text:
-            self._text = self.payload.decode()
-        return self._text
+        return self.payload.decode()
 
     def after_all(self, earlier: Sequence[Diff]) -> Diff:
         """This diff and the ``earlier`` ones as one; made once for all browsers that missed the same."""

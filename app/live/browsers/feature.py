@@ -18,6 +18,7 @@ from app.history.status import store_notice
 from app.live import pages
 from app.live.api import stream_route
 from app.live.api.line_stream import LineStream
+from app.live.api.view import LineView
 from app.live.browsers import socket
 from app.live.browsers.hub import Hub
 from app.live.screen.fields import Translator
@@ -34,9 +35,10 @@ from bus.instants import UnixTime, unix_now
 def make(services: Services) -> None:
     live, history, templates = services[LiveState], services[History], services[Templates]
     lifespan = services.lifespan
-    sources = services.add(_make_sources(services))
+    sources = _make_sources(services)
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
-    stream = services.add(LineStream(services.settings.site.name, live, sources, english, unix_now))
+    view = services.add(LineView(services.settings.site.name, live, sources, english))
+    stream = services.add(LineStream(view, unix_now))
     lifespan.add("stream", stream.follow)
     alarms = services[LineAlarms]
     alarms.subscribe(partial(_stream_alarm, stream, alarms))

@@ -122,9 +122,9 @@ class Hub:
         """Everything, to a page that opened or missed a number."""
         self._broadcasts[browser.language].send_snapshot(browser)
 
-    def follow(self, browser: Browser, units: frozenset[tuple[str, int]], trace: str) -> None:
-        """Note the units that a page shows and the bus whose trace it follows."""
-        units, trace = self._pages.known(units), trace if trace in self.live.buses else ""
+    def follow(self, browser: Browser, keys: tuple[str, ...], trace: str) -> None:
+        """Note the units that a page shows, by their keys, and the bus whose trace it follows."""
+        units, trace = self._pages.known(keys), trace if trace in self.live.buses else ""
         if (units, trace) == (browser.units, browser.trace):
             return
         self._pages.turn(browser.units, units, browser.trace, trace)

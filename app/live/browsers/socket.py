@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from functools import lru_cache
 from typing import Annotated, Literal
 
 import msgspec
@@ -17,7 +16,6 @@ from starlette.websockets import WebSocketDisconnect
 from app.errors import Problem
 from app.live.browsers.browser import Browser
 from app.live.browsers.hub import Hub
-from app.live.browsers.watched import MAX_VIEWS
 from app.server.addresses import source_of
 from app.server.client_connection import client_connection
 from app.web.access import Person, Role, Viewer
@@ -116,16 +114,5 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Apply a message of a page; whether it requests a snapshot too. Raises msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, _units(tuple(message.units)), message.trace if may_trace else "")
+    hub.follow(browser, tuple(message.units), message.trace if may_trace else "")
     return message.want == "snapshot"
-
-
-@lru_cache(MAX_VIEWS)
-def _units(keys: tuple[str, ...]) -> frozenset[tuple[str, int]]:
-    """One set for all pages that show the same: for a long line it is fifty kilobytes."""
-    return frozenset(_unit(key) for key in keys)
-
-
-def _unit(key: str) -> tuple[str, int]:
-    bus, _, number = key.rpartition("/")
-    return (bus, int(number)) if number.isdecimal() and len(number) < 4 else ("", 0)

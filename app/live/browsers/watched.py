@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 
+from app.live.screen.fields import unit_key
+
 MAX_VIEWS = 64
 """Sets of units that pages show at a time."""
 ShownUnits = frozenset[tuple[str, int]]
@@ -19,14 +21,15 @@ class Watched:
     """``units``: those that there are, by bus."""
 
     def __init__(self, units: Mapping[str, Collection[int]]) -> None:
-        self._there_are = units
+        self._by_key = {unit_key(bus, unit): (bus, unit) for bus, of_bus in units.items() for unit in of_bus}
         self._units: dict[str, Counter[int]] = {bus: Counter() for bus in units}
         self._traces: Counter[str] = Counter()
         self.known = lru_cache(MAX_VIEWS)(self._known)
-        """Returns those of the given units that exist; one set for all pages that show the same."""
+        """Returns the units of these keys that exist. One set for all pages that show the same: for a long
+        line it is fifty kilobytes."""
 
-    def _known(self, shown: ShownUnits) -> ShownUnits:
-        return frozenset((bus, unit) for bus, unit in shown if unit in self._there_are.get(bus, ()))
+    def _known(self, keys: tuple[str, ...]) -> ShownUnits:
+        return frozenset(self._by_key[key] for key in keys if key in self._by_key)
 
     def turn(self, before: ShownUnits, after: ShownUnits, trace_before: str, trace_after: str) -> None:
         """A page shows other units and follows another trace; all of them are known."""

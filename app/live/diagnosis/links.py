@@ -29,11 +29,11 @@ def bus_facts(bus: BusLive, now: UnixTime) -> BusFacts:
     )
 
 
-def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime) -> LinkFacts:
+def link_facts(bus: BusLive, unit: UnitLive, now: UnixTime, *, bus_is_readable: bool) -> LinkFacts:
     """Of a unit."""
     lost_at = _lost_at(bus, unit, now)
     return LinkFacts(
-        bus_is_readable=_is_readable(bus, now),
+        bus_is_readable=bus_is_readable,
         is_lost=lost_at is not None,
         is_online=unit_link_now(bus, unit, now) == "online",
         is_alone=lost_at is not None and len(bus.units) > 1 and not _has_reading_after(bus, lost_at),
@@ -44,10 +44,6 @@ def unit_facts(bus: BusLive, unit: UnitLive, reading: Reading, *, is_late: bool 
     """Of a unit by its newest reading."""
     bits = bits_of(bus, reading)
     return UnitFacts(bits, unit.motion.state, reading.commanded, reading.actual, is_late)
-
-
-def _is_readable(bus: BusLive, now: UnixTime) -> bool:
-    return bus.worker_lost is None and not worker_timed_out(bus, now) and bus.link.link != "closed"
 
 
 def _lost_at(bus: BusLive, unit: UnitLive, now: UnixTime) -> UnixTime | None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from app.live.screen.words import MODE_WORDS, STATE_WORDS
 from app.live.state.age import figures_now
-from app.live.state.bus_live import BusLive, UnitLive, follower, speed_decimals
+from app.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals, speed_decimals
 from app.live.state.conditions import bits_of, mode_of
 from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from app.messages import Language
@@ -21,7 +21,6 @@ from bus.catalogue.numbers import (
     ANALOG_IN_HIGH,
     ANALOG_IN_LOW,
     AT_SPEED_WINDOW,
-    DECIMALS,
     MAX_DISPLAY,
     RATIO_SETPOINT,
 )
@@ -171,10 +170,7 @@ def _numbers(bus: BusLive, unit: UnitLive, reading: Reading, translator: Transla
 
 
 def _staged(unit: UnitLive, translator: Translator) -> str:
-    if unit.staged is None:
-        return ""
-    decimals = RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
-    return translator.formats.fixed(unit.staged, decimals)
+    return "" if unit.staged is None else translator.formats.fixed(unit.staged, setpoint_decimals(unit))
 
 
 def _ratio(bus: BusLive, unit: UnitLive, translator: Translator) -> str:

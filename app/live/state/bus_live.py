@@ -30,7 +30,6 @@ from bus.contract import (
     Snapshot,
     Staged,
     UnitLink,
-    UnitState,
     Update,
 )
 from bus.instants import UnixTime
@@ -116,7 +115,7 @@ class BusLive:
         """Take in what the worker reported, in order, and call the subscribers; none of them can stop it. A
         unit that is not configured is passed over."""
         for update in updates:
-            self._apply_one(update)
+            self._apply_one(update, self.units.get(getattr(update, "unit", 0)))
         for _, subscriber in tuple(self._subscribers):
             try:
                 subscriber(updates)
@@ -141,26 +140,21 @@ class BusLive:
         stale = [UnitLink(unit=unit.settings.id, at=at, link="stale", cause=cause) for unit in units]
         self.apply([BusLink(at=at, link="closed", cause=cause), *stale])
 
-    def _apply_one(self, update: Update) -> None:
+    def _apply_one(self, update: Update, unit: UnitLive | None) -> None:
+        """``unit``: that it is about; None where it is about none that is configured."""
         match update:
-            case BusLink():
-                self._take_link(update)
+            case Reading() if unit:
+                self.take_reading(unit, update)
+            case UnitLink() if unit:
+                unit.link = update
+            case ParameterValue() if unit:
+                unit.parameters[update.number] = update
+            case Staged() if unit:
+                unit.staged = update.raw
             case BusFigures():
                 self.figures = update
-            case Reading() | UnitLink() | ParameterValue() | Staged():
-                if (unit := self.units.get(update.unit)) is not None:
-                    self._apply_to_unit(unit, update)
-
-    def _apply_to_unit(self, unit: UnitLive, update: Reading | UnitLink | ParameterValue | Staged) -> None:
-        match update:
-            case Reading():
-                self.take_reading(unit, update)
-            case UnitLink():
-                unit.link = update
-            case ParameterValue():
-                unit.parameters[update.number] = update
-            case Staged():
-                unit.staged = update.raw
+            case BusLink():
+                self._take_link(update)
 
     def _take_link(self, link: BusLink) -> None:
         """A worker reports a change of its port."""
@@ -189,6 +183,11 @@ def speed_decimals(bus: BusLive, unit: UnitLive) -> int | None:
     return RATIO_DECIMALS if reads_ratio(bus, unit) else unit.parameter_raw(DECIMALS)
 
 
+def setpoint_decimals(unit: UnitLive) -> int | None:
+    """The decimals of a setpoint: those of a ratio for a follower; None while #3 was not read."""
+    return RATIO_DECIMALS if follower(unit) else unit.parameter_raw(DECIMALS)
+
+
 def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
     """A bus that no worker has reported yet; first seen so at ``at``."""
     units = {
@@ -202,19 +201,13 @@ def never_seen(settings: BusSettings, at: UnixTime) -> BusLive:
 def updates_of(snapshot: Snapshot) -> list[Update]:
     """A complete state as the updates that lead to it."""
     updates: list[Update] = [snapshot.bus]
-    for unit in snapshot.units:
-        updates += _updates_of_unit(unit, snapshot.sent_at)
+    for state in snapshot.units:
+        updates.append(state.link)
+        if state.reading is not None:
+            updates.append(state.reading)
+        updates += [*state.parameters, Staged(unit=state.unit, at=snapshot.sent_at, raw=state.staged)]
     if snapshot.figures is not None:
         updates.append(snapshot.figures)
-    return updates
-
-
-def _updates_of_unit(state: UnitState, at: UnixTime) -> list[Update]:
-    updates: list[Update] = [state.link]
-    if state.reading is not None:
-        updates.append(state.reading)
-    updates += state.parameters
-    updates.append(Staged(unit=state.unit, at=at, raw=state.staged))
     return updates
 
 
