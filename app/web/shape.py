@@ -53,7 +53,7 @@ def iso(at: UnixTime) -> str:
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
-Moment = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
+InstantObject = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
 """An instant as the member of a response, which pages render by the clock of the site."""
 
 
