@@ -22,7 +22,7 @@ from app.history.api.spans import HistoryOf
 from app.web.access import Engineer, Person
 from app.web.api_route import ApiRoute, RequestKey
 from app.web.services import service
-from app.web.shape import ShownInstant, StrictBody
+from app.web.shape import InstantObject, StrictBody
 
 router = APIRouter(prefix="/api/v1/alarms", tags=["alarms"], route_class=ApiRoute)
 
@@ -93,7 +93,7 @@ class OwnAlarmShown(AlarmSettings):
     ]
     version: Annotated[int | None, Field(description="Another one after each change; null: configuration.")]
     changed_by: Annotated[str | None, Field(description="null: configuration.")]
-    changed_at: Annotated[ShownInstant | None, Field(description="ISO 8601 in UTC; null: configuration.")]
+    changed_at: Annotated[InstantObject | None, Field(description="ISO 8601 in UTC; null: configuration.")]
 
 
 class OwnAlarmsShown(TypedDict):

@@ -22,7 +22,7 @@ from app.alarms.rules.performance import (
     figures,
 )
 from app.alarms.store import NamedAlarm
-from app.web.shape import ShownInstant
+from app.web.shape import InstantObject
 from bus.instants import UnixTime
 
 MAX_FREQUENT = 10
@@ -72,10 +72,10 @@ class AlarmPerformance:
     """The figures of a time, and in how much of it alarms were observed."""
 
     start: Annotated[
-        ShownInstant,
+        InstantObject,
         Field(serialization_alias="from", description="Where alarms were observed only later: then."),
     ]
-    end: Annotated[ShownInstant, Field(serialization_alias="to")]
+    end: Annotated[InstantObject, Field(serialization_alias="to")]
     observed_s: Annotated[float, Field(description="How long alarms were observed in this time.")]
     figures: list[AlarmFigure]
     most_frequent: list[FrequentAlarm]

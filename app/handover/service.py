@@ -37,7 +37,7 @@ from app.notification.settings import minute_of_day
 from app.settings import Settings
 from app.web.access import Person
 from app.web.services import unknown_bus, unknown_unit
-from app.web.shape import ShownInstant, iso
+from app.web.shape import InstantObject, iso
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -64,8 +64,8 @@ class NewNote:
 class ShiftSummary:
     """A shift in the list."""
 
-    start: ShownInstant
-    end: ShownInstant
+    start: InstantObject
+    end: InstantObject
     notes: Annotated[int, Field(description="How many it has.")]
     leaving: ShiftSignature | None
     coming: ShiftSignature | None

@@ -15,7 +15,7 @@ from app.database import StoreConnection
 from app.database.engine import has_column, json_member
 from app.errors import Problem
 from app.handover.rules.shift_times import Shift, site_time
-from app.web.shape import ShownInstant, iso
+from app.web.shape import InstantObject, iso
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
@@ -36,7 +36,7 @@ class ShiftSignature:
 
     part: SignedPart
     who: str
-    at: ShownInstant
+    at: InstantObject
     event: Annotated[int, Field(description="The number of its entry in the audit log.")]
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field
 
 from app.web.formats import Formats
-from app.web.shape import MessageObject, ShownInstant
+from app.web.shape import InstantObject, MessageObject
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -29,10 +29,10 @@ class HistoryStatus:
     cause: Annotated[
         MessageObject | None, Field(description="Why the store cannot be used; null: it can.")
     ] = None
-    since: Annotated[ShownInstant, Field(description="Since when.")] = UnixTime(0.0)
+    since: Annotated[InstantObject, Field(description="Since when.")] = UnixTime(0.0)
     size_bytes: int = 0
     free_bytes: Annotated[int, Field(description="Free space on the disk.")] = 0
-    oldest_reading: Annotated[ShownInstant | None, Field(description="null: none is stored.")] = None
+    oldest_reading: Annotated[InstantObject | None, Field(description="null: none is stored.")] = None
     waiting: Annotated[int, Field(description="Updates that are not on disk yet.")] = 0
     lost: Annotated[int, Field(description="Updates that could not be stored.")] = 0
     damaged: Annotated[int, Field(description="Damages found in the last seven days.")] = 0
@@ -40,7 +40,7 @@ class HistoryStatus:
         str, Field(description="File of the damaged history, of the last seven days; empty: there is none.")
     ] = ""
     begun: Annotated[
-        ShownInstant | None, Field(description="When history began again; null: none was damaged.")
+        InstantObject | None, Field(description="When history began again; null: none was damaged.")
     ] = None
 
 

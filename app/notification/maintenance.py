@@ -22,7 +22,7 @@ from app.notification.settings import DAYS, DayOfWeek, MaintenanceSettings
 from app.notification.store import MaintenanceShown, NotificationStore, begin_quiet, end_quiet
 from app.web.access import Person
 from app.web.services import unknown_bus
-from app.web.shape import ShownInstant
+from app.web.shape import InstantObject
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -45,8 +45,8 @@ class RecurringMaintenanceShown:
     buses: Annotated[list[str], Field(description="Empty: all buses and the server.")]
     reason: str
     present: Annotated[bool, Field(description="Whether it is under way.")]
-    since: Annotated[ShownInstant | None, Field(description="Of the present or next one; null: no more.")]
-    until: Annotated[ShownInstant | None, Field(description="Its end, ISO 8601; null: no more.")]
+    since: Annotated[InstantObject | None, Field(description="Of the present or next one; null: no more.")]
+    until: Annotated[InstantObject | None, Field(description="Its end, ISO 8601; null: no more.")]
 
 
 class Maintenance:

@@ -29,7 +29,7 @@ from app.notification.store import NotificationStore
 from app.settings import Settings
 from app.web.access import Person
 from app.web.formats import Formats
-from app.web.shape import MessageObject, ShownInstant
+from app.web.shape import InstantObject, MessageObject
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -46,7 +46,7 @@ class NotificationEndpointShown:
     works: Annotated[
         bool | None, Field(description="Whether the last attempt was delivered; null: there was none.")
     ]
-    tried_at: Annotated[ShownInstant | None, Field(description="The last attempt; null: there was none.")]
+    tried_at: Annotated[InstantObject | None, Field(description="The last attempt; null: there was none.")]
     result: Annotated[MessageObject | None, Field(description="Why that failed; null: no reason.")]
     waiting: Annotated[int, Field(description="Notices that are in no message yet.")]
 

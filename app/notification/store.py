@@ -15,7 +15,7 @@ from app.database import Database
 from app.notification.notice import OutboxItem
 from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
-from app.web.shape import ShownInstant
+from app.web.shape import InstantObject
 from bus.instants import UnixTime
 
 MAX_ENTRIES = 1000
@@ -30,8 +30,8 @@ class MaintenanceShown:
 
     id: int
     bus: Annotated[str | None, Field(description="null: all buses and the server.")]
-    since: ShownInstant
-    until: ShownInstant
+    since: InstantObject
+    until: InstantObject
     who: str
     reason: str
 

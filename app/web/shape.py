@@ -53,7 +53,7 @@ def iso(at: UnixTime) -> str:
     return datetime.fromtimestamp(float(at), UTC).isoformat(timespec="milliseconds")
 
 
-ShownInstant = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
+InstantObject = Annotated[UnixTime, PlainSerializer(iso, return_type=Instant)]
 """A Unix time as the member of a response, which pages format in the language of the reader."""
 
 

@@ -10,11 +10,11 @@ from pydantic import Field
 
 from app.alarms.rules.facts import Transition
 from app.alarms.rules.performance import CHATTERS_S
-from app.web.shape import ShownInstant
+from app.web.shape import InstantObject
 from bus.instants import UnixTime
 
 CHATTERING_TIMES = 3
-SimulatedTime = Annotated[ShownInstant | None, Field(description="ISO 8601 in UTC; null: there is none.")]
+SimulatedTime = Annotated[InstantObject | None, Field(description="ISO 8601 in UTC; null: there is none.")]
 
 
 @dataclass(slots=True)
@@ -57,10 +57,10 @@ class Annunciations:
 class AlarmSimulation:
     """What the alarm would have done. Durations in seconds."""
 
-    start: Annotated[ShownInstant, Field(serialization_alias="from")]
-    end: Annotated[ShownInstant, Field(serialization_alias="to")]
+    start: Annotated[InstantObject, Field(serialization_alias="from")]
+    end: Annotated[InstantObject, Field(serialization_alias="to")]
     covered_from: Annotated[
-        ShownInstant | None,
+        InstantObject | None,
         Field(description="From when on readings are stored; null: none of this time are."),
     ]
     covered_to: SimulatedTime
