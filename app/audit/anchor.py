@@ -12,8 +12,8 @@ import errno
 import os
 import stat
 import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -39,6 +39,15 @@ class AnchorError(StoreError):
         reason = Message("anchor_is_link") if is_link else cause
         self.reason = reason if isinstance(reason, Message) else system_error(reason)
         super().__init__(Message.of("anchor_failed", path=str(path), reason=self.reason))
+
+
+@contextmanager
+def _in_words(path: Path) -> Iterator[None]:
+    """Turn what the file system raises into an AnchorError."""
+    try:
+        yield
+    except OSError as error:
+        raise AnchorError(path, error) from error
 
 
 class _AnchorLine(msgspec.Struct):
@@ -115,11 +124,8 @@ def joined_heads(first: Anchors, second: Anchors) -> dict[int, str]:
 
 def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
     """Read the anchors of a file. Raises AnchorError."""
-    try:
-        with path.open("rb") as file:
-            return read_anchors(file, ring)
-    except OSError as error:
-        raise AnchorError(path, error) from error
+    with _in_words(path), path.open("rb") as file:
+        return read_anchors(file, ring)
 
 
 def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
@@ -144,46 +150,35 @@ def put_aside(path: Path) -> Path | None:
     """Rename a file of anchors, which stays as evidence; return its new name, None where there is no file.
     Raises AnchorError."""
     aside = path.with_name(f"{path.name}.until-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}")
-    try:
+    with _in_words(path), suppress(FileNotFoundError):
         path.rename(aside)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise AnchorError(path, error) from error
-    return aside
+        return aside
+    return None
 
 
 def _newest_lines(path: Path) -> list[bytes]:
-    try:
-        with path.open("rb") as file:
-            file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
-            return file.read().splitlines()[-_TAIL_LINES:]
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise AnchorError(path, error) from error
+    with _in_words(path), suppress(FileNotFoundError), path.open("rb") as file:
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
+        return file.read().splitlines()[-_TAIL_LINES:]
+    return []
 
 
 def replace_line(path: Path, line: bytes) -> None:
     """Make ``line`` the only one of the file, all of it or nothing; on disk when this returns. Raises
     AnchorError."""
-    try:
+    with _in_words(path):
         write_file(path, line)
-    except OSError as error:
-        raise AnchorError(path, error) from error
 
 
 def append_line(path: Path, line: bytes) -> None:
     """Add a line to the file, made where there is none; on disk when this returns. Raises AnchorError."""
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
-    try:
+    with _in_words(path):
         descriptor = os.open(path, flags, 0o600)
         try:
             _append(path, descriptor, line)
         finally:
             os.close(descriptor)
-    except OSError as error:
-        raise AnchorError(path, error) from error
 
 
 def _append(path: Path, descriptor: int, line: bytes) -> None:

@@ -27,7 +27,7 @@ class Taken:
 
 
 class Intake:
-    """Knows the keys of the units, and the last value of each, to keep changes only."""
+    """Knows the keys of the units, and the last state of each link, to keep changes only."""
 
     def __init__(self) -> None:
         self.forget()
@@ -36,7 +36,6 @@ class Intake:
         """After a transaction that was rolled back: known values may not be on disk."""
         self._keys: dict[tuple[str, int], int] = {}
         self._links: dict[int, tuple[int, str]] = {}
-        self._parameters: dict[int, dict[int, ParameterStep]] = {}
 
     def write(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
         """Everything of these deliveries that belongs to history, into this transaction."""
@@ -79,11 +78,7 @@ class Intake:
         if update.number not in DECIDING or update.raw is None:
             return
         key = self.key(connection, bus, update.unit)
-        if key not in self._parameters:
-            self._parameters[key] = {s.number: s for s in tables.parameter_steps(connection, key)}
-        last = self._parameters[key].get(update.number)
         step = ParameterStep(micros(update.at), update.number, update.raw)
-        if last is not None and (last.raw == step.raw or last.at > step.at):
-            return
-        self._parameters[key][update.number] = step
-        tables.write_parameter(connection, key, step)
+        known = [each for each in tables.parameter_steps(connection, key) if each.number == step.number]
+        if not known or (known[-1].raw != step.raw and known[-1].at <= step.at):
+            tables.write_parameter(connection, key, step)
