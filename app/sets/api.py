@@ -242,17 +242,8 @@ async def set_save_schedule(
 
 def set_json(stored: ParameterSet) -> ParameterSetShown:
     """A complete set; secrets masked."""
-    return ParameterSetShown(
-        id=stored.id,
-        bus=stored.bus,
-        name=stored.name,
-        comment=stored.comment,
-        taken_at=stored.taken_at,
-        who=stored.who,
-        origin=stored.origin,
-        golden_for=tuple(sorted(stored.golden_for)),
-        units=[_unit_json(rows) for rows in stored.units],
-    )
+    head: dict[str, Any] = {each.name: getattr(stored, each.name) for each in fields(SetHead)}
+    return ParameterSetShown(**head, units=[_unit_json(rows) for rows in stored.units])
 
 
 def _unit_json(rows: UnitRows) -> ParameterSetUnit:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, UploadFile
+from fastapi import Depends, Form, UploadFile
 
 from app.errors import Problem, or_404
 from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
@@ -48,19 +47,6 @@ async def document_rows(
     return rows
 
 
-async def uploaded_rows(unit: int, file: UploadFile) -> UnitRows:
-    """The rows of an uploaded TOML file. Raises DocumentError or Problem 422."""
-    name = file.filename or THE_FILE
-    content = await file.read(MAX_DOCUMENT + 1)
-    if len(content) > MAX_DOCUMENT:
-        raise Problem(422, "invalid", Message.of("source_too_long", source=name))
-    try:
-        return await document_rows(content.decode("utf-8-sig"), name, unit)
-    except UnicodeDecodeError as error:
-        wrong = Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
-        raise Problem(422, "invalid", wrong) from error
-
-
 async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
     return or_404(await sets.load(set_id), "unknown_set", Message.of("no_such_set", set=set_id))
 
@@ -84,9 +70,6 @@ KnownRestore = Annotated[Restore, Depends(restore_or_404)]
 """The restore of ``{restore_id}`` in the path."""
 
 
-Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
-
-
 @dataclass(frozen=True, slots=True)
 class FormSource:
     """``text``: a side, as :mod:`app.sets.sides` names it. ``file`` None: none was uploaded."""
@@ -96,7 +79,17 @@ class FormSource:
 
     async def uploaded(self, unit: int) -> UnitRows | None:
         """The rows of the file for ``unit``, None without one. Raises DocumentError or Problem 422."""
-        return None if self.file is None else await uploaded_rows(unit, self.file)
+        if self.file is None:
+            return None
+        name = self.file.filename or THE_FILE
+        content = await self.file.read(MAX_DOCUMENT + 1)
+        if len(content) > MAX_DOCUMENT:
+            raise Problem(422, "invalid", Message.of("source_too_long", source=name))
+        try:
+            return await document_rows(content.decode("utf-8-sig"), name, unit)
+        except UnicodeDecodeError as error:
+            wrong = Message.of("source_not_utf8", source=name, why=error.reason, n=error.start)
+            raise Problem(422, "invalid", wrong) from error
 
 
 async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | None = None) -> FormSource:
@@ -107,6 +100,8 @@ async def form_source(source: Annotated[str, Form()] = "", file: UploadFile | No
 Chosen = Annotated[FormSource, Depends(form_source)]
 
 
-def post_source(router: APIRouter, path: str) -> Callable[[Endpoint], Endpoint]:
-    """Decorates the endpoint that takes such a form, with room for one file."""
-    return router.post(path, max_body_size=MAX_BODY_BYTES, form_limits={"max_files": 1, "max_fields": 100})
+FILE_FORM: dict[str, Any] = {
+    "max_body_size": MAX_BODY_BYTES,
+    "form_limits": {"max_files": 1, "max_fields": 100},
+}
+"""Options of the route of such a form: room for one file."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field, PlainSerializer
@@ -91,7 +91,7 @@ class ParameterSet:
     name: str = ""
     comment: str = ""
     id: int = 0
-    golden_for: frozenset[int] = field(default_factory=frozenset)
+    golden_for: tuple[int, ...] = ()
 
     def unit(self, unit: int) -> UnitRows | None:
         """The rows of one unit of the set."""

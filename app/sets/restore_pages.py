@@ -14,7 +14,7 @@ from app.live.state.bus_live import LiveState
 from app.sets.acts import CANCEL, START
 from app.sets.compare import compare
 from app.sets.effects import OPERATING_VALUES
-from app.sets.lookup import Chosen, KnownRestore, Restores, Sets, post_source
+from app.sets.lookup import FILE_FORM, Chosen, KnownRestore, Restores, Sets
 from app.sets.plan import Selection
 from app.sets.restore import RestoreService
 from app.sets.restore_api import Planner
@@ -47,7 +47,7 @@ async def restore_page(
     )
 
 
-@post_source(router, "/units/{bus}/{unit}/restore")
+@router.post("/units/{bus}/{unit}/restore", **FILE_FORM)
 async def plan_page(
     person: Planner, sets: Sets, restores: Restores, live: Live, bus: str, unit: int, chosen: Chosen
 ) -> Response:
@@ -73,8 +73,6 @@ async def restore_progress(request: Request, _: Planner, restore: KnownRestore) 
         restore=restore,
         rows=rows_to_write(restore),
         left_out=rows_left_out(restore),
-        planned_at=restore.planned_at,
-        name=restore.before.name,
         tickable=dangerous,
         proven=compare(restore.wanted, restore.proven) if restore.proven else [],
         PARAMETERS=PARAMETERS,

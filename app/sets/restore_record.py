@@ -18,7 +18,6 @@ from bus.instants import UnixTime
 from bus.messages import Message, joined, listed
 
 RestoreState = Literal["planned", "running", "proving", "equal", "different", "stopped"]
-ENDS: frozenset[RestoreState] = frozenset({"equal", "different", "stopped"})
 UNDER_WAY: frozenset[RestoreState] = frozenset({"running", "proving"})
 _ACCOUNT: dict[str, tuple[Outcome | None, ...]] = {
     "rows_done": ("verified",),
@@ -90,11 +89,6 @@ class Restore:
     @property
     def done(self) -> int:
         return sum(row.outcome is not None for row in self.rows)
-
-    @property
-    def ended(self) -> bool:
-        """Whether nothing more will happen."""
-        return self.state in ENDS
 
     @property
     def remaining(self) -> list[ParameterDifference] | None:

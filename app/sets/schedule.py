@@ -14,6 +14,7 @@ from app.errors import StoreError
 from app.live.state.bus_live import BusLive
 from app.sets.acts import END_SCHEDULE, SCHEDULE
 from app.sets.keeper import SetKeeper
+from app.sets.model import UnitRows
 from app.sets.taking import read_together
 from app.web.access import Person, Role
 from bus.instants import UnixTime
@@ -99,7 +100,9 @@ class SetSchedule:
         ]
 
     async def _take(self, person: Person, units: list[int], overdue: dict[int, OverdueSet]) -> None:
-        read, missing = await read_together(self._keeper, person, units)
+        read: list[UnitRows] = []
+        missing: dict[int, Message] = {}
+        await read_together(self._keeper, person, units, read, missing)
         try:
             if read:
                 await self._keeper.keep(person, read, "", "", "on schedule")

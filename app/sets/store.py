@@ -49,8 +49,8 @@ class SetStore(Tables):
             "SELECT unit, name FROM parameter_set_unit WHERE set_id = ? ORDER BY unit", (set_id,)
         ).fetchall()
         units = tuple(UnitRows(unit, of, _rows(connection, set_id, unit)) for unit, of in found)
-        marks = connection.execute("SELECT unit FROM golden_set WHERE set_id = ?", (set_id,))
-        golden_for = frozenset(unit for (unit,) in marks)
+        marks = connection.execute("SELECT unit FROM golden_set WHERE set_id = ? ORDER BY unit", (set_id,))
+        golden_for = tuple(unit for (unit,) in marks)
         return ParameterSet(bus, taken_at, who, origin, units, name, comment, set_id, golden_for)
 
     @reading

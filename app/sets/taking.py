@@ -83,14 +83,12 @@ async def read_together(
     keeper: SetKeeper,
     person: Person,
     units: Sequence[int],
-    read: list[UnitRows] | None = None,
-    missing: dict[int, Message] | None = None,
-) -> tuple[list[UnitRows], dict[int, Message]]:
-    """Read units completely, a few at once. Returns those that responded, and why the others did not;
-    ``read`` and ``missing`` are filled on the way for a progress display."""
+    read: list[UnitRows],
+    missing: dict[int, Message],
+) -> None:
+    """Read units completely, a few at once: on the way ``read`` gets those that responded, and ``missing``
+    why the others did not."""
     at_once = asyncio.Semaphore(MAX_AT_ONCE)
-    read = [] if read is None else read
-    missing = {} if missing is None else missing
 
     async def read_one(unit: int) -> None:
         async with at_once:
@@ -101,4 +99,3 @@ async def read_together(
 
     await asyncio.gather(*(read_one(unit) for unit in units))
     read.sort(key=lambda rows: units.index(rows.unit))
-    return read, missing

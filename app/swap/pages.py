@@ -16,7 +16,7 @@ from app.live.api.routes import Live
 from app.live.lookup import unit_or_404
 from app.sets.api import ParameterSets
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import Chosen, Restores, Sets, post_source, set_or_404, unit_rows_or_404
+from app.sets.lookup import FILE_FORM, Chosen, Restores, Sets, set_or_404, unit_rows_or_404
 from app.sets.restore_view import RestoreOmission, rows_left_out
 from app.sets.sides import offers
 from app.swap.acts import BEGIN, CANCEL, CONFIRM_SPARE, RESTORE_SPARE, SAVE_ENTERED
@@ -46,7 +46,7 @@ async def swap_page(
     )
 
 
-@post_source(router, "/swap/{bus}/{unit}")
+@router.post("/swap/{bus}/{unit}", **FILE_FORM)
 async def begin(
     request: Request,
     person: Beginner,

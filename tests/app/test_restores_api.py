@@ -57,7 +57,7 @@ async def plan(client: httpx.AsyncClient, golden: int, **chosen: Any) -> Any:
 async def ended(house: House, client: httpx.AsyncClient, restore: str) -> Any:
     found = await house.services[RestoreService].find(restore)
     assert found is not None
-    await until(lambda: found.ended, "the end of the restore")
+    await until(lambda: found.state in ("equal", "different", "stopped"), "the end of the restore")
     return (await client.get(f"/api/v1/restores/{restore}")).json()
 
 

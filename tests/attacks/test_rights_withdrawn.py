@@ -52,7 +52,7 @@ async def planned(client: httpx.AsyncClient, line: PlayedLine) -> dict[str, Any]
 async def ended(house: House, restore: str) -> dict[str, Any]:
     found = await house.services[RestoreService].find(restore)
     assert found is not None
-    await until(lambda: found.ended, "the end of the restore")
+    await until(lambda: found.state in ("equal", "different", "stopped"), "the end of the restore")
     await until(lambda: found.who, "its account")
     boss = await house.program(Role.ADMIN)
     return dict((await boss.get(f"/api/v1/restores/{restore}")).json())

@@ -333,3 +333,11 @@ def test_a_removed_unit_is_in_no_part_of_the_slow_scan() -> None:
     gaps.was_read(1, 6, available=True)
     gaps.forget(1)
     assert gaps.next_background() is None
+
+
+def test_what_a_setpoint_needs_is_read_of_all_units_first() -> None:
+    queue = ParameterQueue(range(1, 41), NEEDED_TO_SHOW)
+    for unit in (1, 2):
+        queue.learn_all(unit)
+    first = [queue.next_needed() for _ in range(8)]
+    assert first == [(1, 3), (2, 3), (1, 8), (2, 8), (1, 2), (2, 2), (1, 1), (2, 1)]

@@ -117,7 +117,8 @@ class BlockStore:
         self._blocks[unit] = block
 
     async def lift(self, unit: int) -> None:
-        await self._database.write(lambda store: _delete_block(store, self._bus, unit))
+        delete = "DELETE FROM blocks WHERE bus = ? AND unit = ?"
+        await self._database.write(lambda store: store.execute(delete, (self._bus, unit)))
         self._blocks.pop(unit, None)
 
 
@@ -145,7 +146,3 @@ def _replace(store: sqlite3.Connection, table: str, rows: Iterable[Row]) -> None
     columns = _COLUMNS[table]
     marks = ", ".join("?" for _ in columns.split(","))
     store.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", rows)
-
-
-def _delete_block(store: sqlite3.Connection, bus: str, unit: int) -> None:
-    store.execute("DELETE FROM blocks WHERE bus = ? AND unit = ?", (bus, unit))

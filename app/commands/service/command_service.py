@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
 from app.auth.rights import Rights
-from app.commands.authority import while_permitted
 from app.commands.catalogue import check, kind_of_command
 from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves, commanded_setpoint
@@ -31,12 +30,16 @@ from app.web.access import Person, refuse_without
 from app.web.arrival import Deadline
 from bus.contract import Action, Command, ReadParameters, Result
 from bus.instants import Monotonic, MonotonicClock, monotonic_now, unix_now
-from bus.messages import Message
+from bus.messages import Message, joined
 
 ACTED = ("verified", "acknowledged", "unverified")
 """Outcomes after which a unit has acted, or may have."""
 RANGE_PASSES = 2
 """Which parameters bound a setpoint depends on the mode (#8), which may have to be read itself."""
+
+RECHECK_S = 0.25
+"""How often the rights of the sender are looked at: most commands are over by then; a change of the baud rate
+or of many units is not."""
 
 
 class WriteSubscriber(Protocol):
@@ -231,7 +234,7 @@ class CommandService:
         # This clock first: whatever stops this process between the two makes the deadline earlier.
         deadline = unix_now() + request.deadline.left_s
         command = Command(id=request.id, deadline=deadline, action=request.action)
-        return await while_permitted(
+        return await _while_permitted(
             self._channel.send(command),
             lambda: self._why_no_longer(request),
             lambda: self._channel.cancel(request.id),
@@ -264,3 +267,25 @@ def _steps(action: Action, live: BusLive) -> dict[int, int]:
         if present is not None and new.kind in (None, kind_of(unit)) and not new.is_staged:
             steps[new.unit] = abs(new.raw - present)
     return steps
+
+
+async def _while_permitted(
+    work: Coroutine[Any, Any, Result],
+    why_not: Callable[[], Awaitable[Message | None]],
+    give_up: Callable[[], Awaitable[None]],
+) -> Result:
+    """Return the result of ``work``, a command in progress. When ``why_not`` gives a reason, ``give_up`` is
+    called once, the worker stops where nothing is half done, and the reason precedes the result's message."""
+    task = asyncio.ensure_future(work)
+    reason: Message | None = None
+    try:
+        while not task.done():
+            await asyncio.wait({task}, timeout=RECHECK_S)
+            if not task.done() and reason is None:
+                reason = await why_not()
+                if reason is not None:
+                    await give_up()
+        result = task.result()
+    finally:
+        task.cancel()
+    return msgspec.structs.replace(result, message=joined((reason, result.message)))
