@@ -47,7 +47,7 @@ def rendered_once(app: FastAPI) -> Asset:
     if known is None:
         text = json.dumps(openapi_document(app), ensure_ascii=False, separators=(",", ":"))
         known = app.state.description = Asset(text.encode(), "application/json")
-        _ = known.packed
+        known.pack()
     return known
 
 
