@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from app.alarms.definition import AlarmDefinition
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.states import AlarmState
 from bus.messages import Message
+
+NORMAL = AlarmFacts()
+"""Of every alarm that has not risen yet."""
 
 
 def state_text(state: AlarmState) -> Message:
@@ -20,7 +23,7 @@ class Alarm:
     """``holds``: its condition as last observed; None: not known."""
 
     definition: AlarmDefinition
-    facts: AlarmFacts = field(default_factory=AlarmFacts)
+    facts: AlarmFacts = NORMAL
     holds: bool | None = None
     first_out: bool = False
     """It was the first of several that rose together."""
