@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Annotated
 
@@ -61,6 +61,10 @@ def own_key(bus: str, unit: int, name: str) -> str:
     return key_of(bus, unit, f"own-{blake2b(name.encode(), digest_size=6).hexdigest()}")
 
 
+NORMAL = AlarmFacts()
+"""Of every alarm that has not risen yet."""
+
+
 def state_text(state: AlarmState) -> Message:
     """The words for a state."""
     return Message(f"alarm_state_{state}")
@@ -71,7 +75,7 @@ class Alarm:
     """``holds``: its condition as last observed; None: not known."""
 
     definition: AlarmDefinition
-    facts: AlarmFacts = field(default_factory=AlarmFacts)
+    facts: AlarmFacts = NORMAL
     holds: bool | None = None
     first_out: bool = False
     """It was the first of several that rose together."""

@@ -8,7 +8,7 @@ from functools import cache, partial
 from app.alarms.alarm import Alarm, key_of
 from app.alarms.own import OwnCondition, known_decimals
 from app.alarms.rules.count_window import CountWindow
-from app.alarms.rules.limits import limits_of
+from app.alarms.rules.limits import LimitRule, limits_of
 from app.alarms.settings import BuiltInAlarmSettings, tuning_of
 from app.conditions import of_unit
 from app.conditions.catalogue import UNIT_ALARMS
@@ -165,5 +165,11 @@ class UnitMonitor:
 
 def _limit_check(alarm: Alarm, tuning: Tuning) -> LimitCheck:
     """By the limits of the site; those of each full scale are computed once."""
-    rule = cache(partial(limits_of, tuning))
+    rule = _rules(tuning)
     return lambda value, full_scale: rule(full_scale).holds(value, alarm.facts.active)
+
+
+@cache
+def _rules(tuning: Tuning) -> Callable[[int], LimitRule]:
+    """One for all units of the same limits: a line has a thousand of these alarms."""
+    return cache(partial(limits_of, tuning))

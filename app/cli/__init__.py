@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from typing import Annotated, Any
+from types import ModuleType
+from typing import Annotated, Any, cast
 
 import typer
 from typer.core import TyperGroup
@@ -115,4 +117,6 @@ def main() -> None:
     os.umask(0o077)
     # Pydantic would read the metadata of all installed packages for its plugins; there are none.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # FastAPI would load the former version of Pydantic, 2 MiB, to refuse its models; there are none.
+    sys.modules.setdefault("pydantic.v1", cast(ModuleType, None))
     cli(prog_name="lineside")

@@ -73,11 +73,13 @@ _SHELL = ("base.html", "components/", "trends/")
 
 
 async def warm(history: History, templates: Templates, assets: Assets, language: str) -> None:
-    """Read the catalogs, compress static files, load the frame of the pages and the trends page, query a day
-    of history: one after the other, to keep the line responsive. ``language``: the site's."""
+    """Read the catalog of ``language``, the site's, and compile the others, compress static files, load the
+    frame of the pages and the trends page, query a day of history: one after the other, to keep the line
+    responsive."""
     await asyncio.sleep(AFTER_S)
-    for each in (templates.languages[language], *templates.languages):
-        await asyncio.to_thread(each.read)
+    await asyncio.to_thread(templates.languages[language].read)
+    for each in templates.languages:
+        await asyncio.to_thread(each.compile)
     for name in assets:
         await asyncio.to_thread(assets.pack, name)
     environment = templates.environment(language)

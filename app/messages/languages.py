@@ -25,11 +25,6 @@ class Language:
         self.tag = self.locale.split("_")[0]
         self._path = path
         self._kept_in = kept_in
-        locale = Locale.parse(self.locale)
-        self.name = Locale(locale.language).get_display_name(locale) or self.tag
-        """What the language calls itself."""
-        self.point = get_decimal_symbol(locale)
-        """The decimal sign."""
 
     def __str__(self) -> str:
         return self.tag
@@ -61,6 +56,21 @@ class Language:
     def read(self) -> None:
         """Read the catalog now, in any thread, rather than with the first text."""
         _ = self.catalog
+
+    def compile(self) -> None:
+        """Let the catalog be kept compiled, to be read within milliseconds with the first text."""
+        compiled(self._path, self._kept_in)
+
+    @cached_property
+    def name(self) -> str:
+        """What the language calls itself."""
+        locale = Locale.parse(self.locale)
+        return Locale(locale.language).get_display_name(locale) or self.tag
+
+    @cached_property
+    def point(self) -> str:
+        """The decimal sign."""
+        return get_decimal_symbol(Locale.parse(self.locale))
 
     @cached_property
     def catalog(self) -> gettext.GNUTranslations:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import mimetypes
 import posixpath
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from starlette.requests import Request
@@ -22,11 +19,17 @@ _ROOT = Path(__file__).resolve().parents[2]
 _PACKED = Path(__file__).resolve().parents[1] / "_assets"
 _STYLES_IMPORT = re.compile(rb'^@import "([\w./-]+)";$', re.MULTILINE)
 _MODULE_IMPORT = re.compile(r'^(?:import|export)\b(?!\()[^;]*?"(\.[\w./-]+)";$', re.MULTILINE)
+_MEDIA_TYPES = {
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
+    ".webmanifest": "application/manifest+json",
+    ".woff2": "font/woff2",
+}
+"""Not by mimetypes, which keeps the thousand types of the system in memory."""
 _TEXT = ("text/", "application/javascript", "application/json", "application/manifest+json", "image/svg+xml")
-
-mimetypes.add_type("text/javascript", ".js")
-mimetypes.add_type("application/manifest+json", ".webmanifest")
-mimetypes.add_type("font/woff2", ".woff2")
 
 
 def _folder(name: str) -> Path:
@@ -48,25 +51,30 @@ def _beside(name: str, path: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(name), path))
 
 
-@dataclass
 class Asset:
-    """One file as it is sent."""
+    """One file as it is sent. It is kept once: as gzip, where that is smaller."""
 
-    body: bytes
-    media_type: str
-
-    @cached_property
-    def packed(self) -> bytes | None:
-        """Gzipped once, when that makes it smaller."""
-        if not self.media_type.startswith(_TEXT):
-            return None
-        packed = gzip.compress(self.body, 9, mtime=0)
-        return packed if len(packed) < len(self.body) else None
-
-    @cached_property
-    def tag(self) -> str:
+    def __init__(self, body: bytes, media_type: str) -> None:
+        self.media_type = media_type
+        self.tag = f'"{hashlib.sha256(body).hexdigest()[:16]}"'
         """Identifies the content."""
-        return f'"{hashlib.sha256(self.body).hexdigest()[:16]}"'
+        self._form: tuple[bytes, bool | None] = (body, None)
+        """With whether it is packed; None: that was not tried yet."""
+
+    @property
+    def body(self) -> bytes:
+        content, is_packed = self._form
+        return gzip.decompress(content) if is_packed else content
+
+    def pack(self) -> bool:
+        """Gzip it with the first call, in any thread; return whether it is kept so."""
+        content, is_packed = self._form
+        if is_packed is None:
+            is_text = self.media_type.startswith(_TEXT)
+            packed = gzip.compress(content, 9, mtime=0) if is_text else content
+            is_packed = len(packed) < len(content)
+            self._form = (packed if is_packed else content, is_packed)
+        return is_packed
 
     def response(self, request: Request, cache_control: str) -> Response:
         """Gzipped for a client that takes it; without content for one that has it already."""
@@ -74,10 +82,10 @@ class Asset:
         headers = {"Cache-Control": cache_control, "Vary": "Accept-Encoding", "ETag": f"W/{self.tag}"}
         if self.tag in request.headers.get("if-none-match", ""):
             return Response(status_code=304, headers=headers)
-        if self.packed is None or "gzip" not in request.headers.get("accept-encoding", ""):
+        if not self.pack() or "gzip" not in request.headers.get("accept-encoding", ""):
             return Response(self.body, media_type=self.media_type, headers=headers)
         headers["Content-Encoding"] = "gzip"
-        return Response(self.packed, media_type=self.media_type, headers=headers)
+        return Response(self._form[0], media_type=self.media_type, headers=headers)
 
 
 class Assets:
@@ -107,7 +115,7 @@ class Assets:
         if name not in self._files:
             raise Problem(404, "not_found", Message.of("no_such_file", path=name))
         if name not in self._loaded:
-            media_type = mimetypes.guess_type(name)[0] or "application/octet-stream"
+            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._loaded[name] = Asset(self._read(name), media_type)
         return self._loaded[name]
 
@@ -141,4 +149,4 @@ class Assets:
 
     def pack(self, name: str) -> None:
         """What the first request of a file would wait for. Raises Problem 404."""
-        _ = self.get(name).packed
+        self.get(name).pack()

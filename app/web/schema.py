@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ def problem_schemas(schemas: Mapping[str, Any]) -> dict[str, Any]:
     return {**own, "Problem": problem, "ProblemCode": {**own["ProblemCode"], "enum": sorted(CODES)}}
 
 
+@cache
 def _response(description: str) -> dict[str, Any]:
     content = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
     return {"description": description, "content": content}
@@ -73,7 +74,7 @@ def rendered_once(app: FastAPI) -> Asset:
     if known is None:
         text = json.dumps(openapi_document(app), ensure_ascii=False, separators=(",", ":"))
         known = app.state.description = Asset(text.encode(), "application/json")
-        _ = known.packed
+        known.pack()
     return known
 
 

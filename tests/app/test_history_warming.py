@@ -28,9 +28,11 @@ async def test_catalogs_are_read_files_packed_templates_loaded_and_the_store_que
     await pages.warm(history, templates, assets, "de")
     if open_store:
         history.close()
-    assert all("packed" in vars(assets.get(name)) for name in assets)
+    assert all(assets.get(name)._form[1] is not None for name in assets)
     cache = templates.environment("de").cache
     assert cache is not None
     read = {name for _, name in cache}
     assert {"base.html", "trends/page.html", "components/frame.html"} <= read
-    assert all("catalog" in vars(language) for language in templates.languages)
+    assert "catalog" in vars(templates.languages["de"])
+    kept = {path.name for path in (tmp_path / "compiled").glob("*.mo")}
+    assert kept == {f"{language.locale}.mo" for language in templates.languages}

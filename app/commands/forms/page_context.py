@@ -31,6 +31,7 @@ from app.errors import Problem
 from app.live.browsers.hub import Hub
 from app.live.lookup import unit_of_bus_or_404
 from app.live.pages import UnitOnLine, unit_on_line
+from app.live.screen.diff import FlatFields
 from app.live.screen.fields import Translator
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
 from app.web.access import Person, not_signed_in, person_of
@@ -85,7 +86,7 @@ class PageContext:
         """This request, for each bus."""
         return [self.of_bus(name) for name in self.live.buses]
 
-    def fields(self) -> dict[str, str]:
+    def fields(self) -> FlatFields:
         """All texts of the screen as they are now."""
         return service_of(self.request, Hub).screen(self.translator.language.tag).flat()
 

@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from app.live.screen.fields import Fields
 
 Groups = dict[str, Fields]
 K = TypeVar("K")
+
+
+class FlatFields:
+    """The fields of groups by ``group.field``, as templates read them. Not a dictionary: for a long line it
+    would be a megabyte for each page that opens."""
+
+    def __init__(self, groups: Groups) -> None:
+        self._groups = groups
+
+    def __getitem__(self, key: str) -> Any:
+        group, _, name = key.rpartition(".")
+        return self._groups[group][name]
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The field, or ``default`` where there is none."""
+        group, _, name = key.rpartition(".")
+        return self._groups.get(group, {}).get(name, default)
 
 
 def put_fields(shown: dict[K, Fields], group: K, fields: Fields) -> dict[K, Fields]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.screen.cause_text import cause_texts, check_text, joined
-from app.live.screen.diff import Groups, merge_groups, put_fields
+from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
 from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
@@ -74,11 +74,9 @@ class Screen:
         """Set fields that belong to no unit and no bus; return those that changed."""
         return put_fields(self.shown, group, fields)
 
-    def flat(self) -> Fields:
+    def flat(self) -> FlatFields:
         """Everything shown, by ``group.field``, for the first paint of a page."""
-        return {
-            f"{group}.{name}": text for group, fields in self.shown.items() for name, text in fields.items()
-        }
+        return FlatFields(self.shown)
 
     def _unit(self, bus_name: str, bus: BusLive, unit: UnitLive, now: UnixTime) -> Fields:
         number = unit.settings.id
