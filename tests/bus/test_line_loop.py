@@ -104,6 +104,22 @@ def test_a_write_that_is_announced_leaves_no_later_than_if_it_were_there_already
     run(scene, 8)
 
 
+def test_an_announced_write_follows_what_it_is_judged_by() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await settled(line)
+        announced = line.loop.time()
+        line.worker.reserve()
+        await asyncio.sleep(0.005)
+        assert len((await line.perform(ReadParameters(unit=3, numbers=[8, 2]))).values) == 2
+        await asyncio.sleep(0.005)
+        line.command(SetSpeed(unit=3, raw=700))
+        await asyncio.sleep(0.1)
+        frames = [(data[2], data[3]) for at, data in line.written if at >= announced]
+        assert frames[: frames.index((3, 0x84))] == [(3, 0x85), (3, 0x81), (3, 0x85)], "a fence, and no poll"
+
+    run(scene, 8)
+
+
 def test_who_reads_parameters_without_end_leaves_every_second_turn_to_the_scan() -> None:
     async def scene(line: VirtualLine) -> None:
         await settled(line)

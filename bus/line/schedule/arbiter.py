@@ -17,6 +17,9 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 """Operators' writes without end leave one poll in this time, unless a change of many units is under way."""
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
+ANNOUNCED_S = 0.25
+"""What is read so soon after a write was announced is what the write is judged by: the turn after it is left
+free too."""
 PACE = 0.8
 """On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
 _TRIES = {TaskKind.FIRST: 1, TaskKind.PROBE: 1}
@@ -101,7 +104,11 @@ class Arbiter:
             self._read_last = run.priority is Priority.READ
             if run.priority is Priority.SLOW:
                 self.schedule.spent(Task(TaskKind.SLOW), exchange.began, exchange.ended, responded=True)
-            return run.settle(exchange, exchange.ended)
+            again = run.settle(exchange, exchange.ended)
+            is_announced = exchange.ended - self._reserved_at < ANNOUNCED_S
+            if self._read_last and run.result is not None and is_announced:
+                self._reserved_until = exchange.ended + RESERVED_S
+            return again
         assert self._routine is not None
         return self._settle_routine(*self._routine, exchange)
 
