@@ -36,6 +36,7 @@ from bus.wire.commands import (
     WriteAnalogOutputRequest,
     WriteOutputRequest,
     WriteParameterRequest,
+    is_secret,
     is_write,
 )
 from bus.wire.framing import FrameDecoder, ReceivedFrame
@@ -269,3 +270,11 @@ def test_the_manuals_example_encodes() -> None:
     assert encode_request(WriteAnalogOutputRequest(27, 350), BINARY) == frames[EXAMPLE_OF_88H]
     assert encode_request(ExecuteSpeedRequest(0), BINARY) == frames["83h to all"]
     assert encode_reply(status(1), BINARY) in frames.values()
+
+
+def test_what_has_the_password_is_secret() -> None:
+    assert is_secret(WriteParameterRequest(1, 21, 4711))
+    assert is_secret(ReadParameterRequest(1, 21))
+    assert not is_secret(ReadParameterRequest(1, 20))
+    assert not is_secret(ReadParameterRequest(1, 41))
+    assert not is_secret(ReadStatusRequest(1))

@@ -73,6 +73,21 @@ def test_the_response() -> None:
     assert exchange.pending.outstanding == ()
 
 
+def test_a_response_began_before_its_first_byte_was_there() -> None:
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
+    assert exchange.response_began(2.0, 0.01) == 2.0
+    exchange.receive(frame(STATUS)[:2], 1.5)
+    exchange.receive(frame(STATUS)[2:], 1.75)
+    assert exchange.frame == frame(STATUS)
+    assert exchange.response_began(1.75, 0.001) == pytest.approx(1.5 - 0.001)
+
+
+def test_a_first_byte_that_gathered_came_earlier_than_it_was_read() -> None:
+    exchange = Exchange(ReadStatusRequest(4), PLAIN)
+    exchange.receive(frame(STATUS), 1.75)
+    assert exchange.response_began(1.75, 0.01) == pytest.approx(1.75 - 18 * 0.01)
+
+
 def test_a_refusal_is_a_response() -> None:
     exchange = Exchange(SetAndExecuteSpeedRequest(4, 99_999), PLAIN)
     (event,) = exchange.receive(frame(Nak(4, 0x81)), 0.0)
