@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PURE = (
     *("bus/wire/*.py", "bus/catalogue/*.py"),
-    *("app/*/rules.py", "app/**/rules/*.py", "app/commands/check.py", "app/conditions/*.py"),
+    *("app/*/rules.py", "app/**/rules/*.py", "app/conditions/*.py"),
 )
 TESTS = {
     "bus/catalogue/parameters.py": "tests/bus/test_catalogue_parameters.py",
@@ -47,7 +47,6 @@ TESTS = {
     "app/handover/rules/pictures.py": "tests/app/test_shift_pictures.py",
     "app/handover/rules/shift_times.py": "tests/app/test_shift_times.py",
     "app/auth/rules.py": "tests/app/test_auth_rules.py",
-    "app/commands/check.py": "tests/app/test_command_check.py",
     "app/commands/rules/action_checks.py": "tests/app/test_command_check.py",
     "app/commands/rules/objection.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",

@@ -145,7 +145,7 @@ async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> Non
     assert refused.json()["code"] == "blocked"
     assert "belt off since 14:20" in refused.json()["detail"]
     assert (await stage.request("GET", "/units/1/block", role="viewer")).json()["blocked"] is True
-    assert "belt off" in (await stage.request("GET", "/units/1")).json()["blocked"]
+    assert "belt off" in (await stage.request("GET", "/units/1")).json()["blocked"]["detail"]
     assert worker.commands == []
     assert (await stage.request("DELETE", "/units/1/block", role="operator")).json()["blocked"] is False
     assert await speed(stage, 5) == (200, "verified")

@@ -18,24 +18,24 @@ from bus.instants import unix_now
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 Live = Annotated[LiveState, service(LiveState)]
-View = Annotated[LineView, service(LineView)]
+LineViewService = Annotated[LineView, service(LineView)]
 
 
 @router.get("/line", response_model=Line)
-async def get_line(_: Viewer, view: View) -> dict[str, Any]:
+async def get_line(_: Viewer, view: LineViewService) -> dict[str, Any]:
     """Current state of every bus and unit. ``history``: why no values are stored, null while they are."""
     return view.line(unix_now())
 
 
 @router.get("/buses/{bus}", response_model=BusShown)
-async def get_bus(_: Viewer, view: View, bus: str) -> dict[str, Any]:
+async def get_bus(_: Viewer, view: LineViewService, bus: str) -> dict[str, Any]:
     """One bus with its units."""
     bus_or_404(view.live, bus)
     return view.bus(bus, unix_now())
 
 
 @router.get("/buses/{bus}/units/{unit:int}", response_model=UnitShown)
-async def get_unit(_: Viewer, view: View, bus: str, unit: int) -> dict[str, Any]:
+async def get_unit(_: Viewer, view: LineViewService, bus: str, unit: int) -> dict[str, Any]:
     """One unit, with the age of its values."""
     unit_or_404(view.live, bus, unit)
     return view.unit(bus, unit, unix_now())
