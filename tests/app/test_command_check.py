@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.commands.catalogue import check
+from app.commands.catalogue import check, longest_change_s, timeout_s_for
 from app.commands.rules.objection import RuleContext
 from app.commands.rules.setpoint import Moves
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, NO_LIMITS, CommandBlock, Limits
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
+from app.web.arrival import DEFAULT_TIMEOUT_S
 from bus.catalogue.parameters import PARAMETERS
 from bus.contract import (
     Action,
@@ -297,3 +298,11 @@ def test_only_the_step_that_was_noted_is_taken_back(moves: Moves) -> None:
     moves.take_back({1: 30}, Monotonic(130.0))
     moves.take_back({2: 30}, Monotonic(100.0))
     assert moves.within_a_minute(1, Monotonic(130.0)) == 42
+
+
+def test_a_change_of_several_units_may_wait_for_its_stages_and_be_withdrawn_from_each() -> None:
+    bus = bus_with()
+    slow = bus_with(baud=300)
+    assert timeout_s_for(bus) == timeout_s_for(slow) == DEFAULT_TIMEOUT_S
+    assert timeout_s_for(bus) < timeout_s_for(bus, 3) < timeout_s_for(slow, 3)
+    assert longest_change_s(bus, 3) == 2 * timeout_s_for(bus, 3)

@@ -18,7 +18,7 @@ COMMANDS_AT_A_STRETCH_S = 0.5
 RESERVED_S = 0.015
 """A turn is left free so long for a write that is announced: its way through the app and onto its disk."""
 ANNOUNCED_S = 0.25
-"""A read so soon after a write was announced is one that the write is judged by: the turn after it is left
+"""A read so soon after a write was announced gives what the write is judged by: the turn after it is left
 free too."""
 PACE = 0.8
 """On a port faster than its baud rate a scan still takes this part of the time it would on the wire."""
