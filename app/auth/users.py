@@ -12,8 +12,10 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from app.auth import acts
 from app.auth.accounts import Accounts
 from app.auth.pages import AccountsService, FormText, address_of
+from app.server.encryption import Encryption
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
+from app.web.services import service_of
 from app.web.templating import render
 from bus.errors import CallerError
 from bus.messages import Message
@@ -39,6 +41,7 @@ async def users_view(
         buses=accounts.buses,
         now=accounts.now(),
         fault=fault,
+        encryption_fault=service_of(request, Encryption).fault,
         token_name=token_name,
         token=token,
     )
