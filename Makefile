@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium-headless-shell
+PROXIES := $(VENV)/proxies/.unpacked
 NODE_TOOLS := node_modules/.package-lock.json
 COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
@@ -71,7 +72,7 @@ check: development
 	node_modules/.bin/tsc
 	node_modules/.bin/tsc --project types/worker
 
-development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM)
+development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM) $(PROXIES)
 
 # The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
 # is tested with the tools beside it, so it takes the versions that they leave. npm touches the stamp of $(NODE_TOOLS)
@@ -115,3 +116,12 @@ $(NODE_TOOLS): package.json package-lock.json
 $(CHROMIUM):
 	@test "$$(id -u)" = 0 || { echo "The browser tests need Chromium: as root, apt-get install chromium-headless-shell, then run this again." >&2; exit 1; }
 	apt-get update && apt-get install --yes --no-install-recommends chromium-headless-shell
+
+# nginx and Caddy for the tests of the examples in docs/tls.md: unpacked, not installed, which would start them. Where
+# the packages cannot be had, those tests are skipped.
+$(PROXIES): $(VENV)/.python
+	@mkdir -p $(@D)
+	@cd $(@D) && for name in nginx caddy; do \
+		apt-get download -qq $$name 2>/dev/null && dpkg-deb -x $$name_*.deb . && rm $$name_*.deb || echo "$$name cannot be downloaded" >&2; \
+	done
+	@touch $@

@@ -28,6 +28,7 @@ from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
 from app.recipes import feature as recipes
+from app.server import feature as server
 from app.server.admission import RequestAdmission
 from app.server.forwarded import Forwarded
 from app.server.refusal_log import RefusalLog
@@ -48,6 +49,7 @@ FEATURES = (
     web.FEATURE,
     history.FEATURE,
     audit.FEATURE,
+    server.FEATURE,
     auth.FEATURE,
     live.FEATURE,
     feed.FEATURE,

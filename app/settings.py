@@ -26,6 +26,7 @@ from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
 from app.notification.settings import NotifySettings, refuse_unknown_names
+from app.server.settings import TlsSettings
 from app.time_zone import is_zone, machine_zone
 from bus import configuration
 from bus.configuration import ConfigurationError
@@ -95,7 +96,8 @@ def _network(written: object) -> IPv4Network | IPv6Network:
     return network
 
 
-def _host_name(written: str) -> str:
+def host_name(written: str) -> str:
+    """A name or an address of a host, in small letters. Raises ValueError."""
     bare = written.strip("[]").lower()
     if not _HOST_NAME.fullmatch(bare):
         try:
@@ -106,7 +108,15 @@ def _host_name(written: str) -> str:
 
 
 TrustedNetwork = Annotated[IPv4Network | IPv6Network, BeforeValidator(_network)]
-HostName = Annotated[str, AfterValidator(_host_name)]
+HostName = Annotated[str, AfterValidator(host_name)]
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches what listens there."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 class ServerSettings(StrictModel):
@@ -122,6 +132,13 @@ class ServerSettings(StrictModel):
     allowed_hosts: tuple[HostName, ...] = ()
     """The names under which the dashboard responds; empty: any."""
     sessions: Sessions = Sessions()
+    tls: TlsSettings | None = None
+    """HTTPS and WSS instead of HTTP."""
+
+    @property
+    def is_in_clear(self) -> bool:
+        """Whether other machines reach the dashboard without TLS."""
+        return self.tls is None and not is_loopback(self.host)
 
     @property
     def store(self) -> Path:
@@ -198,8 +215,9 @@ def load(path: Path) -> Settings:
         raise ConfigurationError(
             Message.of("configuration_key_in_data", file=str(path), path=str(audit.key_file))
         )
+    tls = settings.server.tls and settings.server.tls.in_folder(folder)
     absolute = {
-        "server": settings.server.model_copy(update={"data": data}),
+        "server": settings.server.model_copy(update={"data": data, "tls": tls}),
         "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
         "notify": settings.notify.in_folder(folder),
     }

@@ -17,6 +17,7 @@ TABLES = {
     "history_kill": "history: killed fifty times",
     "alarms": "alarms: 255 units with 20 each, and a flood",
     "alarm_flood": "alarms: a page that is used while 10,000 change within a minute",
+    "tls": "TLS: what it costs the server with 200 browsers",
     "start": "the start: from nothing to the first live value",
 }
 LONG = {"screen_memory"}

@@ -75,7 +75,7 @@ def _delays(served: Site, page: Page, groups: list[list[int]]) -> tuple[list[flo
     processes."""
     monotonic_to_epoch = time.time() - time.monotonic()
     since = served.line.remote.do("record", kinds=["sent"])[-1]["number"]
-    _ramp(served)
+    ramp(served)
     page.evaluate(WATCH_TEXTS)
     begun, used = time.monotonic(), [cpu_seconds(*group) for group in groups]
     page.wait_for_timeout(MEASURED_S * 1000)
@@ -88,7 +88,7 @@ def _delays(served: Site, page: Page, groups: list[list[int]]) -> tuple[list[flo
     return [delay for delay in delays if delay is not None], shares
 
 
-def _ramp(served: Site) -> None:
+def ramp(served: Site) -> None:
     """Ramp to the other end of the scale, so that every response has a new value."""
     with served.api("operator") as client:
         units = client.get("/line").json()["buses"][0]["units"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ssl
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from typing import Literal
 from app.auth.store import Token
 from app.conditions.of_server import CERTIFICATE_EXPIRING, TOKEN_EXPIRING
 from app.errors import StoreError
+from bus.certificate import MalformedCertificateError, certificates_in
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
 
@@ -28,11 +28,15 @@ class ExpiryWatch:
     def __init__(
         self,
         tokens: Callable[[], Awaitable[list[Token]]],
-        certificates: Iterable[Path],
+        authorities: Iterable[Path],
         clock: Clock = unix_now,
+        *,
+        certificates: Iterable[Path] = (),
     ) -> None:
         self._tokens = tokens
-        self._certificates = tuple(certificates)
+        self._ends = {**dict.fromkeys(authorities, max), **dict.fromkeys(certificates, min)}
+        """Of several certificates in a file, the last to end may be the one that counts; of the server's
+        and those that lead to its authority, all are needed."""
         self._clock = clock
         self.token: Message | Literal[False] | None = None
         self.certificate: Message | Literal[False] | None = None
@@ -53,7 +57,7 @@ class ExpiryWatch:
             if token.expires_at is not None
             and TOKEN_EXPIRING.holds(token.created_at, token.expires_at, token.used_at, now)
         )
-        endings = await asyncio.to_thread(lambda: [_ending(path) for path in self._certificates])
+        endings = await asyncio.to_thread(lambda: [_ending(*each) for each in self._ends.items()])
         self.certificate = _first(
             each for each in endings if each and CERTIFICATE_EXPIRING.holds(each[0], now)
         )
@@ -67,13 +71,10 @@ def _first(endings: Iterable[Expiry]) -> Message | Literal[False]:
     return Message.of("alarm_expires", name=name, day=day)
 
 
-def _ending(path: Path) -> Expiry | None:
-    """When a certificate ends; of several in a file, the last: that may be the one that counts. None for
-    a file that holds none; who uses it reports that."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+def _ending(path: Path, which: Callable[[Iterable[UnixTime]], UnixTime]) -> Expiry | None:
+    """When the certificates of a file end. None for a file that holds none; who uses it reports that."""
     try:
-        context.load_verify_locations(path)
-    except OSError:
+        found = certificates_in(path.read_text(encoding="ascii", errors="replace"))
+    except (OSError, MalformedCertificateError):
         return None
-    ends = [str(each["notAfter"]) for each in context.get_ca_certs()]
-    return (UnixTime(max(map(ssl.cert_time_to_seconds, ends))), path.name) if ends else None
+    return which(each.ends_at for each in found), path.name

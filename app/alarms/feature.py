@@ -66,7 +66,11 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
 
 def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     settings, history, anchoring = services.settings, services[History], services[Anchoring]
-    expiry = ExpiryWatch(services[Accounts].tokens, settings.notify.certificates)
+    tls = settings.server.tls
+    authorities = {*settings.notify.certificates, *((tls.client_ca,) if tls and tls.client_ca else ())}
+    expiry = ExpiryWatch(
+        services[Accounts].tokens, authorities, certificates=(tls.certificate,) if tls else ()
+    )
     services.lifespan.add("expiry", expiry.follow)
     conditions = site_conditions(
         lambda: history.status,

@@ -29,6 +29,8 @@ from bus.instants import monotonic_now
 from bus.messages import Message
 
 COOKIE = "lineside_session"
+_HOST_PREFIX = "__Host-"
+"""Browsers take a cookie of such a name from this host alone, and by TLS (RFC 6265bis, 4.1.3.2)."""
 PUBLIC_PATHS = frozenset(
     {"/healthz", "/login", "/login/panel", "/manifest.webmanifest", "/offline", "/sw.js", "/favicon.ico"}
 )
@@ -96,11 +98,21 @@ class Identify:
             if program is None:
                 raise not_signed_in()
             return program
-        cookie = connection.cookies.get(COOKIE)
+        cookie = connection.cookies.get(cookie_name(connection, COOKIE))
         person = await self._identity.by_cookie(cookie, is_use=is_use) if cookie else None
         if person is None and self._demo and _is_loopback(connection):
             return Person("demo", Role.ADMIN, "demo")
         return person
+
+
+def is_encrypted(connection: HTTPConnection) -> bool:
+    """Whether the browser reached this server, or the trusted proxy before it, by TLS."""
+    return connection.url.scheme in ("https", "wss")
+
+
+def cookie_name(connection: HTTPConnection, name: str) -> str:
+    """The name of a cookie that signs in, under the scheme of a request: one of the other is not read."""
+    return f"{_HOST_PREFIX}{name}" if is_encrypted(connection) else name
 
 
 async def _turn_away(connection: HTTPConnection, receive: Receive, send: Send) -> None:

@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from app.auth import rules
-from app.auth.access import COOKIE
+from app.auth.access import COOKIE, cookie_name, is_encrypted
 from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
 from app.auth.signin import SignIn, WrongSecretError
@@ -69,11 +69,12 @@ async def log_out(
     request: Request, person: Annotated[Person, LOG_OUT.permitted], sign_in: SignInService
 ) -> Response:
     """End the session and forget the cookie."""
-    cookie = request.cookies.get(COOKIE)
+    name = cookie_name(request, COOKIE)
+    cookie = request.cookies.get(name)
     if cookie:
         await sign_in.sign_out(cookie, person)
     response = RedirectResponse("/login", 303)
-    response.delete_cookie(COOKIE, path="/")
+    response.delete_cookie(name, path="/", secure=is_encrypted(request))
     return response
 
 
@@ -106,7 +107,7 @@ async def change_password(
 ) -> Response:
     """Change the own password; every other session of the user ends."""
     check_has_own_password(person)
-    this_one = rules.secret_hash(request.cookies[COOKIE])
+    this_one = rules.secret_hash(request.cookies[cookie_name(request, COOKIE)])
     try:
         await sign_in.check_present(person.name, present, address_of(request), _device_of(request))
         if password != again:
@@ -139,13 +140,19 @@ async def _sign_in(
 def _set_cookie(request: Request, response: Response, name: str, value: str, max_age_s: float) -> None:
     """Lax, so that a link from an e-mail opens signed in; changes are
     guarded by its Origin (`app.web.security`). Not Secure on plain HTTP, which plants use."""
-    is_https = request.url.scheme == "https"
-    response.set_cookie(name, value, max_age=int(max_age_s), httponly=True, samesite="lax", secure=is_https)
+    response.set_cookie(
+        cookie_name(request, name),
+        value,
+        max_age=int(max_age_s),
+        httponly=True,
+        samesite="lax",
+        secure=is_encrypted(request),
+    )
 
 
 def _device_of(request: Request) -> str:
     """The cookie of a browser with an earlier sign-in; empty for an invalid one."""
-    device = request.cookies.get(DEVICE_COOKIE, "")
+    device = request.cookies.get(cookie_name(request, DEVICE_COOKIE), "")
     return device if len(device) == rules.SECRET_LENGTH and device.isascii() else ""
 
 

@@ -13,6 +13,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from app.auth import acts
 from app.auth.accounts import Accounts
 from app.auth.pages import FormText
+from app.server.encryption import Encryption
 from app.web.access import PEOPLE_ROLES, Admin, Person, Role, role_named
 from app.web.problems import is_fragment
 from app.web.services import looked_up, service_of
@@ -44,6 +45,7 @@ class UsersPage:
             roles=PEOPLE_ROLES,
             buses=self.accounts.buses,
             fault=fault,
+            encryption_fault=service_of(self.request, Encryption).fault,
             token_name=token_name,
             token=token,
         )

@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("status", "Show whether the dashboard of a configuration runs."),
     "user": ("accounts", "Manage users: add, list, password, remove."),
     "token": ("accounts", "Manage tokens of programs: create, list, revoke."),
+    "certificate": ("certificate", "Create and renew certificates of server and workers: create."),
     "audit": ("audit", "Verify the event log: verify, rotate-key."),
     "backup": ("backup", "Write the parameters of a unit or a bus to a file."),
     "diff": ("diff", "Show the differences of a unit and a file, or of two files."),

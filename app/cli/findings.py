@@ -78,6 +78,7 @@ def existing_part(folder: Path) -> Path:
 def findings(settings: Settings) -> Iterator[Finding]:
     """Everything worth knowing of a configuration on this machine, in the order of the file."""
     yield _address(settings.server)
+    yield from _encryption(settings.server)
     yield _data(settings.server.data)
     yield _key(settings.key_files, settings.server.store)
     yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
@@ -85,6 +86,25 @@ def findings(settings: Settings) -> Iterator[Finding]:
         yield fault("check_no_bus")
     for bus in settings.bus:
         yield from _bus(bus)
+
+
+def _encryption(server: ServerSettings) -> Iterator[Finding]:
+    if server.tls is None:
+        if server.is_in_clear:
+            yield Finding(Message("check_no_tls"))
+        return
+    from app.server.server_certificate import ServerCertificate
+    from bus.tls import TlsFileError, read_certificate
+
+    try:
+        fault_now = ServerCertificate(server.tls).fault
+        day = read_certificate(server.tls.certificate).ends_on
+    except TlsFileError as error:
+        yield fault("check_tls_refused", reason=error.message)
+        return
+    if fault_now is not None:
+        yield fault("check_tls_refused", reason=fault_now)
+    yield Finding(Message.of("check_certificate", file=str(server.tls.certificate), day=day))
 
 
 def _address(server: ServerSettings) -> Finding:

@@ -10,7 +10,7 @@ import signal
 import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import uvloop
 
 from app.cli import loading
 from app.cli.ending import report
-from app.cli.listening import url_of
+from app.cli.listening import listen, url_of
 from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
 from app.errors import system_error
@@ -60,16 +60,24 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
     """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
     configure_log()
     sys.setswitchinterval(SWITCH_S)
-    with only_one(settings.server.data):
-        uvloop.run(_host(settings, config, listening, demo=demo))
+    # Its own workers never depend on a certificate: it may expire while they run.
+    is_encrypted = settings.server.tls is not None
+    own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
+    with only_one(settings.server.data), own as feed:
+        uvloop.run(_host(settings, config, listening, feed, demo=demo))
 
 
-async def _host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool) -> None:
-    """The workers begin while the dashboard is still being read, and end before it does."""
-    url = url_of(*listening.getsockname()[:2])
+async def _host(
+    settings: Settings, config: Path, listening: socket.socket, feed: socket.socket | None, *, demo: bool
+) -> None:
+    """The workers begin while the dashboard is still being read, and end before it does. ``feed``: where they
+    find it; None: where browsers do."""
+    address, port = listening.getsockname()[:2]
+    url = url_of(address, port, "http" if feed is None else "https")
+    feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus}
-    workers = WorkerProcesses(config, tokens, url)
+    workers = WorkerProcesses(config, tokens, feed_url)
     stopping = _stop_requested()
     workers.start()
     try:
@@ -77,7 +85,7 @@ async def _host(settings: Settings, config: Path, listening: socket.socket, *, d
             if (module := await _server_module(stopping)) is None:
                 return
             server = module.Server(
-                settings, demo, tokens, lambda: report(Message.of("dashboard_at", url=url))
+                settings, demo, tokens, lambda: report(Message.of("dashboard_at", url=url)), feed
             )
         workers.watch(server.worker_responds)
         serving = asyncio.create_task(server.serve([listening]))

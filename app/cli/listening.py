@@ -42,10 +42,10 @@ def _reason(host: str, port: int, choose: Message, error: Exception) -> Message:
             return Message.of("listen_failed", port=port, host=host, error=system_error(error))
 
 
-def url_of(host: str, port: int) -> str:
+def url_of(host: str, port: int, scheme: str = "http") -> str:
     """Where a browser or a worker on this machine finds the dashboard that listens on ``host``."""
     if host == "0.0.0.0" or (host == "::" and socket.has_dualstack_ipv6()):
         host = "127.0.0.1"
     elif host == "::":
         host = "::1"
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"

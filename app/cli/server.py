@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, cast
 
 import uvicorn
+from starlette.types import ASGIApp
 
 from app.feature import Services
 from app.feed.workers import Workers
@@ -18,8 +19,10 @@ from app.main import create_app
 from app.server.accepting import accept_connections
 from app.server.admission import LoopTurns
 from app.server.connections import Connections
+from app.server.encryption import Encryption
 from app.server.files import raise_file_limit
 from app.server.loop_watch import LoopWatch
+from app.server.own_feed import OnlyFeed
 from app.server.refusal_log import ErrorLines, RefusalLog
 from app.server.stamping import StampingProtocol
 from app.server.websocket import WebSocketProtocol
@@ -35,15 +38,35 @@ class Server(uvicorn.Server):
     """Leaves the signals to the host, and reports when it serves."""
 
     def __init__(
-        self, settings: Settings, demo: bool, worker_tokens: Mapping[str, str], serving: Callable[[], None]
+        self,
+        settings: Settings,
+        demo: bool,
+        worker_tokens: Mapping[str, str],
+        serving: Callable[[], None],
+        feed: socket.socket | None = None,
     ) -> None:
+        """``feed``: where its own workers connect in clear, beside HTTPS."""
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
         self.services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
         refusals, errors = self.services[RefusalLog], ErrorLines()
-        super().__init__(_config(app, self._watch, connections, refusals))
+        turns = LoopTurns()
+        self._configure = partial(
+            _config, watch=self._watch, open_connections=connections, turns=turns, refusals=refusals
+        )
+        super().__init__(self._configure(app))
+        certificate = self.services[Encryption].certificate
+        if certificate is not None:
+            from app.server.tls_connection import TlsConnection
+
+            self._make_public: Callable[[], asyncio.Protocol] = lambda: TlsConnection(
+                self._make_protocol(self.config), certificate.context_for, turns, refusals
+            )
+        else:
+            self._make_public = partial(self._make_protocol, self.config)
+        self._feed = feed
         errors.install()
         self._sum_up = (refusals.sum_up, errors.sum_up)
         self._serving = serving
@@ -71,9 +94,14 @@ class Server(uvicorn.Server):
         await super().startup([])
         if self.started:
             for listening in sockets or []:
-                accepting = accept_connections(listening, self._make_protocol, self.config.ssl)
-                self._accepting.append(asyncio.create_task(accepting))
+                self._accept(listening, self._make_public)
+            if self._feed is not None:
+                config = self._configure(OnlyFeed(cast(ASGIApp, self.config.app)))
+                self._accept(self._feed, partial(self._make_protocol, config))
             self._serving()
+
+    def _accept(self, listening: socket.socket, make: Callable[[], asyncio.Protocol]) -> None:
+        self._accepting.append(asyncio.create_task(accept_connections(listening, make)))
 
     async def main_loop(self) -> None:
         """Set the header ``Date`` once a second, and close connections of clients that take too long."""
@@ -95,18 +123,18 @@ class Server(uvicorn.Server):
         await asyncio.gather(*self._accepting, return_exceptions=True)
         await super().shutdown(sockets)
 
-    def _make_protocol(self) -> asyncio.Protocol:
+    def _make_protocol(self, config: uvicorn.Config) -> StampingProtocol:
         """Make the protocol of a connection, as uvicorn does for a server of asyncio's."""
-        make = cast(Callable[..., asyncio.Protocol], self.config.http_protocol_class)
-        return make(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
+        if not config.loaded:
+            config.load()
+        make = cast(Callable[..., StampingProtocol], config.http_protocol_class)
+        return make(config=config, server_state=self.server_state, app_state=self.lifespan.state)
 
 
-def _config(app: Any, watch: LoopWatch, connections: Connections, refusals: RefusalLog) -> uvicorn.Config:
+def _config(app: Any, **shared: Any) -> uvicorn.Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
-    need separate frames."""
-    protocol = partial(
-        StampingProtocol, watch=watch, open_connections=connections, turns=LoopTurns(), refusals=refusals
-    )
+    need separate frames. ``shared``: what the protocol of every connection gets."""
+    protocol = partial(StampingProtocol, **shared)
     return uvicorn.Config(
         app,
         loop="none",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 from typing import Annotated, Any
 
 import httpx
@@ -13,11 +14,13 @@ from app.cli.dashboard import dashboard
 from app.cli.ending import report
 from app.cli.listening import url_of
 from app.cli.serve import LINESIDE_TOML, Config
-from app.settings import load
+from app.settings import Settings, load
 from bus.errors import LinesideError
 from bus.messages import Message
 
 WITHIN_S = 5.0
+NO_CHECK_TIME = 0x200000
+"""X509_V_FLAG_NO_CHECK_TIME (openssl/x509_vfy.h), which the module ssl has no name for."""
 
 
 def status(
@@ -32,9 +35,10 @@ def status(
     Exit 0 when it serves, else 1.
     """
     settings, bearer = load(config), bearer_token(token, token_file, required=False)
-    url = url_of(settings.server.host, settings.server.port)
-    serves = is_serving(url)
-    buses, degraded = _state(url, bearer) if serves and bearer else (None, None)
+    own = _own_certificate(settings)
+    url = url_of(settings.server.host, settings.server.port, "http" if own is None else "https")
+    serves = is_serving(url, own)
+    buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
     if as_json:
         typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses, "degraded": degraded}))
     elif serves:
@@ -47,18 +51,35 @@ def status(
         raise LinesideError(Message.of("not_serving", url=url, config=str(config)))
 
 
-def is_serving(url: str) -> bool:
-    """Whether a Lineside dashboard serves at ``url``."""
+def _own_certificate(settings: Settings) -> ssl.SSLContext | None:
+    """Trusts the configured certificate itself, under any name and at any time: this machine calls itself.
+    None without TLS. Raises TlsFileError."""
+    tls = settings.server.tls
+    if tls is None:
+        return None
+    from bus.tls import read_certificate
+
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN | NO_CHECK_TIME
+    context.load_verify_locations(cadata=read_certificate(tls.certificate).der)
+    return context
+
+
+def is_serving(url: str, own: ssl.SSLContext | None = None) -> bool:
+    """Whether a Lineside dashboard serves at ``url``; ``own``: what verifies it by https."""
     try:
-        response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False)
+        response = httpx.get(f"{url}/healthz", timeout=WITHIN_S, trust_env=False, verify=own or True)
         return response.status_code == 200 and response.json() == {"status": "ok"}
     except (httpx.HTTPError, httpx.InvalidURL, ValueError):
         return False
 
 
-def _state(url: str, token: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _state(
+    url: str, token: str, own: ssl.SSLContext | None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """The buses, and the faults of the server."""
-    with dashboard(url, token) as client:
+    with dashboard(url, token, own) as client:
         line, alarms = client.get("/line"), client.get("/alarms")["alarms"]
     history = line["history"]
     stored = {"code": history["code"], "since": None, "message": history["detail"]} if history else None

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
-from app.cli.ending import ending
 from bus.configuration import load_bus
 from bus.errors import CallerError
 from bus.messages import Message
+
+if TYPE_CHECKING:
+    from bus.worker.uplink_tls import UplinkTls
 
 WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
@@ -22,13 +24,35 @@ def worker(
     token: TokenOption = "",
     token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
+    ca: Annotated[
+        Path | None, typer.Option(help="Certificate of the dashboard's authority, by default this machine's.")
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="The worker's certificate, where the dashboard demands one.")
+    ] = None,
+    key: Annotated[Path | None, typer.Option(help="Its private key.")] = None,
 ) -> None:
     """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
-    with ending():
-        if not app.startswith(("http://", "https://", "ws://", "wss://")):
-            raise CallerError(Message.of("app_url_malformed", url=app))
-        bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
-        settings = load_bus(config, bus)
-        from bus.worker.process import run
+    if not app.startswith(("http://", "https://", "ws://", "wss://")):
+        raise CallerError(Message.of("app_url_malformed", url=app))
+    bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
+    settings = load_bus(config, bus)
+    tls = _tls(app, ca, certificate, key)
+    from bus.worker.process import run
 
-        raise typer.Exit(run(settings, app, bearer))
+    raise typer.Exit(run(settings, app, bearer, tls=tls))
+
+
+def _tls(app: str, ca: Path | None, certificate: Path | None, key: Path | None) -> UplinkTls | None:
+    """What secures the link. Raises CallerError for options that do not fit and files that cannot be used."""
+    if not app.startswith(("https://", "wss://")):
+        if ca or certificate or key:
+            raise CallerError(Message.of("app_url_in_clear", url=app))
+        return None
+    if (certificate is None) != (key is None):
+        raise CallerError(Message("certificate_without_key"))
+    from bus.worker.uplink_tls import UplinkTls
+
+    tls = UplinkTls(ca, (certificate, key) if certificate and key else None)
+    tls.context()
+    return tls

@@ -68,8 +68,8 @@ CERTIFICATE_EXPIRING: Condition[Callable[[UnixTime, UnixTime], bool]] = Conditio
     "certificate_expiring",
     ("major", "shift"),
     holds=certificate_expires,
-    means="a `ca_file` of `[notify]` ends within 30 days, or has ended; of several certificates in a file the"
-    " last one counts",
+    means="the `certificate` or `client_ca` of `[server.tls]` or a `ca_file` of `[notify]` ends within 30"
+    " days, or has ended; of several authorities in a file the last one counts",
 )
 TOKEN_EXPIRING: Condition[Callable[[UnixTime, UnixTime | None, UnixTime | None, UnixTime], bool]] = Condition(
     "token_expiring",

@@ -13,6 +13,7 @@ from app.feed.bus_feed import WorkerLeft
 from app.feed.holders import Credential
 from app.feed.workers import Workers
 from app.server.client_connection import client_connection
+from app.settings import Settings
 from app.web.access import Worker
 from app.web.services import service_of
 from bus.contract import AppMessage, MalformedMessageError, encode
@@ -73,15 +74,26 @@ class WorkerSocket:
                 await self._websocket.close(POLICY_VIOLATION, short)
 
 
+def _check_certificate(websocket: WebSocket) -> None:
+    """Raises Problem 403 without the certificate that ``client_ca`` demands of a worker elsewhere."""
+    tls = service_of(websocket, Settings).server.tls
+    is_demanded = tls is not None and tls.client_ca is not None
+    if is_demanded and not client_connection(websocket.scope).is_certified():
+        raise Problem(403, "forbidden", Message("worker_certificate_missing"))
+
+
 @router.websocket("/feed")
 async def feed(websocket: WebSocket, worker: Worker) -> None:
-    """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus."""
+    """Serve one worker from its hello to its end. Raises Problem 403 for a token without a bus,
+    and for a worker without the certificate that it needs."""
     if not worker.bus:
         raise Problem(
             403,
             "forbidden",
             Message.of("worker_token_without_bus", called=worker.name),
         )
+    if worker.via != "worker":
+        _check_certificate(websocket)
     await websocket.accept()
     address = websocket.client.host if websocket.client else ""
     credential = Credential(worker.name, worker.bus, address, own=worker.via == "worker")

@@ -12,7 +12,6 @@ import socket
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
-from ssl import SSLContext
 
 MAX_AT_ONCE = 8
 """To accept one takes the event loop a tenth of a millisecond; its request then waits for its turn."""
@@ -23,9 +22,7 @@ NO_ROOM_S = 0.1
 """How long nothing is accepted after the system had no room for a connection (accept(2): EMFILE, ENOMEM)."""
 
 
-async def accept_connections(
-    listening: socket.socket, make_protocol: Callable[[], asyncio.Protocol], tls: SSLContext | None = None
-) -> None:
+async def accept_connections(listening: socket.socket, make_protocol: Callable[[], asyncio.Protocol]) -> None:
     """Serve each connection with a new protocol, until canceled."""
     loop = asyncio.get_running_loop()
     listening.setblocking(False)
@@ -39,15 +36,13 @@ async def accept_connections(
             await asyncio.sleep(NO_ROOM_S)
             continue
         try:
-            await _begin(connection, make_protocol, tls)
+            await _begin(connection, make_protocol)
         finally:
             if not number % MAX_AT_ONCE:  # uvloop returns from sock_accept at once where a connection waits
                 await asyncio.sleep(0)
 
 
-async def _begin(
-    connection: socket.socket, make_protocol: Callable[[], asyncio.Protocol], tls: SSLContext | None
-) -> None:
+async def _begin(connection: socket.socket, make_protocol: Callable[[], asyncio.Protocol]) -> None:
     with suppress(OSError):
         connection.setblocking(False)
-        await asyncio.get_running_loop().connect_accepted_socket(make_protocol, connection, ssl=tls)
+        await asyncio.get_running_loop().connect_accepted_socket(make_protocol, connection)

@@ -15,6 +15,9 @@ class ClientConnection(Protocol):
     def identify(self, account: str) -> None:
         """Count it for this account from now on: it has shown a valid credential."""
 
+    def is_certified(self) -> bool:
+        """Whether it has shown a certificate of an authority that the server requests one of."""
+
     def trust(self) -> None:
         """Take large messages on a WebSocket from now on, and as many as the app reads."""
 
@@ -28,6 +31,9 @@ class NoClientConnection:
     """Where the server offers none: everything goes by ``send``, which is slower and has the same effect."""
 
     def identify(self, account: str) -> None: ...
+
+    def is_certified(self) -> bool:
+        return False
 
     def trust(self) -> None: ...
 

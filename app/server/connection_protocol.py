@@ -69,10 +69,21 @@ class ConnectionProtocol(asyncio.Protocol):
         self._backlog = Backlog()
         super().resume_writing()
 
+    # --- called by the TLS below ------------------------------------------------------------------------
+
+    def arrived(self, size: int, *, is_first: bool) -> None:
+        """Bytes have arrived that are received once they are decrypted. ``is_first``: none wait for that."""
+
+    def left_in_kernel(self) -> None:
+        """What arrives from now on is left in the kernel."""
+
     # --- as :class:`app.server.client_connection.ClientConnection` -------------------------------------
 
     def identify(self, account: str) -> None:
         self._open_connections.identify(self.connection, account)
+
+    def is_certified(self) -> bool:
+        return bool(self.transport.get_extra_info("peercert"))
 
     def trust(self) -> None:
         """Only a WebSocket has messages."""

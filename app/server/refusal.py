@@ -41,6 +41,11 @@ class Refusal:
 
 MALFORMED = Refusal(400, "malformed", "this is no HTTP request; nothing was done")
 TOO_SLOW = Refusal(408, "too_slow", "the request did not arrive in time; nothing was done")
+TLS_REQUIRED = Refusal(
+    400,
+    "tls_required",
+    "this port speaks https only: begin the address with https://; nothing was done",
+)
 NO_SUCH_EXPECTATION = Refusal(
     417, "no_such_expectation", "no expectation but 100-continue can be met; nothing was done"
 )

@@ -34,20 +34,29 @@ class StampingProtocol(HttpProtocol):
 
     def data_received(self, data: bytes) -> None:
         """The bytes may have waited for long too."""
+        if self.scheme != "https":
+            self.arrived(len(data), is_first=True)
+        super().data_received(data)
+        if self.flow.read_paused:
+            self._arrivals.paused()
+
+    def arrived(self, size: int, *, is_first: bool) -> None:
+        """Bytes were read from the socket."""
         # The clock first: whatever stops this process between the two makes the bytes older, never younger.
         now = self._watch.now()
         wait = tcp_wait(self._socket)
         arrived_at = self._arrivals.received(
             now,
-            len(data),
+            size,
             polled_after=self._watch.polled_after,
             waited_s=0.0 if wait is None else wait.received_s,
         )
-        if not self._unparsed:
+        if is_first and not self._unparsed:
             self._arrived_at = arrived_at
-        super().data_received(data)
-        if self.flow.read_paused:
-            self._arrivals.paused()
+
+    def left_in_kernel(self) -> None:
+        """The TLS below has more than it decrypts in a turn."""
+        self._arrivals.paused()
 
     def _hold_back(self) -> None:
         """What follows waits in the kernel."""

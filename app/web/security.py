@@ -15,13 +15,14 @@ from collections.abc import Collection
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
+from starlette.requests import Request
 from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from app.errors import Problem
 from app.server.addresses import canonical
 from app.web.arrival import SAFE_METHODS
-from app.web.problems import problem_json, refuse_socket
+from app.web.problems import problem_json, refuse_socket, respond
 from bus.messages import Message
 
 _DEFAULT_PORTS = {"http": 80, "https": 443, "ws": 80, "wss": 443}
@@ -46,8 +47,19 @@ def foreign_problem(scope: Scope) -> Problem | None:
     """The refusal of what a foreign page makes a browser send."""
     if not _is_foreign(scope):
         return None
-    origin = Headers(scope=scope).get("origin", "another site")
-    return Problem(403, "foreign_origin", Message.of("foreign_origin", origin=origin))
+    return Problem(403, "foreign_origin", _foreign_message(Headers(scope=scope)))
+
+
+def _foreign_message(headers: Headers) -> Message:
+    """Names the header that a proxy has to pass for its page to be ours."""
+    origin, host = headers.get("origin", "another site"), headers.get("host", "")
+    forwarded = headers.get("x-forwarded-host", "")
+    if "://" not in origin:
+        return Message.of("foreign_origin", origin=origin)
+    if forwarded != host and same_origin(origin, forwarded):
+        return Message.of("foreign_origin_untrusted", origin=origin, host=host)
+    header = "X-Forwarded-Host" if forwarded == host else "Host"
+    return Message.of("foreign_origin_header", origin=origin, header=header, host=host)
 
 
 def _is_foreign(scope: Scope) -> bool:
@@ -65,6 +77,8 @@ async def refuse(scope: Scope, receive: Receive, send: Send, problem: Problem) -
     """Refuse a request or a WebSocket handshake with a problem before anything else sees it."""
     if scope["type"] == "websocket":
         await refuse_socket(WebSocket(scope, receive, send), problem)
+    elif problem.code == "foreign_origin" and "text/html" in Headers(scope=scope).get("accept", ""):
+        await respond(Request(scope), problem)(scope, receive, send)  # a person sees it, behind a proxy
     else:
         await problem_json(problem)(scope, receive, send)
 

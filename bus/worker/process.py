@@ -7,6 +7,7 @@ import gc
 import os
 import signal
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import uvloop
 
@@ -15,11 +16,16 @@ from bus.worker.log import configure_log
 from bus.worker.parent import named_parent, tie_to
 from bus.worker.service import run_worker
 
+if TYPE_CHECKING:
+    from bus.worker.uplink_tls import UplinkTls
+
 PRIORITY = -10
 """The worker sleeps 97 % of the time; when a response is complete its next request is due at once."""
 
 
-def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> int:
+def run(
+    bus: BusSettings, app_url: str, token: str, *, child: bool = False, tls: UplinkTls | None = None
+) -> int:
     """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
     configure_log()
     if child:
@@ -31,13 +37,13 @@ def run(bus: BusSettings, app_url: str, token: str, *, child: bool = False) -> i
     gc.collect()
     gc.freeze()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(_until_stopped(bus, app_url, token))
+        runner.run(_until_stopped(bus, app_url, token, tls))
     return 0
 
 
-async def _until_stopped(bus: BusSettings, app_url: str, token: str) -> None:
+async def _until_stopped(bus: BusSettings, app_url: str, token: str, tls: UplinkTls | None) -> None:
     leave = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, leave.set)
-    await run_worker(bus, app_url, token, leave=leave)
+    await run_worker(bus, app_url, token, leave=leave, tls=tls)

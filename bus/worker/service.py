@@ -7,6 +7,7 @@ import uuid
 from collections import OrderedDict
 from collections.abc import Callable
 from importlib.metadata import version
+from typing import TYPE_CHECKING
 
 import msgspec
 import structlog
@@ -37,7 +38,10 @@ from bus.messages import Message, in_english
 from bus.settings import BusSettings
 from bus.worker.outbox import Outbox
 from bus.worker.trace_reports import TraceReports
-from bus.worker.uplink import Uplink
+from bus.worker.uplink import Uplink, is_encrypted
+
+if TYPE_CHECKING:
+    from bus.worker.uplink_tls import UplinkTls
 
 RESULTS_KEPT = 2_000
 MAX_COMMANDS = 300
@@ -200,14 +204,24 @@ async def _wait_while(holds: Callable[[], bool], most_s: float) -> None:
 
 
 async def run_worker(
-    bus: BusSettings, app_url: str, token: str, *, leave: asyncio.Event | None = None
+    bus: BusSettings,
+    app_url: str,
+    token: str,
+    *,
+    leave: asyncio.Event | None = None,
+    tls: UplinkTls | None = None,
 ) -> None:
     """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (by default indefinitely).
+    ``tls``: the files of an address that begins with https; by default this machine's authorities.
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """
     worker = BusWorker(bus)
-    uplink = Uplink(app_url, token, worker.outbox, worker, worker.app_clock, worker._epoch)
+    if tls is None and is_encrypted(app_url):
+        from bus.worker.uplink_tls import UplinkTls
+
+        tls = UplinkTls()
+    uplink = Uplink(app_url, token, worker.outbox, worker, worker.app_clock, worker._epoch, tls)
     tasks = [asyncio.create_task(worker.run()), asyncio.create_task(uplink.run())]
     leaving = asyncio.create_task((leave or asyncio.Event()).wait())
     try:

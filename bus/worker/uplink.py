@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from contextlib import suppress
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 from urllib.parse import urlsplit, urlunsplit
 
 import msgspec
@@ -34,9 +34,13 @@ from bus.contract import (
     encode,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.errors import LinesideError
 from bus.instants import Clock, Monotonic
 from bus.reconnect_delay import ReconnectDelay
 from bus.worker.outbox import Outbox
+
+if TYPE_CHECKING:  # it imports what a link in clear does not need
+    from bus.worker.uplink_tls import UplinkTls
 
 SHORTEST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 2.0
@@ -88,7 +92,7 @@ class RefusedByAppError(Exception):
 
 
 class Uplink:
-    """``run`` until cancelled."""
+    """``run`` until cancelled. ``tls``: where the address begins with https."""
 
     def __init__(
         self,
@@ -98,7 +102,9 @@ class Uplink:
         handler: AppRequests,
         app_clock: ClockOffset,
         epoch: Clock,
+        tls: UplinkTls | None = None,
     ) -> None:
+        self._tls = tls
         self._url = feed_url(url)
         self._headers = {"Authorization": f"Bearer {token}"}
         self._outbox = outbox
@@ -138,13 +144,19 @@ class Uplink:
         except InvalidStatus as error:
             self._log_unreachable(f"{self._url}: {_about_status(error.response)}")
             return error.response.status_code in (401, 403)
+        except LinesideError as error:
+            self._log_unreachable(f"no link to {self._url}: {error}")
         except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
-            self._log_unreachable(f"no dashboard at {self._url}: {str(error) or type(error).__name__}")
+            fault = "" if self._tls is None else self._tls.fault(error)
+            why = fault or str(error) or type(error).__name__
+            self._log_unreachable(f"no dashboard at {self._url}: {why}")
         return False
 
     async def _connect_once(self) -> None:
         async with connect(
             self._url,
+            ssl=None if self._tls is None else self._tls.context(),
+            create_connection=None if self._tls is None else cast(Any, self._tls.connection),
             additional_headers=self._headers,
             compression=None,
             open_timeout=OPEN_TIMEOUT_S,
@@ -247,6 +259,11 @@ def feed_url(url: str) -> str:
     return urlunsplit((scheme, parts.netloc, path if path.endswith("/feed") else f"{path}/feed", "", ""))
 
 
+def is_encrypted(url: str) -> bool:
+    """Whether the feed at this address is opened by TLS."""
+    return feed_url(url).startswith("wss:")
+
+
 def _decoded(data: str | bytes) -> AppMessage:
     return decode_from_app(data.encode() if isinstance(data, str) else data)
 
@@ -256,7 +273,8 @@ def _about_status(response: Response) -> str:
     if status in (401, 403):
         why = _problem_detail(bytes(response.body or b"")) or "create one with 'lineside token create'"
         return f"the dashboard does not accept the token ({status}): {why}"
-    return f"the dashboard responds {status} instead of opening the feed: is the address right?"
+    why = _problem_detail(bytes(response.body or b"")) or "is the address right?"
+    return f"the dashboard responds {status} instead of opening the feed: {why}"
 
 
 def _problem_detail(body: bytes) -> str:

@@ -304,3 +304,34 @@ async def test_the_cookie_is_kept_from_scripts_and_other_sites(house: House) -> 
         assert "HttpOnly" in set_cookie
         assert "SameSite=lax" in set_cookie
         assert ("Secure" in set_cookie) is secure
+
+
+async def test_over_https_the_cookies_are_bound_to_the_host(house: House) -> None:
+    await house.add("ann", Role.VIEWER)
+    client = house.client()
+    client.base_url = f"https://{HOST}"
+    response = await client.post("/login", data={"name": "ann", "password": PASSWORD})
+    for cookie in response.headers.get_list("set-cookie"):
+        assert cookie.startswith("__Host-lineside_")
+        assert {"Secure", "Path=/"} <= set(cookie.split("; "))
+        assert "Domain" not in cookie
+    assert (await client.get("/api/v1/me")).status_code == 200
+    new = {"present": PASSWORD, "password": "a new long one", "again": "a new long one"}
+    assert (await client.post("/account/password", data=new)).status_code == 303
+    out = await client.post("/logout")
+    assert "Secure" in out.headers["set-cookie"]
+    assert (await client.get("/api/v1/me")).status_code == 401
+
+
+async def test_a_cookie_of_http_does_not_sign_in_over_https(house: House) -> None:
+    """A page in clear could plant one."""
+    client = await house.signed_in(Role.VIEWER, "ann")
+    session = client.cookies[COOKIE]
+    for scheme, name, status in (
+        ("https", COOKIE, 401),
+        ("https", f"__Host-{COOKIE}", 200),
+        ("http", f"__Host-{COOKIE}", 401),
+    ):
+        other = house.client(cookie=f"{name}={session}")
+        other.base_url = f"{scheme}://{HOST}"
+        assert (await other.get("/api/v1/me")).status_code == status

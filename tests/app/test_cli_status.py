@@ -76,8 +76,8 @@ def play(monkeypatch: pytest.MonkeyPatch) -> Callable[[PlayedDashboard], None]:
     """Make a dashboard respond at the configured address, to the token ``secret``."""
 
     def play(played: PlayedDashboard) -> None:
-        monkeypatch.setattr(status, "is_serving", lambda url: url.startswith("http://127.0.0.1:"))
-        monkeypatch.setattr(status, "dashboard", lambda _url, token: {"secret": played}[token])
+        monkeypatch.setattr(status, "is_serving", lambda url, _own: url.startswith("http://127.0.0.1:"))
+        monkeypatch.setattr(status, "dashboard", lambda _url, token, _own: {"secret": played}[token])
 
     return play
 

@@ -74,6 +74,35 @@ async def test_a_foreign_page_cannot_sign_a_user_in(house: House) -> None:
     assert (response.status_code, response.json()["code"]) == (403, "foreign_origin")
 
 
+@pytest.mark.parametrize(
+    ("headers", "words"),
+    [
+        ({"origin": "https://line.plant"}, "the header Host names this server plant.example"),
+        ({"origin": f"http://{HOST}:81"}, "the header Host names this server plant.example"),
+        (
+            {"origin": "https://line.plant", "x-forwarded-host": "line.plant"},
+            "name the proxy&#39;s address in trusted_proxies",
+        ),
+        (
+            {"origin": "https://line.plant", "x-forwarded-host": HOST},
+            "the header X-Forwarded-Host names this server plant.example",
+        ),
+        ({"origin": "null"}, "the request came from a page of null"),
+        ({"sec-fetch-site": "cross-site"}, "the request came from a page of another site"),
+    ],
+)
+async def test_a_person_behind_a_proxy_gets_a_page_that_names_the_header(
+    house: House, headers: dict[str, str], words: str
+) -> None:
+    client = house.client(accept="text/html,*/*;q=0.8", **headers)
+    response = await client.post("/login", data={"name": "ann"})
+    assert response.status_code == 403
+    assert response.headers["content-type"] == "text/html; charset=utf-8"
+    assert words in response.text
+    german = await client.post("/login", data={}, headers={"accept-language": "de"})
+    assert "die Anfrage kam von einer Seite von" in german.text
+
+
 async def test_looking_is_free(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     assert (await client.get("/events", headers={"origin": "http://evil.example"})).status_code == 200

@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import signal
+import ssl
 import subprocess
 import sys
 import time
@@ -19,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
-from http.client import HTTPConnection, HTTPException
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import IO, Any
@@ -158,6 +159,8 @@ class Site:
     sessions: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
     installed: bool = False
+    certificate: ssl.SSLContext | None = None
+    """Trusts that of the server, where it serves HTTPS."""
     server: ForkedProcess | subprocess.Popen[bytes] | None = None
     log: IO[bytes] | None = None
 
@@ -231,7 +234,12 @@ class Site:
 
     def _responds(self) -> bool:
         # A light client: it polls fifty times a second while the server starts, and that is measured.
-        connection = HTTPConnection(self.url.rpartition("/")[2], timeout=START_S)
+        address, tls = self.url.rpartition("/")[2], self.certificate
+        connection = (
+            HTTPSConnection(address, timeout=START_S, context=tls)
+            if tls
+            else HTTPConnection(address, timeout=START_S)
+        )
         try:
             connection.request("GET", "/healthz")
             return connection.getresponse().status == 200
@@ -257,13 +265,20 @@ def site(
     more: dict[str, int] | None = None,
     environment: dict[str, str] | None = None,
     installed: bool = False,
+    certificate: Path | None = None,
 ) -> Iterator[Site]:
     """Run a site of ``units`` on the bus ``line``; ``toml`` is added to its file. ``more``: further buses,
     each by name with its number of units. ``turnaround_ms``: how long to wait for a response; the simulated
     units are a process, which a busy machine may delay. ``environment``: more variables of the server's
-    environment.
+    environment. ``certificate``: serve HTTPS with ``server.pem`` of this folder, which has its authority.
     """
-    made = Site(folder, start_line(folder, units, *line_options), f"http://127.0.0.1:{free_port()}", units)
+    scheme = "http" if certificate is None else "https"
+    url = f"{scheme}://127.0.0.1:{free_port()}"
+    made = Site(folder, start_line(folder, units, *line_options), url, units)
+    if certificate is not None:
+        made.certificate = ssl.create_default_context(cafile=certificate / "ca.pem")
+        files = {"certificate": certificate / "server.pem", "key": certificate / "server.key"}
+        toml += "[server.tls]\n" + "".join(f'{key} = "{file}"\n' for key, file in files.items())
     try:
         for name, count in (more or {}).items():
             made.more[name] = (start_line(folder, count, *line_options, name=name), count)

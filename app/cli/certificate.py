@@ -1,0 +1,86 @@
+"""``lineside certificate``: a site's own authority, and the certificates of its server and workers."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.authority import AUTHORITY_DAYS, DAYS, CertificateAuthority
+from app.cli.ending import report, wrong_option
+from app.cli.serve import LINESIDE_TOML, Config
+from app.settings import HostName, ServerSettings, Settings, host_name, load
+from bus.messages import Message
+
+FOLDER = "certificates"
+ELSEWHERE = ("192.0.2.1", "2001:db8::1")
+"""Addresses of documentation (RFC 5737, RFC 3849): the system names the address that it would send from."""
+EVERY_ADDRESS = ("0.0.0.0", "::", "[::]")
+
+certificate = typer.Typer(help="Create and renew certificates.", no_args_is_help=True)
+
+
+@certificate.callback()
+def _certificate() -> None:
+    """Create and renew certificates."""
+
+
+@certificate.command()
+def create(
+    config: Config = LINESIDE_TOML,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(help="A further name or address under which the dashboard is opened; may be repeated."),
+    ] = None,
+) -> None:
+    """Create an authority of the site, a certificate of the server and one of each bus worker, or renew them.
+
+    The authority is made once; a certificate of another authority is never overwritten.
+    """
+    settings = load(config)
+    names = server_names(settings.server, [_name(each) for each in name or ()])
+    folder = config.resolve().parent / FOLDER
+    authority = CertificateAuthority(folder, settings.site.name)
+    report(Message.of("authority_at", file=str(authority.certificate), years=AUTHORITY_DAYS // 365))
+    for made, key, kind, called in _certificates(settings, folder):
+        of_server = names if kind == "server" else ()
+        is_renewal = authority.issue(made, key, kind, called, of_server)
+        code = "certificate_renewed" if is_renewal else "certificate_created"
+        report(Message.of(code, file=str(made), names=", ".join(of_server) or called, days=DAYS))
+    if settings.server.tls is None:
+        report(Message.of("certificate_to_configure", folder=FOLDER))
+
+
+def _name(written: str) -> HostName:
+    try:
+        return host_name(written)
+    except ValueError as error:
+        raise wrong_option("--name", "setting_host_name") from error
+
+
+def server_names(server: ServerSettings, further: list[HostName]) -> list[str]:
+    """The names and addresses under which the dashboard may be opened, each once."""
+    host = [] if server.host in EVERY_ADDRESS else [server.host.strip("[]")]
+    found = [socket.gethostname(), socket.getfqdn(), *host, *server.allowed_hosts, *further, *own_addresses()]
+    return list(dict.fromkeys([*found, "localhost", "127.0.0.1", "::1"]))
+
+
+def own_addresses() -> Iterator[str]:
+    """The addresses from which this machine sends to others. Nothing is sent."""
+    for family, address in zip((socket.AF_INET, socket.AF_INET6), ELSEWHERE, strict=True):
+        with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((address, 9))
+            yield str(probe.getsockname()[0])
+
+
+def _certificates(settings: Settings, folder: Path) -> Iterator[tuple[Path, Path, str, str]]:
+    """Certificate, key, kind and name of each."""
+    tls = settings.server.tls
+    here = (folder / "server.pem", folder / "server.key") if tls is None else (tls.certificate, tls.key)
+    yield *here, "server", socket.gethostname()
+    for bus in settings.bus:
+        yield folder / f"worker-{bus.name}.pem", folder / f"worker-{bus.name}.key", "worker", bus.name

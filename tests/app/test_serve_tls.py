@@ -1,0 +1,186 @@
+"""``lineside serve`` with ``[server.tls]`` as a process: HTTPS, WSS, its own workers and those elsewhere."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from socket import create_connection
+from typing import Any
+
+import httpx
+import pytest
+from websockets.sync.client import connect
+
+from tests import fork_server
+from tests.app.served_tls import CONFIG, PATIENCE_S, Served, eventually, seen, served
+from tests.certificates import certificates, renew
+from tests.e2e.site import end, people
+from tests.free_port import free_port
+
+SOCKETS = 200
+
+
+def test_https_its_own_worker_and_a_hint_for_http(tmp_path: Path) -> None:
+    with served(tmp_path) as made:
+        with made.client() as client:
+            assert client.get("/healthz").json() == {"status": "ok"}
+            form = {"name": "viewer", "password": "wrong"}
+            assert client.post("/login", data=form, headers={"origin": made.url}).status_code == 401
+        eventually(lambda: "linked to the dashboard" in made.log(), "its own worker connects")
+        plain = httpx.get(f"http://localhost:{made.port}/", trust_env=False)
+        assert (plain.status_code, plain.json()["code"]) == (400, "tls_required")
+        status = fork_server.run("status", "--config", tmp_path / "lineside.toml")
+        assert f"serving at https://127.0.0.1:{made.port}" in status.stdout
+        own = own_port(made)
+        assert httpx.get(f"http://127.0.0.1:{own}/login", trust_env=False).status_code == 400
+        with pytest.raises(Exception, match="403"), connect(f"ws://127.0.0.1:{own}/live"):
+            pass
+
+
+def own_port(made: Served) -> int:
+    lines = (line for line in made.log().splitlines() if "linked to the dashboard" in line)
+    return int(json.loads(next(lines))["url"].split(":")[2].split("/")[0])
+
+
+def test_200_sockets_stay_while_the_certificate_is_renewed(tmp_path: Path) -> None:
+    with served(tmp_path) as made, ExitStack() as stack:
+        headers = {"Authorization": f"Bearer {made.tokens['viewer']}", "Origin": made.url}
+        address = f"wss://localhost:{made.port}/live?language=en"
+        context = made.context
+        sockets = [
+            stack.enter_context(connect(address, additional_headers=headers, ssl=context, compression=None))
+            for _ in range(SOCKETS)
+        ]
+        for socket in sockets:
+            socket.send("{}")
+            socket.recv(timeout=PATIENCE_S)
+        before = shown(made)
+        renew(tmp_path)
+        eventually(lambda: shown(made) != before, "the new certificate")
+        (tmp_path / "server.key").write_bytes((tmp_path / "worker.key").read_bytes())
+        fault = eventually(lambda: "is not that of the certificate" in users_page(made), "the fault")
+        assert fault
+        assert shown(made) != before
+        for socket in sockets:
+            assert socket.ping().wait(PATIENCE_S)
+        whats = [event["what"] for event in events(made)]
+    assert any(what.startswith("new certificate in use") for what in whats)
+    assert "the changed certificate is not used; the former one stays in use" in whats
+
+
+def shown(made: Served) -> str:
+    """The serial number of the certificate that a new client gets."""
+    with (
+        create_connection(("localhost", made.port)) as connection,
+        made.context.wrap_socket(connection, server_hostname="localhost") as tls,
+    ):
+        return str((tls.getpeercert() or {})["serialNumber"])
+
+
+def users_page(made: Served) -> str:
+    with made.client("admin") as client:
+        return client.get("/users").text
+
+
+def events(made: Served) -> list[dict[str, Any]]:
+    with made.client("viewer") as client:
+        found: list[dict[str, Any]] = client.get("/api/v1/events?limit=50").json()["events"]
+    return found
+
+
+@contextmanager
+def worker(made: Served, *options: str | Path, name: str = "") -> Iterator[Path]:
+    """A worker elsewhere; its log."""
+    token, log = made.folder / "token", made.folder / f"worker{len(options)}{name}.log"
+    config = made.folder / "lineside.toml"
+    if not token.exists():
+        words = ["token", "create", "cabinet", "--role", "worker", "--bus", "dry-end"]
+        token.write_text(fork_server.run(*words, "--config", config).stdout)
+        token.chmod(0o600)
+    words = ["worker", "--config", str(config), "--bus", "dry-end", "--app", made.url]
+    with log.open("wb") as file:
+        process = fork_server.start(*words, "--token-file", token, *options, stdout=file, stderr=file)
+    try:
+        yield log
+    finally:
+        end(process)
+
+
+def test_workers_elsewhere_must_show_a_certificate(tmp_path: Path) -> None:
+    with served(tmp_path, 'client_ca = "ca.pem"') as made:
+        ca = ("--ca", tmp_path / "ca.pem")
+        eventually(lambda: "linked to the dashboard" in made.log(), "its own worker connects, without one")
+        with worker(made, *ca) as log:
+            seen(log, "demands a certificate of every worker")
+        pair = ("--certificate", tmp_path / "worker.pem", "--key", tmp_path / "worker.key")
+        with worker(made, *ca, *pair) as log:
+            seen(log, "linked to the dashboard", "another worker has this bus")
+        foreign = tmp_path / "other"
+        pair = ("--certificate", foreign / "worker.pem", "--key", foreign / "worker.key")
+        with worker(made, *ca, *pair, name="foreign") as log:
+            seen(log, "has not signed it")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--certificate", "a.pem"), "--certificate and --key are given together"),
+        (("--ca", "none.pem"), "none.pem cannot be read: No such file or directory"),
+        (("--ca", "server.key"), "server.key holds no certificate"),
+        (("--certificate", "server.pem", "--key", "worker.key"), "is not that of the certificate"),
+    ],
+)
+def test_files_that_a_worker_cannot_use(tmp_path: Path, options: tuple[str, ...], words: str) -> None:
+    certificates(tmp_path)
+    (tmp_path / "lineside.toml").write_text(CONFIG.format(port=0, more=""))
+    ended = fork_server.run(
+        *("worker", "--bus", "dry-end", "--app", "https://localhost:1", "--token", "x" * 43),
+        *options,
+        cwd=tmp_path,
+    )
+    assert (ended.returncode, words in ended.stderr) == (2, True), ended.stderr
+
+
+def test_files_of_tls_for_a_link_in_clear(tmp_path: Path) -> None:
+    (tmp_path / "lineside.toml").write_text(CONFIG.format(port=0, more=""))
+    words = ("worker", "--bus", "dry-end", "--app", "http://localhost:1", "--token", "x" * 43, "--ca", "a")
+    ended = fork_server.run(*words, cwd=tmp_path)
+    assert (ended.returncode, "begin it with https://" in ended.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("certificate", "words"),
+    [("none", "cannot be read"), ("worker", "is not that of the certificate")],
+)
+def test_a_certificate_that_cannot_be_used_stops_the_start(
+    tmp_path: Path, certificate: str, words: str
+) -> None:
+    certificates(tmp_path)
+    config = tmp_path / "lineside.toml"
+    text = CONFIG.format(port=free_port(), more="").replace("server.pem", f"{certificate}.pem")
+    config.write_text(text)
+    for command in ("check", "serve"):
+        ended = fork_server.run(command, "--config", config)
+        assert ended.returncode != 0
+        assert words in ended.stderr
+
+
+def test_a_server_in_clear_for_other_machines_warns(tmp_path: Path) -> None:
+    config, port = tmp_path / "lineside.toml", free_port()
+    config.write_text(f'[server]\nhost = "0.0.0.0"\nport = {port}\n')
+    data, tokens = people()
+    shutil.copytree(data, tmp_path / "data")
+    log = tmp_path / "serve.log"
+    with log.open("wb") as file:
+        server = fork_server.start("serve", "--config", config, stdout=file, stderr=file)
+    try:
+        eventually(lambda: "Lineside: http://" in log.read_text(), "it serves")
+        assert "cross the network in clear" in log.read_text()
+        headers = {"Authorization": f"Bearer {tokens['admin']}"}
+        page = httpx.get(f"http://127.0.0.1:{port}/users", headers=headers, trust_env=False)
+        assert "cross the network in clear" in page.text
+    finally:
+        end(server)

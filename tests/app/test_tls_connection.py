@@ -1,0 +1,355 @@
+"""The TLS of a connection, on real sockets: what it carries, what it bounds, how it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import ssl
+import weakref
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import pytest
+from websockets.asyncio.client import connect
+
+from app.server.connections import MAX_OF_ADDRESS
+from app.server.pace import WITHIN_S, Awaited
+from app.server.tls_connection import HEADER_BYTES, MAX_PASSED_OVER_BYTES, MAX_RECORDS_A_TURN
+from tests.app.tls_site import GET, PATIENCE_S, Ends, TlsSite, tls_site
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[TlsSite]:
+    async with tls_site(tmp_path) as site:
+        yield site
+
+
+async def until(holds: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while not holds():  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+async def all_of(reader: asyncio.StreamReader) -> bytes:
+    return await asyncio.wait_for(reader.read(), PATIENCE_S)
+
+
+async def response(ends: Ends, request: bytes = GET, ending: bytes = b"hello") -> bytes:
+    reader, writer = ends
+    writer.write(request)
+    return await asyncio.wait_for(reader.readuntil(ending), PATIENCE_S)
+
+
+class ByHand:
+    """A client whose records the test sends."""
+
+    def __init__(self, site: TlsSite, ends: Ends) -> None:
+        self.reader, self.writer = ends
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self.tls = site.client().wrap_bio(self._incoming, self._outgoing, server_hostname="localhost")
+
+    def hello(self) -> bytes:
+        with pytest.raises(ssl.SSLWantReadError):
+            self.tls.do_handshake()
+        return self._outgoing.read()
+
+    async def finish(self) -> bytes:
+        """Read the server's part; return the client's last."""
+        while True:
+            self._incoming.write(await asyncio.wait_for(self.reader.read(65536), PATIENCE_S))
+            try:
+                self.tls.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+            return self._outgoing.read()
+
+    def records(self, *parts: bytes) -> bytes:
+        for part in parts:
+            self.tls.write(part)
+        return self._outgoing.read()
+
+    async def text(self, ending: bytes) -> bytes:
+        found = b""
+        while not found.endswith(ending):
+            try:
+                found += self.tls.read(65536)
+            except ssl.SSLWantReadError:
+                self._incoming.write(await asyncio.wait_for(self.reader.read(65536), PATIENCE_S))
+        return found
+
+
+async def by_hand(site: TlsSite) -> ByHand:
+    """A client after its handshake."""
+    client = ByHand(site, await site.plain())
+    client.writer.write(client.hello())
+    client.writer.write(await client.finish())
+    return client
+
+
+async def test_a_request_is_of_https_and_its_client_is_known(site: TlsSite) -> None:
+    ends = await site.connect()
+    assert (await response(ends)).endswith(b"hello")
+    assert (await response(ends)).endswith(b"hello")
+    first, second = site.scopes
+    assert (first["scheme"], first["client"][0], first["certified"]) == ("https", "127.0.0.1", False)
+    assert first["client"] == second["client"]
+    assert ends[1].get_extra_info("ssl_object").selected_alpn_protocol() == "http/1.1"
+
+
+async def test_large_bodies_pass_both_ways(site: TlsSite) -> None:
+    site.response = bytes(1_000_000) + b"end"
+    body = b"x" * 300_000
+    head = b"POST / HTTP/1.1\r\nHost: here\r\nContent-Length: %d\r\n\r\n" % len(body)
+    got = await response(await site.connect(limit=2_000_000), head + body, b"end")
+    assert got.endswith(site.response)
+    assert site.bodies == [body]
+
+
+async def test_a_websocket_by_tls(site: TlsSite) -> None:
+    async with connect(f"wss://localhost:{site.port}/live", ssl=site.client(), proxy=None) as socket:
+        for text in ("a", "b" * 7000):
+            await socket.send(text)
+            assert await socket.recv() == text
+    assert site.scopes[0]["scheme"] == "wss"
+
+
+@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
+async def test_both_versions_are_spoken(site: TlsSite, version: ssl.TLSVersion) -> None:
+    context = site.client()
+    context.minimum_version = context.maximum_version = version
+    assert await response(await site.connect(context))
+
+
+@pytest.mark.filterwarnings("ignore:ssl.TLSVersion")
+async def test_an_older_version_is_refused(site: TlsSite) -> None:
+    context = site.client()
+    context.set_ciphers("DEFAULT@SECLEVEL=0")
+    context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
+    with pytest.raises((ssl.SSLError, ConnectionError)):
+        await site.connect(context)
+
+
+async def test_every_byte_may_come_alone(site: TlsSite) -> None:
+    client = ByHand(site, await site.plain())
+    for byte in client.hello():
+        client.writer.write(bytes([byte]))
+        await asyncio.sleep(0)
+    last = await client.finish()
+    for byte in last + client.records(*(bytes([each]) for each in GET)):
+        client.writer.write(bytes([byte]))
+        await asyncio.sleep(0)
+    assert (await client.text(b"hello")).startswith(b"HTTP/1.1 200")
+
+
+async def test_records_of_a_byte_are_decrypted_few_in_each_iteration(site: TlsSite) -> None:
+    client = await by_hand(site)
+    await until(lambda: site.connections[0]._is_established)
+    taken: list[int] = []
+    take = site.connections[0]._take_records
+    decrypted = 0
+
+    def counting(data: bytes) -> None:
+        nonlocal decrypted
+        decrypted += 1
+        received(data)
+
+    def noting() -> None:
+        before = decrypted
+        take()
+        taken.append(decrypted - before)
+
+    received = site.protocols[0].data_received
+    site.protocols[0].data_received = counting  # type: ignore[method-assign]
+    site.connections[0]._take_records = noting  # type: ignore[method-assign]
+    client.writer.write(client.records(*(bytes([each]) for each in GET * 10)))
+    await until(lambda: len(site.scopes) == 10)
+    assert max(taken) <= MAX_RECORDS_A_TURN
+    assert len(taken) > 30
+
+
+async def test_a_handshake_takes_its_turn(site: TlsSite) -> None:
+    client = ByHand(site, await site.plain())
+    await until(lambda: site.connections)
+    site.turns.run("another", bool)
+    site.connections[0].data_received(client.hello())
+    assert not site.connections[0]._has_begun
+    client.writer.write(await client.finish())
+
+
+async def test_what_waits_for_its_turn_leaves_the_rest_in_the_kernel(site: TlsSite) -> None:
+    client = await by_hand(site)
+    await until(lambda: site.connections[0]._is_established)
+    connection = site.connections[0]
+    site.protocols[0].data_received = bool  # type: ignore[assignment]
+    site.turns.run("another", bool)
+    connection.data_received(client.records(*[b"x"] * (MAX_RECORDS_A_TURN + 1)))
+    assert connection._awaits_turn
+    assert not connection.is_reading()
+    connection.data_received(client.records(b"y"))
+    await until(connection.is_reading)
+    assert not connection._received
+
+
+async def test_a_request_has_the_time_at_which_its_first_byte_arrived(site: TlsSite) -> None:
+    client = await by_hand(site)
+    request = client.records(GET)
+    client.writer.write(request[: HEADER_BYTES + 3])
+    await until(lambda: site.connections and site.connections[0]._received)
+    arrived = site.protocols[0]._arrived_at
+    await asyncio.sleep(0.05)
+    client.writer.write(request[HEADER_BYTES + 3 :])
+    await client.text(b"hello")
+    assert site.arrivals == [arrived]
+    client.writer.write(client.records(GET))
+    await client.text(b"hello")
+    assert site.arrivals[1] > arrived
+
+
+async def test_a_handshake_without_an_end_has_the_time_of_a_first_request(site: TlsSite) -> None:
+    idle, begun = await site.plain(), ByHand(site, await site.plain())
+    begun.writer.write(begun.hello())
+    await until(lambda: len(site.connections) == 2)
+    site.pass_s(WITHIN_S[Awaited.FIRST] - 1)
+    assert not any(each.is_closing() for each in site.connections)
+    site.pass_s(WITHIN_S[Awaited.FIRST] + 1)
+    assert await all_of(idle[0]) == b""
+    await until(lambda: all(each.is_closing() for each in site.connections))
+
+
+async def test_unfinished_handshakes_displace_one_another(site: TlsSite) -> None:
+    served, known = await site.connect(), GET.replace(b"/", b"/known", 1)
+    assert await response(served, known)
+    ends = [await site.plain() for _ in range(MAX_OF_ADDRESS + 5)]
+    await until(lambda: sum(each._protocol is None for each in site.connections) >= 5)
+    assert await response(served, known)
+    for _, writer in ends:
+        writer.close()
+
+
+async def test_plain_http_gets_a_hint(site: TlsSite) -> None:
+    reader, writer = await site.plain()
+    writer.write(GET)
+    got = await all_of(reader)
+    assert got.startswith(b"HTTP/1.1 400")
+    assert b"begin the address with https://" in got
+    assert site.scopes == []
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"\x80\x2e\x01\x00\x02",
+        b"\x00" * 40,
+        b"\x16\x03\x01\xff\xff" + b"x" * 100,
+        b"\x16\x03\x01\x00\x05abcde",
+        b"\x16\x03\x01\x00\x00",
+    ],
+)
+async def test_garbage_is_no_handshake(site: TlsSite, garbage: bytes) -> None:
+    reader, writer = await site.plain()
+    writer.write(garbage)
+    if len(garbage) > HEADER_BYTES:
+        got = await all_of(reader)
+        assert got == b"" or got[0] == 21  # an alert
+    writer.close()
+    assert await response(await site.connect())
+
+
+async def test_garbage_after_the_handshake_ends_the_connection(site: TlsSite) -> None:
+    client = await by_hand(site)
+    client.writer.write(b"\x17\x03\x03\x00\x20" + b"x" * 32)
+    await asyncio.wait_for(client.reader.read(), PATIENCE_S)
+    await until(lambda: site.connections[0]._protocol is None)
+    assert site.scopes == []
+
+
+async def test_what_follows_the_end_is_passed_over_and_bounded(site: TlsSite) -> None:
+    _, writer = await site.plain()
+    writer.write(GET)
+    await until(lambda: site.connections and site.connections[0]._is_over)
+    site.connections[0].data_received(b"x" * MAX_PASSED_OVER_BYTES)
+    assert not site.connections[0].is_closing()
+    site.connections[0].data_received(b"x")
+    assert site.connections[0].is_closing()
+    writer.close()
+
+
+async def test_a_client_cannot_renegotiate(site: TlsSite) -> None:
+    context = site.client()
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    await site.connect(context)
+    assert site.certificate.context_for(b"").options & ssl.OP_NO_RENEGOTIATION
+
+
+async def test_the_end_is_announced_and_the_socket_closes(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    writer.write(b"GET / HTTP/1.1\r\nHost: here\r\nConnection: close\r\n\r\n")
+    assert (await all_of(reader)).endswith(b"hello")
+    await until(lambda: site.connections[0]._protocol is None)
+
+
+async def test_the_clients_end_closes_the_connection(site: TlsSite) -> None:
+    _, writer = await site.connect()
+    writer.close()
+    await until(lambda: site.connections and site.connections[0]._protocol is None)
+
+
+async def test_a_refusal_reaches_a_client_that_goes_on_sending(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    writer.write(b"GET / HTTP/1.1\r\nX: " + b"x" * 40_000)
+    got = b""
+    while b"\r\n\r\n" not in got:
+        got += await asyncio.wait_for(reader.read(1000), PATIENCE_S)
+    assert got.startswith(b"HTTP/1.1 431")
+    writer.close()
+
+
+async def test_nothing_is_written_before_the_handshake_or_after_the_end(site: TlsSite) -> None:
+    await site.plain()
+    await until(lambda: site.connections and site.protocols[0].transport is not None)
+    connection = site.connections[0]
+    connection.write(b"x")
+    assert connection.get_write_buffer_size() == 0
+    assert connection.get_extra_info("peercert") is None
+    connection.close()
+    connection.write(b"x")
+    connection.close()
+
+
+async def test_a_connection_that_has_ended_is_freed_at_once(site: TlsSite) -> None:
+    reader, writer = await site.connect()
+    assert await response((reader, writer))
+    left = [weakref.ref(site.connections.pop()), weakref.ref(site.protocols.pop())]
+    gc.disable()
+    try:
+        writer.close()
+        await until(lambda: not any(each() for each in left))
+    finally:
+        gc.enable()
+
+
+async def test_a_paused_protocol_gets_nothing_until_it_resumes(site: TlsSite) -> None:
+    client = await by_hand(site)
+    await until(lambda: site.connections[0]._is_established)
+    connection = site.connections[0]
+    connection.pause_reading()
+    assert not connection.is_reading()
+    connection.data_received(client.records(GET))
+    await asyncio.sleep(0)
+    assert site.scopes == []
+    connection.resume_reading()
+    assert await client.text(b"hello")
+
+
+async def test_the_transport_offers_what_a_plain_one_does(site: TlsSite) -> None:
+    await site.connect()
+    await until(lambda: site.connections[0]._is_established)
+    connection = site.connections[0]
+    connection.set_write_buffer_limits(high=1000)
+    assert connection.get_write_buffer_limits()[1] == 1000
+    assert connection.get_protocol() is site.protocols[0]
+    assert connection.can_write_eof()
+    connection.pause_writing()
+    assert site.protocols[0].flow.write_paused
+    connection.resume_writing()
+    assert not site.protocols[0].flow.write_paused
