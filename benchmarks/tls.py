@@ -19,7 +19,7 @@ from tests.e2e.site import site
 BROWSERS = 200
 UNITS = 8
 MEASURED_S = 12.0
-ROUNDS = 3
+REPEATS = 3
 """The least CPU of several: a machine that is busy with other work only adds to it."""
 
 
@@ -47,7 +47,7 @@ def _used(made: Path | None) -> tuple[float, float]:
         assert served.server is not None
         server, *_ = family(served.server.pid)
         shares = []
-        for _ in range(ROUNDS):
+        for _ in range(REPEATS):
             ramp(served)
             begun, used = time.monotonic(), cpu_seconds(server)
             time.sleep(MEASURED_S)

@@ -1,5 +1,5 @@
-"""Attacks on the port of HTTPS: who shakes hands without an end, sends garbage or renegotiates costs itself
-alone, and others are served meanwhile."""
+"""Attacks on the port of HTTPS: handshakes without an end, garbage and renegotiation cost their sender alone,
+and others are served meanwhile."""
 
 from __future__ import annotations
 
