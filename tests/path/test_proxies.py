@@ -28,6 +28,7 @@ UNPACKED = ROOT / ".venv" / "proxies"
 """Where ``make development`` puts the programs of Debian's packages."""
 NGINX = """\
 daemon off;
+master_process off;
 pid {folder}/nginx.pid;
 error_log stderr;
 events {{}}
