@@ -3,6 +3,7 @@ streams pass, and a proxy that does not pass the host name gets a page that name
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 import ssl
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from websockets.sync.client import connect
+from websockets.asyncio.client import connect
 
 from tests import fork_server
 from tests.app.served_tls import PATIENCE_S, eventually
@@ -156,11 +157,19 @@ def test_pages_sockets_and_streams_pass(behind: Proxied, name: str) -> None:
         assert event["who"] == "admin"
         with client.stream("GET", "/api/v1/stream") as stream:
             assert next(stream.iter_lines())
-        headers = {"Authorization": f"Bearer {behind.token}", "Origin": behind.url}
-        address = f"wss://localhost:{behind.public}/live?language=en"
-        with connect(address, additional_headers=headers, ssl=behind.context, proxy=None) as socket:
-            socket.send("{}")
-            assert socket.recv(timeout=PATIENCE_S)
+        assert asyncio.run(first_of_live(behind))
+
+
+async def first_of_live(behind: Proxied) -> str | bytes:
+    """What a page is sent first."""
+    headers = {"Authorization": f"Bearer {behind.token}", "Origin": behind.url}
+    address = f"wss://localhost:{behind.public}/live?language=en"
+    async with (
+        connect(address, additional_headers=headers, ssl=behind.context, proxy=None) as socket,
+        asyncio.timeout(PATIENCE_S),
+    ):
+        await socket.send("{}")
+        return await socket.recv()
 
 
 @pytest.mark.parametrize("wrong", ["$host", "plant"])
