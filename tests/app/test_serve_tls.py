@@ -62,8 +62,8 @@ async def test_200_sockets_stay_while_the_certificate_is_renewed(tmp_path: Path)
 
 @asynccontextmanager
 async def live_socket(made: Served) -> AsyncIterator[ClientConnection]:
-    """A page's socket that takes what it is sent. Its client is that of asyncio: a TLS socket that two threads
-    use may lose what one of them sends (CPython before 3.13)."""
+    """A page's socket that takes what it is sent. Its client is that of asyncio: a TLS socket that two
+    threads use may lose what one of them sends (CPython before 3.13)."""
     headers = {"Authorization": f"Bearer {made.tokens['viewer']}", "Origin": made.url}
     address = f"wss://localhost:{made.port}/live?language=en"
     options: dict[str, Any] = {"ping_interval": None, "max_queue": None, "open_timeout": PATIENCE_S}
