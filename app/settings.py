@@ -22,6 +22,7 @@ from pydantic_core import PydanticCustomError
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.audit.settings import Audit
 from app.auth.settings import Sessions
+from app.database.settings import StoreSettings
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
 from app.messages.languages import catalogs
@@ -151,6 +152,7 @@ class Settings(StrictModel):
 
     site: Site = Site()
     server: ServerSettings = ServerSettings()
+    store: StoreSettings = StoreSettings()
     history: HistorySettings = HistorySettings()
     audit: Audit = Audit()
     bus: tuple[BusSettings, ...] = ()
@@ -218,6 +220,7 @@ def load(path: Path) -> Settings:
     tls = settings.server.tls and settings.server.tls.in_folder(folder)
     absolute = {
         "server": settings.server.model_copy(update={"data": data, "tls": tls}),
+        "store": settings.store.in_folder(folder),
         "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
         "notify": settings.notify.in_folder(folder),
     }

@@ -17,7 +17,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from app.database.connection import Database
+from app.database import Database, SqliteDatabase
 from app.history.intake.recorder import Recorder, compact
 from app.history.intake.tail import Tail
 from app.history.intake.writer import MIGRATIONS
@@ -123,7 +123,7 @@ def _insert(connection: sqlite3.Connection, batch: list[Reading]) -> None:
 
 
 def _recorder(path: Path) -> Recorder:
-    return Recorder(Database(path, MIGRATIONS), Tail(), lambda _: None)
+    return Recorder(SqliteDatabase(path, MIGRATIONS), Tail(), lambda _: None)
 
 
 def _wire() -> str:
@@ -178,7 +178,7 @@ def _show_size(folder: Path) -> None:
 
 def _compact(path: Path) -> None:
     """As it is once every hour is over."""
-    database = Database(path, MIGRATIONS)
+    database = SqliteDatabase(path, MIGRATIONS)
     while (
         found := database.read_now(lambda c: tables.next_to_compact(c, micros(START) + 2 * DAY))
     ) is not None:
@@ -210,7 +210,7 @@ def _show_queries(folder: Path) -> None:
     count = build(folder / "large.db", "line", UNITS, end, 30, 365)
     took = time.perf_counter() - took
     size = (folder / "large.db").stat().st_size
-    database = Database(folder / "large.db", MIGRATIONS)
+    database = SqliteDatabase(folder / "large.db", MIGRATIONS)
     naive = _naive(folder / "naive.db")
     rows = []
     for name, days in (

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from app.audit.keys import open_keys
 from app.audit.store import head_of, prove
-from app.database.connection import Database
+from app.database import SqliteDatabase
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.writer import MIGRATIONS
@@ -75,7 +75,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
         keys = open_keys([data / KEY_FILE], data / "lineside.db", head_of(connection))
         intact = prove(connection, keys.ring, {}).broken is None
     tail = Tail()
-    database = Database(data / "history.db", MIGRATIONS)
+    database = SqliteDatabase(data / "history.db", MIGRATIONS)
     Recorder(database, tail, lambda _: None).replay()
     folded = database.read_now(
         lambda connection: connection.execute("SELECT max(until) FROM bits").fetchone()[0]

@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.database.connection import Database
+from app.database import SqliteDatabase
 from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
@@ -50,7 +50,7 @@ def hour(seed: int) -> list[Run]:
 def build(path: Path, bus: str, units: int, end: int, raw_days: int, days: int) -> int:
     """Write a store that ends at ``end`` (µs): readings of the last ``raw_days``, rollups of ``days``. Gives
     how many readings it holds."""
-    database = Database(path, MIGRATIONS, synchronous="NORMAL")
+    database = SqliteDatabase(path, MIGRATIONS, synchronous="NORMAL")
     patterns = [hour(seed) for seed in range(PATTERNS)]
     end -= end % HOUR
     database.write_now(lambda connection: _fill(connection, patterns, (bus, units), end, (raw_days, days)))

@@ -13,7 +13,7 @@ from pathlib import Path
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import head_of
-from app.database.connection import Database
+from app.database import SqliteDatabase
 from app.history.service import History
 from app.settings import ServerSettings, Settings
 from bus.contract import Reading
@@ -30,7 +30,7 @@ EVENTS_FROM_STEP = 5
 async def _live(folder: Path) -> None:
     history = History(Settings(server=ServerSettings(data=folder / "flood")))
     store = folder / "flood" / "lineside.db"
-    database = Database(store)
+    database = SqliteDatabase(store)
     keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(head_of))
     events = EventLog(database, keys=keys)
     history.start()

@@ -23,7 +23,8 @@ from jinja2 import Environment
 import app.auth.passwords
 import app.database.connection
 import app.messages.languages
-from app.database.migrating import MIGRATIONS, Migration, bring_up_to_date
+from app.database.migrating import bring_up_to_date
+from app.database.migration import MIGRATIONS, Migration
 from app.database.reserve import Reserve
 from app.web.assets import Assets
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from heapq import merge
 from itertools import islice
 
 from app.alarms.store import AlarmStore, RecordedAlarm
+from app.database import StoreConnection, StoreRow
 from bus.instants import UnixTime
 
 MAX_OCCURRENCES = 500
@@ -51,7 +51,7 @@ async def occurrences(
 
 
 def _found(
-    connection: sqlite3.Connection, alarms: list[str], start: UnixTime, end: UnixTime
+    connection: StoreConnection, alarms: list[str], start: UnixTime, end: UnixTime
 ) -> list[Occurrence]:
     last: int = connection.execute(_LAST, (end,)).fetchone()[0] or 0
     each_alarm = (_of_alarm(connection, alarm, last, start, end) for alarm in alarms)
@@ -60,7 +60,7 @@ def _found(
 
 
 def _of_alarm(
-    connection: sqlite3.Connection, alarm: str, last: int, start: UnixTime, end: UnixTime
+    connection: StoreConnection, alarm: str, last: int, start: UnixTime, end: UnixTime
 ) -> Iterator[Occurrence]:
     """From the newest back to the one at the start of the span."""
     until, is_first = None, True
@@ -77,7 +77,7 @@ def _of_alarm(
         is_first = False
 
 
-def _edges(connection: sqlite3.Connection, alarm: str, last: int) -> Iterator[sqlite3.Row]:
+def _edges(connection: StoreConnection, alarm: str, last: int) -> Iterator[StoreRow]:
     """Where occurrences begin and end, from an entry of the journal back. None is kept open between two."""
     before, limit = last + 1, _FEW
     while rows := connection.execute(_BACKWARD, (alarm, before, limit)).fetchall():
@@ -85,11 +85,11 @@ def _edges(connection: sqlite3.Connection, alarm: str, last: int) -> Iterator[sq
         before, limit = rows[-1]["id"], _MANY
 
 
-def _next_end(connection: sqlite3.Connection, alarm: str, last: int) -> UnixTime | None:
+def _next_end(connection: StoreConnection, alarm: str, last: int) -> UnixTime | None:
     row = connection.execute(_NEXT, (alarm, last)).fetchone()
     return None if row is None else row[0]
 
 
-def _occurrence(row: sqlite3.Row, end: UnixTime | None) -> Occurrence:
+def _occurrence(row: StoreRow, end: UnixTime | None) -> Occurrence:
     ends = None if end is None else max(row["at"], end)
     return Occurrence(start=row["at"], end=ends, **{name: row[name] for name in _COLUMNS})

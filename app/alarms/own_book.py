@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -24,7 +23,7 @@ from app.alarms.simulation.proposal import in_toml, proposed
 from app.alarms.transaction import ActTransaction
 from app.audit.act import Act
 from app.audit.log import EventLog
-from app.database import Database
+from app.database import Database, StoreConnection, StoreRow
 from app.errors import Problem, StoreError
 from app.settings import Settings
 from app.web.access import Person
@@ -102,7 +101,7 @@ class OwnAlarmBook:
                 own = OwnAlarm(settings, row["who"], row["changed_at"], row["request"], row["version"])
                 self.added[own.key] = own
 
-    def _leave_aside(self, row: sqlite3.Row, name: str, why: Message) -> None:
+    def _leave_aside(self, row: StoreRow, name: str, why: Message) -> None:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))
         self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
@@ -227,20 +226,23 @@ class OwnAlarmBook:
         return self._alarms.buses[settings.bus]
 
 
-def _stored(connection: sqlite3.Connection) -> list[sqlite3.Row]:
+def _stored(connection: StoreConnection) -> list[StoreRow]:
     query = "SELECT alarm, settings, who, changed_at, request, version FROM own_alarm ORDER BY alarm"
     return connection.execute(query).fetchall()
 
 
-def _replace(connection: sqlite3.Connection, key: str, own: OwnAlarm | None = None) -> None:
+def _replace(connection: StoreConnection, key: str, own: OwnAlarm | None = None) -> None:
     """Remove the row of ``key``, then add ``own``, which has its version afterwards; no version is used
     twice."""
     connection.execute("DELETE FROM own_alarm WHERE alarm = ?", (key,))
     if own is not None:
-        statement = "INSERT INTO own_alarm (alarm, settings, who, changed_at, request) VALUES (?, ?, ?, ?, ?)"
+        statement = (
+            "INSERT INTO own_alarm (alarm, settings, who, changed_at, request)"
+            " VALUES (?, ?, ?, ?, ?) RETURNING version"
+        )
         written = own.settings.model_dump_json(exclude_defaults=True)
         row = (own.key, written, own.who, own.at, own.request)
-        own.version = connection.execute(statement, row).lastrowid or 0
+        [(own.version,)] = connection.execute(statement, row)
 
 
 def in_words(settings: AlarmSettings) -> str:

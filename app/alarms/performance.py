@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from dataclasses import dataclass
 from typing import Annotated
@@ -22,6 +21,7 @@ from app.alarms.rules.performance import (
     figures,
 )
 from app.alarms.store import NamedAlarm
+from app.database import StoreConnection
 from app.web.shape import InstantObject
 from bus.instants import UnixTime
 
@@ -97,7 +97,7 @@ async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> AlarmPe
 
 
 def _measured(
-    connection: sqlite3.Connection,
+    connection: StoreConnection,
     start: UnixTime,
     end: UnixTime,
     present: list[ObservedSpan],

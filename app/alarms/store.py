@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
@@ -16,7 +15,7 @@ from app.alarms.rules.observed import ObservedSpan
 from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.audit.log import Also
 from app.conditions.priority import AlarmPriority
-from app.database import Database
+from app.database import Database, StoreConnection, StoreRow
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -133,7 +132,7 @@ class AlarmStore:
         statement = "INSERT OR REPLACE INTO alarm_observed (place, starts, ends) VALUES (?, ?, ?)"
         await self._database.write(lambda connection: connection.execute(statement, (place, *span)))
 
-    async def read_costly(self, work: Callable[[sqlite3.Connection], T]) -> T:
+    async def read_costly(self, work: Callable[[StoreConnection], T]) -> T:
         """A read of many transitions. Raises TooCostlyError after a bounded time."""
         return await self._database.read_costly(work)
 
@@ -156,7 +155,7 @@ def journal_writing(entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) ->
     journal = [_values_of(entry) for entry in entries]
     facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 
-    def write(connection: sqlite3.Connection) -> None:
+    def write(connection: StoreConnection) -> None:
         connection.executemany(_insert("INSERT INTO alarm_journal", _COLUMNS), journal)
         connection.executemany(_insert("INSERT OR REPLACE INTO alarm_facts", _FACTS), facts)
 
@@ -167,12 +166,12 @@ def _insert(into: str, columns: Sequence[str]) -> str:
     return f"{into} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
 
 
-def _load(connection: sqlite3.Connection, key: str | None = None) -> dict[str, StoredAlarm]:
+def _load(connection: StoreConnection, key: str | None = None) -> dict[str, StoredAlarm]:
     query = f"SELECT {', '.join(_FACTS)} FROM alarm_facts WHERE :key IS NULL OR alarm = :key"
     return {row["alarm"]: _stored(row) for row in connection.execute(query, {"key": key})}
 
 
-def _stored(row: sqlite3.Row) -> StoredAlarm:
+def _stored(row: StoreRow) -> StoredAlarm:
     values = {name: row[name] for name in _STORED_FACTS}
     facts = AlarmFacts(**values | {name: bool(values[name]) for name in _FLAGS})
     return StoredAlarm(facts, bool(row["first_out"]), row["hidden_by"], row["reason"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Iterable
 from functools import partial
 
@@ -14,6 +13,7 @@ from app.alarms.rules.changes import Changed
 from app.alarms.store import journal_writing
 from app.audit.kinds import EventKind
 from app.audit.log import Also, EventFields, EventLog
+from app.database import StoreConnection
 from app.errors import StoreError
 
 
@@ -47,7 +47,7 @@ class ActTransaction:
         taken = [(each, *each.take_unwritten()) for each in self._lists]
         parts = [*(journal_writing(entries, alarms) for _, entries, alarms in taken), *beside]
 
-        def write(connection: sqlite3.Connection) -> None:
+        def write(connection: StoreConnection) -> None:
             for part in parts:
                 part(connection)
 

@@ -56,7 +56,7 @@ def passing_keys() -> Keys:
     return Keys(KeyRing((secrets.token_bytes(KEY_BYTES),)))
 
 
-def open_keys(paths: Sequence[Path], store: Path, head: Head) -> Keys:
+def open_keys(paths: Sequence[Path], store: Path | None, head: Head) -> Keys:
     """The keys of the log in ``store``, whose newest entry is ``head``, from the first of the files that is
     there. Where none is, the first that can be made is made. Raises KeyFileError."""
     owners = owners_of(store)
@@ -72,9 +72,10 @@ def find_key_file(paths: Sequence[Path]) -> Path | None:
     return next((path for path in paths if os.path.lexists(path)), None)
 
 
-def owners_of(store: Path) -> frozenset[int]:
-    """The users to whom the key of a store may belong: ours, root, and the one whose store it is."""
-    return frozenset({os.geteuid(), 0, store.stat().st_uid})
+def owners_of(store: Path | None) -> frozenset[int]:
+    """The users to whom the key of a store may belong: ours, root, and the one whose file the store is."""
+    owner = os.geteuid() if store is None else store.stat().st_uid
+    return frozenset({os.geteuid(), 0, owner})
 
 
 def _made(paths: Sequence[Path], origin: KeyOrigin) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -12,8 +11,8 @@ from app.audit.log import EventLog
 from app.auth import acts, rules, store, strength
 from app.auth.passwords import hash_secret
 from app.auth.store import Token, User
-from app.database import Database
-from app.errors import Problem
+from app.database import Database, StoreConnection
+from app.errors import ConstraintError, Problem
 from app.web.access import AccountSubscriber, Person, Role, account_of, name_of
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
@@ -52,7 +51,7 @@ class Accounts:
         name, only_token = name_of(account)
         now = self._clock()
 
-        def find(connection: sqlite3.Connection) -> tuple[str, Role] | None:
+        def find(connection: StoreConnection) -> tuple[str, Role] | None:
             user = None if only_token else store.user(connection, name)
             if user is not None and not user[0].disabled:
                 return name, user[0].role
@@ -74,7 +73,7 @@ class Accounts:
     async def set_role(self, name: str, role: Role, *, by: Person) -> None:
         """Raises CallerError for an unknown user, for the last admin, and for a panel above operator."""
 
-        def change(connection: sqlite3.Connection) -> bool:
+        def change(connection: StoreConnection) -> bool:
             found = store.user(connection, name)
             if found is not None and found[0].panel:
                 rules.check_panel_role(role)
@@ -124,7 +123,7 @@ class Accounts:
             expires_at = rules.token_expiry(now, expires_days)
             token = Token(0, name, role, by.name or str(by.address), now, None, bus or None, expires_at)
 
-            def add(connection: sqlite3.Connection) -> None:
+            def add(connection: StoreConnection) -> None:
                 rules.check_distinct(name, (each.name for each in store.tokens(connection)))
                 store.add_token(connection, rules.secret_hash(secret), token)
 
@@ -160,16 +159,16 @@ class Accounts:
         rules.check_home(user.home)
         hashed = await hash_secret(secret)
 
-        def add(connection: sqlite3.Connection) -> None:
+        def add(connection: StoreConnection) -> None:
             rules.check_distinct(user.name, (each.name for each in store.users(connection)))
             store.add_user(connection, user, hashed)
 
         await self._write_new(add, Message.of("user_exists", name=user.name))
 
-    async def _write_new(self, add: Callable[[sqlite3.Connection], None], exists: Message) -> None:
+    async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
         try:
             await self._database.write(add)
-        except sqlite3.IntegrityError:
+        except ConstraintError:
             raise CallerError(exists) from None
 
     async def _set_password(self, name: str, password: str, keep: bytes = b"") -> None:
@@ -180,8 +179,8 @@ class Accounts:
         hashed = await hash_secret(password)
         await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
 
-    async def _change(self, name: str, change: Callable[[sqlite3.Connection], bool]) -> None:
-        def guarded(connection: sqlite3.Connection) -> None:
+    async def _change(self, name: str, change: Callable[[StoreConnection], bool]) -> None:
+        def guarded(connection: StoreConnection) -> None:
             before = store.admins_left(connection)
             if not change(connection):
                 raise CallerError(Message.of("no_such_user", name=name[:80]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hmac
-import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 from app.auth import rules, store
 from app.auth.signin import SignIn
 from app.auth.store import Token
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role, account_of
 from bus.instants import Clock, unix_now
@@ -80,7 +79,7 @@ class Identity:
             credential=token.credential,
         )
 
-    async def _note(self, work: Callable[[sqlite3.Connection], None]) -> None:
+    async def _note(self, work: Callable[[StoreConnection], None]) -> None:
         """Store when an account was last used. On a full disk the line can still be watched."""
         with suppress(StoreError):
             await self._database.write(work)

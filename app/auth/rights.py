@@ -7,7 +7,6 @@ after that, and its account may be disabled meanwhile, also by the command line 
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from collections.abc import Callable, Mapping
 from dataclasses import InitVar, dataclass, field
 
@@ -15,7 +14,7 @@ import structlog
 
 from app.auth import store
 from app.auth.lasting import Rechecks
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.web.access import AccountSubscriber, Person, Role, account_of
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
@@ -123,7 +122,7 @@ class Rights:
     def _why_withdrawn(self, person: Person) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))
 
-    def _read(self, connection: sqlite3.Connection) -> dict[str, Standing]:
+    def _read(self, connection: StoreConnection) -> dict[str, Standing]:
         now = self.clock()
         return {
             user.name: Standing(user.role, user.credential)

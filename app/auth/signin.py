@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
@@ -17,7 +16,7 @@ from app.auth.passwords import hash_secret, is_outdated, verify_secret
 from app.auth.settings import Sessions
 from app.auth.store import User
 from app.auth.throttle import Attempt, Throttle
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
@@ -182,7 +181,7 @@ class SignIn:
         one: hashes of an earlier version take longer, and the time must not reveal which names exist."""
         number = int(self._events.keys.ring.seal("decoy", name), 16)
 
-        def find(connection: sqlite3.Connection) -> tuple[User | None, str]:
+        def find(connection: StoreConnection) -> tuple[User | None, str]:
             hashes = store.secret_hashes(connection)
             decoy = hashes[number % len(hashes)] if hashes else ""
             return store.user(connection, name) or (None, decoy)
@@ -194,7 +193,7 @@ class SignIn:
         hash_, ends = rules.secret_hash(session), self.lifetime_of(user).ends_at(now, now)
         weak, places = self._is_weak(user, secret), (source_of(address), _browser(device))
 
-        def begin(connection: sqlite3.Connection) -> None:
+        def begin(connection: StoreConnection) -> None:
             store.begin_session(connection, hash_, user.name, now, ends, weak_secret=weak)
             store.note_places(connection, user.name, places, now)
 

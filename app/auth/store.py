@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from app.database import StoreConnection, StoreRow
 from app.web.access import Role
 from bus.instants import UnixTime
 
@@ -89,7 +89,7 @@ _USER = (
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
 
-def _user(row: sqlite3.Row) -> User:
+def _user(row: StoreRow) -> User:
     """The user in the columns `_USER`, the first of a row."""
     name, role, panel, home, language, disabled, created_at, seen_at, weak, serial = row[:10]
     return User(
@@ -97,43 +97,43 @@ def _user(row: sqlite3.Row) -> User:
     )
 
 
-def _token(row: sqlite3.Row) -> Token:
+def _token(row: StoreRow) -> Token:
     """The token in the columns `_TOKEN`."""
     number, name, role, *others = row
     return Token(number, name, Role(role), *others)
 
 
-def users(connection: sqlite3.Connection) -> list[User]:
+def users(connection: StoreConnection) -> list[User]:
     return [_user(row) for row in connection.execute(f"SELECT {_USER} FROM users u ORDER BY u.name")]
 
 
-def secret_hashes(connection: sqlite3.Connection) -> list[str]:
+def secret_hashes(connection: StoreConnection) -> list[str]:
     """The hashes of the passwords and PINs of all users, the oldest user first."""
     query = "SELECT secret_hash FROM users ORDER BY created_at, name"
     return [row["secret_hash"] for row in connection.execute(query)]
 
 
-def user(connection: sqlite3.Connection, name: str) -> tuple[User, str] | None:
+def user(connection: StoreConnection, name: str) -> tuple[User, str] | None:
     """A user with the hash of the password or PIN."""
     query = f"SELECT {_USER}, u.secret_hash FROM users u WHERE u.name = ?"
     row = connection.execute(query, (name,)).fetchone()
     return (_user(row), row["secret_hash"]) if row else None
 
 
-def add_user(connection: sqlite3.Connection, user: User, secret_hash: str) -> None:
-    """Raises sqlite3.IntegrityError for a name that is there."""
+def add_user(connection: StoreConnection, user: User, secret_hash: str) -> None:
+    """Raises ConstraintError for a name that is there."""
     connection.execute(
         "INSERT INTO users (name, role, secret_hash, panel, home, created_at) VALUES (?, ?, ?, ?, ?, ?)",
         (user.name, user.role, secret_hash, user.panel, user.home, user.created_at),
     )
 
 
-def set_role(connection: sqlite3.Connection, name: str, role: Role) -> bool:
+def set_role(connection: StoreConnection, name: str, role: Role) -> bool:
     """Store the role of a user. Whether there is such a user."""
     return connection.execute("UPDATE users SET role = ? WHERE name = ?", (role, name)).rowcount == 1
 
 
-def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
+def set_secret(connection: StoreConnection, name: str, secret_hash: str, keep: bytes = b"") -> bool:
     """A new password or PIN; every session of the user ends but that with the hash ``keep``. Whether there is
     such a user."""
     end_sessions_of(connection, name, keep)
@@ -143,37 +143,37 @@ def set_secret(connection: sqlite3.Connection, name: str, secret_hash: str, keep
     return connection.execute(change, (secret_hash, name)).rowcount == 1
 
 
-def replace_hash(connection: sqlite3.Connection, name: str, before: str, secret_hash: str) -> None:
+def replace_hash(connection: StoreConnection, name: str, before: str, secret_hash: str) -> None:
     """Store another hash of the same password or PIN, unless the user has got another one meanwhile."""
     change = "UPDATE users SET secret_hash = ? WHERE name = ? AND secret_hash = ?"
     connection.execute(change, (secret_hash, name, before))
 
 
-def set_disabled(connection: sqlite3.Connection, name: str, disabled: bool) -> bool:
+def set_disabled(connection: StoreConnection, name: str, disabled: bool) -> bool:
     """Refuse or admit a user again; sessions end. Whether there is such a user."""
     end_sessions_of(connection, name)
     change = "UPDATE users SET disabled = ? WHERE name = ?"
     return connection.execute(change, (disabled, name)).rowcount == 1
 
 
-def set_language(connection: sqlite3.Connection, name: str, language: str) -> None:
+def set_language(connection: StoreConnection, name: str, language: str) -> None:
     """The language that the user chose; empty: that of the browser."""
     connection.execute("UPDATE users SET language = ? WHERE name = ?", (language, name))
 
 
-def remove_user(connection: sqlite3.Connection, name: str) -> bool:
+def remove_user(connection: StoreConnection, name: str) -> bool:
     """Delete a user, whose events stay. Whether there was such a user."""
     return connection.execute("DELETE FROM users WHERE name = ?", (name,)).rowcount == 1
 
 
-def admins_left(connection: sqlite3.Connection) -> int:
+def admins_left(connection: StoreConnection) -> int:
     """How many admins can sign in."""
     query = "SELECT count(*) FROM users WHERE role = 'admin' AND NOT disabled"
     return int(connection.execute(query).fetchone()[0])
 
 
 def begin_session(
-    connection: sqlite3.Connection,
+    connection: StoreConnection,
     hash_: bytes,
     name: str,
     now: UnixTime,
@@ -188,7 +188,7 @@ def begin_session(
     connection.execute(change, (now, weak_secret, name))
 
 
-def are_places(connection: sqlite3.Connection, name: str, browser: str, network: str) -> tuple[bool, bool]:
+def are_places(connection: StoreConnection, name: str, browser: str, network: str) -> tuple[bool, bool]:
     """Whether this user has signed in in the browser, and whether anyone has from the network."""
     query = (
         "SELECT EXISTS (SELECT 1 FROM known_places WHERE name = ? AND place = ?), "
@@ -198,7 +198,7 @@ def are_places(connection: sqlite3.Connection, name: str, browser: str, network:
     return bool(is_own), bool(is_used)
 
 
-def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str], now: UnixTime) -> None:
+def note_places(connection: StoreConnection, name: str, places: Iterable[str], now: UnixTime) -> None:
     """A user has signed in from these; the newest of each user are kept."""
     note = "INSERT INTO known_places VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET seen_at = excluded.seen_at"
     connection.executemany(note, [(name, place, now) for place in places])
@@ -209,7 +209,7 @@ def note_places(connection: sqlite3.Connection, name: str, places: Iterable[str]
     connection.execute(forget, (name, MAX_PLACES))
 
 
-def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
+def session(connection: StoreConnection, hash_: bytes) -> Session | None:
     """The session of a cookie."""
     query = (
         f"SELECT {_USER}, s.created_at AS begun_at, s.used_at, s.expires_at "
@@ -221,34 +221,34 @@ def session(connection: sqlite3.Connection, hash_: bytes) -> Session | None:
     return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
 
 
-def prolong_session(connection: sqlite3.Connection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
+def prolong_session(connection: StoreConnection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
     change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
     connection.execute(change, (now, ends, hash_))
 
 
-def end_session(connection: sqlite3.Connection, hash_: bytes, name: str, now: UnixTime) -> bool:
+def end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:
     """Sign out. Whether it was the user's last session."""
     connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
     query = "SELECT 1 FROM sessions WHERE name = ? AND expires_at > ?"
     return connection.execute(query, (name, now)).fetchone() is None
 
 
-def end_sessions_of(connection: sqlite3.Connection, name: str, keep: bytes = b"") -> None:
+def end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:
     """Sign a user out everywhere but in the session with the hash ``keep``."""
     connection.execute("DELETE FROM sessions WHERE name = ? AND hash != ?", (name, keep))
 
 
-def tokens(connection: sqlite3.Connection) -> list[Token]:
+def tokens(connection: StoreConnection) -> list[Token]:
     return [_token(row) for row in connection.execute(f"SELECT {_TOKEN} FROM tokens ORDER BY name")]
 
 
-def token(connection: sqlite3.Connection, hash_: bytes) -> Token | None:
+def token(connection: StoreConnection, hash_: bytes) -> Token | None:
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None
 
 
-def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> None:
-    """Raises sqlite3.IntegrityError for a name that is there."""
+def add_token(connection: StoreConnection, hash_: bytes, token: Token) -> None:
+    """Raises ConstraintError for a name that is there."""
     connection.execute(
         "INSERT INTO tokens (hash, name, role, created_by, created_at, bus, expires_at) "
         "VALUES (?, ?, ?, ?, ?, ?, ?)",
@@ -256,10 +256,10 @@ def add_token(connection: sqlite3.Connection, hash_: bytes, token: Token) -> Non
     )
 
 
-def note_token_used(connection: sqlite3.Connection, number: int, now: UnixTime) -> None:
+def note_token_used(connection: StoreConnection, number: int, now: UnixTime) -> None:
     connection.execute("UPDATE tokens SET used_at = ? WHERE id = ?", (now, number))
 
 
-def revoke_token(connection: sqlite3.Connection, name: str) -> bool:
+def revoke_token(connection: StoreConnection, name: str) -> bool:
     """Delete a token. Whether there was such a token."""
     return connection.execute("DELETE FROM tokens WHERE name = ?", (name,)).rowcount == 1

@@ -7,11 +7,11 @@ it is unknown which tokens were revoked: all of them are; users are as they were
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import dataclass
 
 from app.auth import store
 from app.auth.store import User
+from app.database import StoreConnection
 from app.web.access import PEOPLE_ROLES, Role
 
 
@@ -44,8 +44,8 @@ class Present:
     users: dict[str, PresentUser]
 
 
-def read_present(connection: sqlite3.Connection) -> Present | None:
-    """From a store of any version; None from one without users. Raises sqlite3.Error for one that cannot be
+def read_present(connection: StoreConnection) -> Present | None:
+    """From a store of any version; None from one without users. Raises StoreError for one that cannot be
     read."""
     tokens = frozenset(hash_ for (hash_,) in connection.execute("SELECT hash FROM tokens"))
     rows = connection.execute("SELECT name, role, panel, disabled, secret_hash FROM users")
@@ -56,7 +56,7 @@ def read_present(connection: sqlite3.Connection) -> Present | None:
     return Present(tokens, users) if users else None
 
 
-def withhold(restored: sqlite3.Connection, present: Present | None) -> Withheld:
+def withhold(restored: StoreConnection, present: Present | None) -> Withheld:
     """Remove from the restored store the rights withdrawn since; ``present`` None: unknown which."""
     restored.execute("DELETE FROM sessions")
     tokens = _withhold_tokens(restored, frozenset() if present is None else present.tokens)
@@ -72,14 +72,14 @@ def withhold(restored: sqlite3.Connection, present: Present | None) -> Withheld:
     return Withheld(tokens, tuple(disabled), tuple(lowered), store.admins_left(restored))
 
 
-def _withhold_tokens(restored: sqlite3.Connection, known: frozenset[bytes]) -> tuple[str, ...]:
+def _withhold_tokens(restored: StoreConnection, known: frozenset[bytes]) -> tuple[str, ...]:
     rows = restored.execute("SELECT hash, name FROM tokens ORDER BY name").fetchall()
     gone = [(hash_, name) for hash_, name in rows if hash_ not in known]
     restored.executemany("DELETE FROM tokens WHERE hash = ?", [(hash_,) for hash_, _ in gone])
     return tuple(name for _, name in gone)
 
 
-def _take_over(restored: sqlite3.Connection, user: User, now: PresentUser) -> bool:
+def _take_over(restored: StoreConnection, user: User, now: PresentUser) -> bool:
     """The present password, and the lower role. Whether the role is lower than in the backup."""
     role = min(user.role, now.role, key=PEOPLE_ROLES.index)
     change = "UPDATE users SET role = ?, secret_hash = ? WHERE name = ?"

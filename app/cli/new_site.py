@@ -8,8 +8,8 @@ from contextlib import closing
 from app.audit.keys import find_key_file
 from app.cli.serve import check_store
 from app.cli.site_log import open_log, record
-from app.database import Database
 from app.database.copies import put_aside
+from app.database.opening import open_database
 from app.database.presence import presence_of
 from app.database.words import in_words
 from app.errors import StoreError
@@ -34,6 +34,6 @@ def begin_new_site(settings: Settings) -> None:
             # Two stores cannot share a key file: it states how far the log of its store was.
             stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
             key.rename(key.with_name(f"{key.name}.before-{stamp}"))
-    with closing(Database(store)) as database:
+    with closing(open_database(settings.store, store)) as database:
         what = Message.of("event_site_begun", store=Message(f"store_was_{presence}"))
         record(open_log(database, settings.key_files), "server", what)

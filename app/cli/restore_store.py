@@ -25,7 +25,7 @@ from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.site_log import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
-from app.database import Database
+from app.database import SqliteDatabase, StoreConnection
 from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
 from app.database.migrating import is_store
@@ -153,13 +153,13 @@ def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[
     where the key of its audit log is or may be made. Raises StoreError for one that cannot be used."""
     standing = _standing(present)
 
-    def bring_in(connection: sqlite3.Connection) -> Withheld:
+    def bring_in(connection: StoreConnection) -> Withheld:
         if standing is None:
             return withhold(connection, None)
         keep_in_force(connection, standing.protection)
         return withhold(connection, standing.rights)
 
-    with closing(Database(fresh)) as database:
+    with closing(SqliteDatabase(fresh)) as database:
         events = open_log(database, key_files)
         withheld = database.write_now(bring_in)
         replaced = None

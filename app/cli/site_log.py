@@ -14,6 +14,7 @@ from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.cli.serve import check_store
 from app.database import Database
+from app.database.opening import open_database
 from app.database.private import make_private
 from app.settings import Settings
 from app.web.access import Person, Role
@@ -38,7 +39,7 @@ def record(events: EventLog, kind: EventKind, what: Message, message: str | Mess
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
     """The event log of a store, with its keys. Raises KeyFileError."""
-    return EventLog(database, keys=open_keys(key_files, database.path, database.read_now(head_of)))
+    return EventLog(database, keys=open_keys(key_files, database.file, database.read_now(head_of)))
 
 
 @contextmanager
@@ -46,5 +47,5 @@ def site_log(settings: Settings) -> Iterator[tuple[Database, EventLog]]:
     """Open the main store of a site and its event log. Raises StoreError, KeyFileError."""
     check_store(settings)
     make_private(settings.server.data)
-    with closing(Database(settings.server.store, checkpoints=False)) as database:
+    with closing(open_database(settings.store, settings.server.store, checkpoints=False)) as database:
         yield database, open_log(database, settings.key_files)

@@ -1,7 +1,9 @@
-"""One SQLite store: one thread writes, others read, numbered SQL files bring it up to date."""
+"""A store: one thread writes, others read, numbered steps bring it up to date."""
 
 from __future__ import annotations
 
-from app.database.connection import Database, StoreConnection
+from app.database.connection import SqliteDatabase
+from app.database.database import Database
+from app.database.store_connection import StoreConnection, StoreRow
 
-__all__ = ["Database", "StoreConnection"]
+__all__ = ["Database", "SqliteDatabase", "StoreConnection", "StoreRow"]

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from app.database.connection import StoreConnection
+from app.database.connection import WritingConnection
+from app.database.store_connection import StoreConnection
+from bus.instants import UnixTime, unix_now
+
+MAX_NOTICE_BYTES = 7999
+"""What PostgreSQL takes as the text of one notification."""
 
 
 @contextmanager
 def snapshot(connection: StoreConnection) -> Iterator[None]:
     """Everything that is read within is of one instant of the store."""
-    connection.execute("BEGIN")
+    connection.execute("BEGIN" if is_local(connection) else "BEGIN ISOLATION LEVEL REPEATABLE READ")
     try:
         yield
     finally:
@@ -30,19 +36,62 @@ def upsert(table: str, key: Sequence[str], values: Sequence[str]) -> str:
     return f"INSERT INTO {table} {row} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {replaced}"
 
 
+def is_local(connection: StoreConnection) -> bool:
+    """Whether the store is a file of this machine, which one server has."""
+    return isinstance(connection, sqlite3.Connection)
+
+
+def clock(connection: StoreConnection) -> UnixTime:
+    """Unix time of the store, which all servers share."""
+    if is_local(connection):
+        return unix_now()
+    query = "SELECT CAST(extract(epoch FROM clock_timestamp()) AS double precision)"
+    return UnixTime(connection.execute(query).fetchone()[0])
+
+
+def lock(connection: StoreConnection, name: str) -> None:
+    """Let no other transaction of any server that locks this name go on before this one has ended. On SQLite
+    one transaction writes at a time."""
+    if not is_local(connection):
+        query = "SELECT pg_advisory_xact_lock(hashtextextended(current_schema() || '/' || ?, 0))"
+        connection.execute(query, (name,))
+
+
+def notify(connection: StoreConnection, channel: str, text: str) -> None:
+    """Pass a text to every listener of a channel, on all servers, once this transaction is committed.
+    ``text``: 1 to `MAX_NOTICE_BYTES` bytes."""
+    if isinstance(connection, WritingConnection):
+        connection.notices.append((channel, text))
+    else:
+        connection.execute("SELECT pg_notify(?, ?)", (channel, text))
+
+
 def has_column(connection: StoreConnection, table: str, column: str) -> bool:
     """Whether a store, which may be of any version, has this column."""
     query = "SELECT 1 FROM pragma_table_info(?) WHERE name = ?"
+    if not is_local(connection):
+        query = (
+            "SELECT 1 FROM information_schema.columns"
+            " WHERE table_schema = current_schema() AND table_name = ? AND column_name = ?"
+        )
     return connection.execute(query, (table, column)).fetchone() is not None
 
 
 def size_of(connection: StoreConnection) -> int:
     """The bytes that the store takes, without its log."""
     query = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
+    if not is_local(connection):
+        query = (
+            "SELECT CAST(coalesce(sum(pg_total_relation_size(oid)), 0) AS bigint) FROM pg_class"
+            " WHERE relkind = 'r' AND relnamespace = CAST(current_schema() AS regnamespace)"
+        )
     return int(connection.execute(query).fetchone()[0])
 
 
 def is_intact(connection: StoreConnection, table: str = "") -> bool:
-    """Check the pages of one table, or of all. Raises DamagedStoreError where not even that can be done."""
+    """Check the pages of one table, or of all. Raises DamagedStoreError where not even that can be done.
+    PostgreSQL checks its pages when it reads them."""
+    if not is_local(connection):
+        return True
     check = f"PRAGMA quick_check({table})" if table else "PRAGMA quick_check"
     return [row[0] for row in connection.execute(check)] == ["ok"]

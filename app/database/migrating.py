@@ -1,25 +1,18 @@
-"""Bringing a store up to date: numbered SQL files, forward only, a copy of the store first."""
+"""Bringing a store of SQLite up to date: numbered SQL files, forward only, a copy of the store first."""
 
 from __future__ import annotations
 
 import fcntl
-import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from app.database.copies import copy_of, remove_older_copies
+from app.database.migration import Migration, failed_step, missing_in
 from app.database.private import make_file, make_folder
-from app.errors import StoreError
 from bus.instants import unix_now
-from bus.messages import Message
 
-MIGRATIONS = Path(__file__).parent / "migrations"
-FIRST = 1
-"""The number of the step that creates a store."""
-_NAME = re.compile(r"^(\d{4})_([a-z0-9_]+)\.sql$")
 _LEDGER = """
 CREATE TABLE IF NOT EXISTS migrations (
     number INTEGER PRIMARY KEY,
@@ -27,21 +20,6 @@ CREATE TABLE IF NOT EXISTS migrations (
     applied_at REAL NOT NULL
 ) STRICT
 """
-
-
-@dataclass(frozen=True)
-class Migration:
-    """One step forward."""
-
-    number: int
-    name: str
-    sql: str
-
-
-def migrations_in(folder: Path) -> list[Migration]:
-    """Every ``NNNN_name.sql`` of a folder in order."""
-    found = ((path, _NAME.match(path.name)) for path in sorted(folder.glob("*.sql")))
-    return [Migration(int(name[1]), name[2], path.read_text("utf-8")) for path, name in found if name]
 
 
 @contextmanager
@@ -58,13 +36,8 @@ def alone(path: Path) -> Iterator[None]:
 def bring_up_to_date(connection: sqlite3.Connection, path: Path, folder: Path) -> list[Migration]:
     """Apply missing steps, each completely or not at all, and return them. ``connection`` is in
     autocommit. Raises StoreError for a store of a newer version and for a step that fails."""
-    known = migrations_in(folder)
     applied = _applied(connection)
-    newer = set(applied) - {migration.number for migration in known}
-    if newer:
-        step, called = f"{max(newer):04d}", applied[max(newer)]
-        raise StoreError(Message.of("store_of_newer_version", path=str(path), step=step, called=called))
-    missing = [migration for migration in known if migration.number not in applied]
+    missing = missing_in(applied, folder, str(path))
     if missing and applied:
         _copy(connection, path, missing[0])
     for migration in missing:
@@ -100,6 +73,4 @@ def _apply(connection: sqlite3.Connection, path: Path, step: Migration) -> None:
     except sqlite3.OperationalError as error:
         if connection.in_transaction:
             connection.rollback()
-        number, why = f"{step.number:04d}", str(error)
-        failed = Message.of("store_step_failed", path=str(path), step=number, called=step.name, error=why)
-        raise StoreError(failed) from error
+        raise failed_step(step, str(path), error) from error

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Callable, Coroutine
 from functools import wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from app.database.connection import Database
+from app.database.database import Database
+from app.database.store_connection import StoreConnection
 
 P = ParamSpec("P")
 T = TypeVar("T")
 TablesT = TypeVar("TablesT", bound="Tables")
-Query = Callable[Concatenate[TablesT, sqlite3.Connection, P], T]
+Query = Callable[Concatenate[TablesT, StoreConnection, P], T]
 QueryCall = Callable[Concatenate[TablesT, P], Coroutine[Any, Any, T]]
 
 

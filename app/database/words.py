@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from app.errors import DamagedStoreError, StoreError, TooCostlyError, system_error
+from app.errors import ConstraintError, DamagedStoreError, StoreError, TooCostlyError, system_error
 from bus.errors import CallerError
 from bus.messages import Message
 
@@ -28,13 +28,13 @@ _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 def in_words(path: Path) -> Iterator[None]:
     """Turn what SQLite or the file system raises into a StoreError that names the store.
 
-    A broken rule of a table (sqlite3.IntegrityError) passes through: it is the caller's to handle.
-    A number past 64 bits can only come from a request: CallerError.
+    A broken rule of a table is the caller's to handle: ConstraintError. A number past 64 bits can only come
+    from a request: CallerError.
     """
     try:
         yield
-    except sqlite3.IntegrityError:
-        raise
+    except sqlite3.IntegrityError as error:
+        raise ConstraintError(Message.of("store_rule_broken", path=str(path), error=str(error))) from error
     except OverflowError as error:
         raise CallerError(Message("number_too_large")) from error
     except sqlite3.Error as error:

@@ -22,7 +22,7 @@ from app.web.templating import Templates
 
 def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
-    pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb))
+    pictures = services.add(PictureStore(settings.server.data, settings.shift.pictures_mb, settings.store))
     services.lifespan.add("pictures", end=partial(asyncio.to_thread, pictures.close))
     handover = services.add(Handover(settings, database, events, pictures))
     templates, assets = services[Templates], services[Assets]

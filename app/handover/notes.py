@@ -49,7 +49,8 @@ class RepeatedNoteError(Exception):
 _COLUMNS = tuple(field.name for field in fields(Note) if field.name != "id")
 _ENTRY = ", ".join(field.name for field in fields(JournalEntry))
 _SELECT = f"SELECT {', '.join(_COLUMNS)}, id FROM shift_note"
-_INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
+_MARKS = ", ".join("?" * len(_COLUMNS))
+_INSERT = f"INSERT INTO shift_note ({', '.join(_COLUMNS)}) VALUES ({_MARKS}) RETURNING id"
 
 
 def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
@@ -79,9 +80,8 @@ def find_repeated(connection: StoreConnection, note: Note) -> Note | None:
 def add(connection: StoreConnection, note: Note, shift: Shift) -> int:
     """Store a note, and return its number. Raises as `check`."""
     check(connection, note, shift)
-    number = connection.execute(_INSERT, astuple(note)[:-1]).lastrowid
-    assert number is not None
-    return number
+    [(number,)] = connection.execute(_INSERT, astuple(note)[:-1])
+    return int(number)
 
 
 def check(connection: StoreConnection, note: Note, shift: Shift) -> None:

@@ -46,7 +46,7 @@ class History:
         self.buses = {bus.name: bus for bus in settings.bus}
         self.time_zone = settings.site.zone
         self._fault_subscribers: list[FaultSubscriber] = []
-        self._writer = Writer(self.path, settings.history, self._publish_fault)
+        self._writer = Writer(self.path, settings.history, self._publish_fault, store=settings.store)
 
     def on_fault(self, subscriber: FaultSubscriber) -> None:
         """Call ``subscriber`` when this machine's clock was stepped or something stored cannot be read."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import secrets
-import sqlite3
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 
 import msgspec
 
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.notification.notice import AlarmNotice, OutboxItem
 from app.notification.rules.delivery import FLOOD_WINDOW_S, DeliveryState, EndpointLoad, Retry
 from bus.instants import UnixTime
@@ -69,7 +68,7 @@ class NotificationOutbox:
         known = list(endpoints)
         marks = ", ".join("?" * len(known))
 
-        def write(connection: sqlite3.Connection) -> None:
+        def write(connection: StoreConnection) -> None:
             connection.execute(
                 "UPDATE notification_delivery SET state = 'retrying', due = ? WHERE state = 'sending'",
                 (float(now),),
@@ -90,7 +89,7 @@ class NotificationOutbox:
         """Delete messages that are older than three months."""
         before = float(now - MAX_AGE_S)
 
-        def write(connection: sqlite3.Connection) -> None:
+        def write(connection: StoreConnection) -> None:
             connection.execute("DELETE FROM notification_item WHERE created_at < ?", (before,))
             connection.execute(
                 "DELETE FROM notification_delivery WHERE created_at < ? "
@@ -103,7 +102,7 @@ class NotificationOutbox:
     async def load_of(self, endpoint: str, now: UnixTime, *, collects: bool) -> EndpointLoad:
         """Return what there is to send to one address, and what was sent lately."""
 
-        def read(connection: sqlite3.Connection) -> EndpointLoad:
+        def read(connection: StoreConnection) -> EndpointLoad:
             waiting = connection.execute(
                 "SELECT id, created_at, substr(key, 1, ?) = ? AS stood FROM notification_item "
                 "WHERE delivery IS NULL AND endpoint = ? ORDER BY stood, id LIMIT ?",
@@ -135,25 +134,25 @@ class NotificationOutbox:
         """Make a message of items. It is on disk as being sent before its first byte leaves."""
         at, message_id = float(now), secrets.token_hex(16)
 
-        def write(connection: sqlite3.Connection) -> NotificationDelivery:
-            cursor = connection.execute(
+        def write(connection: StoreConnection) -> NotificationDelivery:
+            [(id,)] = connection.execute(
                 "INSERT INTO notification_delivery "
                 "(endpoint, message_id, state, attempts, created_at, tried_at, due, result) "
-                "VALUES (?, ?, 'sending', 0, ?, ?, ?, '')",
+                "VALUES (?, ?, 'sending', 0, ?, ?, ?, '') RETURNING id",
                 (endpoint, message_id, at, at, at),
             )
             connection.executemany(
                 "UPDATE notification_item SET delivery = ? WHERE id = ? AND delivery IS NULL",
-                [(cursor.lastrowid, item) for item in items],
+                [(id, item) for item in items],
             )
-            return _select(connection, "id = ?", (cursor.lastrowid,), 1)[0]
+            return _select(connection, "id = ?", (id,), 1)[0]
 
         return await self._database.write(write)
 
     async def resume(self, id: int) -> NotificationDelivery:
         """Take up a delivery that is to be tried again, as being sent."""
 
-        def write(connection: sqlite3.Connection) -> NotificationDelivery:
+        def write(connection: StoreConnection) -> NotificationDelivery:
             connection.execute(
                 "UPDATE notification_delivery SET state = 'sending' WHERE id = ? AND state = 'retrying'",
                 (id,),
@@ -166,12 +165,12 @@ class NotificationOutbox:
         """Write the result of an attempt."""
         await self._database.write(self.conclusion(delivery))
 
-    def conclusion(self, delivery: NotificationDelivery) -> Callable[[sqlite3.Connection], None]:
+    def conclusion(self, delivery: NotificationDelivery) -> Callable[[StoreConnection], None]:
         """Return what writes the result of an attempt, as a part of another transaction."""
         result = "" if delivery.result is None else msgspec.json.encode(delivery.result).decode()
         times = float(delivery.tried_at), float(delivery.due)
 
-        def write(connection: sqlite3.Connection) -> None:
+        def write(connection: StoreConnection) -> None:
             connection.execute(
                 "UPDATE notification_delivery SET state = ?, attempts = ?, tried_at = ?, due = ?, result = ? "
                 "WHERE id = ? AND state = 'sending'",
@@ -207,7 +206,7 @@ class NotificationOutbox:
         return await self._database.read(lambda connection: _select(connection, where, values, limit))
 
 
-def put(connection: sqlite3.Connection, how: str, items: Iterable[OutboxItem]) -> None:
+def put(connection: StoreConnection, how: str, items: Iterable[OutboxItem]) -> None:
     """Put items into the outbox; ``how`` is `ADD`, `ADD_NEW` or `ADD_TO_NOTIFIED`."""
     connection.executemany(how, map(_row, items))
 
@@ -218,7 +217,7 @@ def _row(item: OutboxItem) -> dict[str, object]:
 
 
 def _select(
-    connection: sqlite3.Connection, where: str, values: Sequence[object], limit: int
+    connection: StoreConnection, where: str, values: Sequence[object], limit: int
 ) -> list[NotificationDelivery]:
     """The newest deliveries first, with their items."""
     query = f"SELECT {', '.join(_DELIVERY)} FROM notification_delivery WHERE {where} ORDER BY id DESC LIMIT ?"
@@ -230,7 +229,7 @@ def _select(
     return found
 
 
-def _items_of(connection: sqlite3.Connection, delivery: int) -> tuple[OutboxItem, ...]:
+def _items_of(connection: StoreConnection, delivery: int) -> tuple[OutboxItem, ...]:
     query = f"SELECT {', '.join(_ITEM)} FROM notification_item WHERE delivery = ? ORDER BY id"
     found = []
     for row in connection.execute(query, (delivery,)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from typing import Annotated
@@ -11,7 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from app.alarms.store import JournalEntry
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.notification.notice import OutboxItem
 from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
@@ -50,7 +49,7 @@ class NotificationStore:
         """How far ``source`` has followed the journal, and its open episodes. Notification that was never on
         begins with the present."""
 
-        def read(connection: sqlite3.Connection) -> tuple[int, dict[str, Episode]]:
+        def read(connection: StoreConnection) -> tuple[int, dict[str, Episode]]:
             row = connection.execute(
                 "SELECT entry FROM notification_cursor WHERE source = ?", (source,)
             ).fetchone()
@@ -69,7 +68,7 @@ class NotificationStore:
             f"SELECT {_ENTRY} FROM alarm_journal WHERE id > ? AND id <= ? AND bus IS ? ORDER BY id LIMIT ?"
         )
 
-        def read(connection: sqlite3.Connection) -> tuple[list[JournalEntry], int]:
+        def read(connection: StoreConnection) -> tuple[list[JournalEntry], int]:
             last = _last_entry(connection)
             if last <= cursor:
                 return [], cursor
@@ -88,7 +87,7 @@ class NotificationStore:
             "ORDER BY id DESC LIMIT 1"
         )
 
-        def read(connection: sqlite3.Connection) -> list[JournalEntry]:
+        def read(connection: StoreConnection) -> list[JournalEntry]:
             rows = (connection.execute(query, (key, cursor)).fetchone() for key in keys)
             return [JournalEntry(*row) for row in rows if row is not None]
 
@@ -109,7 +108,7 @@ class NotificationStore:
         rows = [(*astuple(episode), source) for episode in episodes.values()]
         marks = ", ".join("?" * (len(_EPISODE) + 1))
 
-        def write(connection: sqlite3.Connection) -> None:
+        def write(connection: StoreConnection) -> None:
             connection.execute("INSERT OR REPLACE INTO notification_cursor VALUES (?, ?)", (source, cursor))
             connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
             connection.executemany(
@@ -133,7 +132,7 @@ class NotificationStore:
         """The key that signs links; made at its first use."""
         fresh = secrets.token_bytes(32)
 
-        def write(connection: sqlite3.Connection) -> bytes:
+        def write(connection: StoreConnection) -> bytes:
             connection.execute("INSERT OR IGNORE INTO notification_key (id, key) VALUES (1, ?)", (fresh,))
             row = connection.execute("SELECT key FROM notification_key").fetchone()
             return bytes(row["key"])
@@ -141,18 +140,18 @@ class NotificationStore:
         return await self._database.write(write)
 
 
-def begin_quiet(connection: sqlite3.Connection, span: QuietSpan, who: str, reason: str) -> None:
+def begin_quiet(connection: StoreConnection, span: QuietSpan, who: str, reason: str) -> None:
     """Store a maintenance that begins."""
     query = "INSERT INTO notification_quiet (bus, starts, ends, who, reason) VALUES (?, ?, ?, ?, ?)"
     connection.execute(query, (span.bus, float(span.starts), float(span.ends), who, reason))
 
 
-def end_quiet(connection: sqlite3.Connection, id: int, now: UnixTime) -> None:
+def end_quiet(connection: StoreConnection, id: int, now: UnixTime) -> None:
     """Store that a maintenance ends before its time."""
     query = "UPDATE notification_quiet SET ends = ? WHERE id = ? AND ends > ?"
     connection.execute(query, (float(now), id, float(now)))
 
 
-def _last_entry(connection: sqlite3.Connection) -> int:
+def _last_entry(connection: StoreConnection) -> int:
     last: int = connection.execute("SELECT coalesce(max(id), 0) FROM alarm_journal").fetchone()[0]
     return last

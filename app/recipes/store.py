@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
+from app.database import StoreConnection
 from app.database.queries import Tables, reading, writing
 from app.recipes.rules import Recipe, RecipeSetpoint
 from bus.instants import UnixTime
@@ -24,17 +24,17 @@ class RecipeStore(Tables):
     """All access to the tables of recipes."""
 
     @writing
-    def save(self, connection: sqlite3.Connection, recipe: Recipe) -> Recipe:
+    def save(self, connection: StoreConnection, recipe: Recipe) -> Recipe:
         """Store a new version (one above the highest of that name); returns it with id and version."""
         (version,) = connection.execute(
             "SELECT coalesce(max(version), 0) + 1 FROM recipe WHERE bus = ? AND name = ?",
             (recipe.bus, recipe.name),
         ).fetchone()
-        cursor = connection.execute(
-            "INSERT INTO recipe (bus, name, version, comment, who, saved_at) VALUES (?, ?, ?, ?, ?, ?)",
+        [(recipe_id,)] = connection.execute(
+            "INSERT INTO recipe (bus, name, version, comment, who, saved_at)"
+            " VALUES (?, ?, ?, ?, ?, ?) RETURNING id",
             (recipe.bus, recipe.name, version, recipe.comment, recipe.who, recipe.saved_at),
         )
-        recipe_id = int(cursor.lastrowid or 0)
         connection.executemany(
             "INSERT INTO recipe_row VALUES (?, ?, ?, ?)",
             [(recipe_id, setpoint.unit, setpoint.raw, setpoint.kind) for setpoint in recipe.setpoints],
@@ -42,12 +42,12 @@ class RecipeStore(Tables):
         return replace(recipe, version=version, id=recipe_id)
 
     @reading
-    def load(self, connection: sqlite3.Connection, recipe_id: int) -> Recipe | None:
+    def load(self, connection: StoreConnection, recipe_id: int) -> Recipe | None:
         """One version, None when there is no such."""
         return next(_recipes(connection, [recipe_id]), None)
 
     @reading
-    def newest(self, connection: sqlite3.Connection, bus: str | None = None) -> list[Recipe]:
+    def newest(self, connection: StoreConnection, bus: str | None = None) -> list[Recipe]:
         """The newest version of every recipe in use, by name."""
         found = connection.execute(
             "SELECT id FROM recipe AS mine WHERE retired = 0 AND (:bus IS NULL OR bus = :bus) AND version ="
@@ -58,7 +58,7 @@ class RecipeStore(Tables):
         return list(_recipes(connection, [recipe_id for (recipe_id,) in found]))
 
     @reading
-    def is_full(self, connection: sqlite3.Connection, bus: str, name: str, most: int) -> bool:
+    def is_full(self, connection: StoreConnection, bus: str, name: str, most: int) -> bool:
         """Whether one of this name would be more than so many in use."""
         count, is_there = connection.execute(
             "SELECT count(DISTINCT name), ifnull(max(name = ?), 0) FROM recipe WHERE bus = ? AND retired = 0",
@@ -67,7 +67,7 @@ class RecipeStore(Tables):
         return count >= most and not is_there
 
     @reading
-    def versions(self, connection: sqlite3.Connection, bus: str, name: str) -> list[Recipe]:
+    def versions(self, connection: StoreConnection, bus: str, name: str) -> list[Recipe]:
         """All versions of one recipe, newest first."""
         found = connection.execute(
             "SELECT id FROM recipe WHERE bus = ? AND name = ? ORDER BY version DESC", (bus, name)
@@ -75,13 +75,13 @@ class RecipeStore(Tables):
         return list(_recipes(connection, [recipe_id for (recipe_id,) in found]))
 
     @writing
-    def retire(self, connection: sqlite3.Connection, bus: str, name: str) -> None:
+    def retire(self, connection: StoreConnection, bus: str, name: str) -> None:
         """Take a recipe out of the list; its versions stay on record."""
         connection.execute("UPDATE recipe SET retired = 1 WHERE bus = ? AND name = ?", (bus, name))
 
     @writing
     def mark_loaded(
-        self, connection: sqlite3.Connection, bus: str, recipe_id: int, who: str, at: UnixTime
+        self, connection: StoreConnection, bus: str, recipe_id: int, who: str, at: UnixTime
     ) -> None:
         """Record that a recipe was loaded and verified. ``at``: seconds since the epoch."""
         connection.execute(
@@ -90,7 +90,7 @@ class RecipeStore(Tables):
         )
 
     @reading
-    def loaded(self, connection: sqlite3.Connection) -> dict[str, Loaded]:
+    def loaded(self, connection: StoreConnection) -> dict[str, Loaded]:
         """Bus → the recipe it was loaded with last."""
         marks = connection.execute("SELECT bus, recipe_id, who, loaded_at FROM loaded_recipe").fetchall()
         return {
@@ -100,7 +100,7 @@ class RecipeStore(Tables):
         }
 
 
-def _recipes(connection: sqlite3.Connection, ids: Iterable[int]) -> Iterator[Recipe]:
+def _recipes(connection: StoreConnection, ids: Iterable[int]) -> Iterator[Recipe]:
     """Those that there are of these versions."""
     for recipe_id in ids:
         heads = connection.execute(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator
 from dataclasses import replace
 
 import msgspec
 
+from app.database import StoreConnection
 from app.database.queries import Tables, reading
 from app.sets.model import UnitRows
 from app.sets.order import Write
@@ -31,24 +31,24 @@ class RestoreStore(Tables):
         await self.database.write(lambda connection: connection.execute(insert, row))
 
     @reading
-    def load(self, connection: sqlite3.Connection, restore_id: str) -> Restore | None:
+    def load(self, connection: StoreConnection, restore_id: str) -> Restore | None:
         """A restore that was begun, None when there is no such."""
         return next(_select(connection, "id = ?", restore_id), None)
 
     @reading
-    def under_way(self, connection: sqlite3.Connection) -> list[Restore]:
+    def under_way(self, connection: StoreConnection) -> list[Restore]:
         """Those that had not ended when the server did."""
         marks = ", ".join("?" * len(UNDER_WAY))
         return list(_select(connection, f"state IN ({marks})", *UNDER_WAY))
 
     @reading
-    def of_unit(self, connection: sqlite3.Connection, bus: str, unit: int) -> list[Restore]:
+    def of_unit(self, connection: StoreConnection, bus: str, unit: int) -> list[Restore]:
         """The last restores of a unit, newest first."""
         newest = "bus = ? AND unit = ? ORDER BY planned_at DESC LIMIT ?"
         return list(_select(connection, newest, bus, unit, MAX_OF_UNIT))
 
 
-def _select(connection: sqlite3.Connection, which: str, *values: str | int) -> Iterator[Restore]:
+def _select(connection: StoreConnection, which: str, *values: str | int) -> Iterator[Restore]:
     """Content that cannot be read, which nothing here writes, is left out."""
     for (content,) in connection.execute(f"SELECT content FROM restore WHERE {which}", values).fetchall():
         try:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import replace
 
+from app.database import StoreConnection
 from app.database.queries import Tables, reading, writing
 from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, SetOrigin, UnitRows
 from bus.instants import UnixTime
@@ -16,14 +16,13 @@ class SetStore(Tables):
     """All access to the tables of parameter sets."""
 
     @writing
-    def save(self, connection: sqlite3.Connection, parameter_set: ParameterSet) -> ParameterSet:
+    def save(self, connection: StoreConnection, parameter_set: ParameterSet) -> ParameterSet:
         """Store a new set; returns it with its id."""
         one = parameter_set
-        cursor = connection.execute(
-            f"INSERT INTO parameter_set ({_HEAD}) VALUES (?, ?, ?, ?, ?, ?)",
+        [(set_id,)] = connection.execute(
+            f"INSERT INTO parameter_set ({_HEAD}) VALUES (?, ?, ?, ?, ?, ?) RETURNING id",
             (one.bus, one.name, one.comment, one.taken_at, one.who, one.origin),
         )
-        set_id = int(cursor.lastrowid or 0)
         connection.executemany(
             "INSERT INTO parameter_set_unit VALUES (?, ?, ?)",
             [(set_id, unit.unit, unit.name) for unit in one.units],
@@ -39,7 +38,7 @@ class SetStore(Tables):
         return replace(one, id=set_id)
 
     @reading
-    def load(self, connection: sqlite3.Connection, set_id: int) -> ParameterSet | None:
+    def load(self, connection: StoreConnection, set_id: int) -> ParameterSet | None:
         """A complete set; None where there is none."""
         head = connection.execute(f"SELECT {_HEAD} FROM parameter_set WHERE id = ?", (set_id,)).fetchone()
         if head is None:
@@ -56,7 +55,7 @@ class SetStore(Tables):
     @reading
     def summaries(
         self,
-        connection: sqlite3.Connection,
+        connection: StoreConnection,
         bus: str | None = None,
         unit: int | None = None,
         *,
@@ -82,7 +81,7 @@ class SetStore(Tables):
 
     @writing
     def mark_golden(
-        self, connection: sqlite3.Connection, bus: str, unit: int, set_id: int, who: str, now: UnixTime
+        self, connection: StoreConnection, bus: str, unit: int, set_id: int, who: str, now: UnixTime
     ) -> None:
         """From now on this set is what the unit ought to be. ``now``: seconds since the epoch."""
         connection.execute(
@@ -92,7 +91,7 @@ class SetStore(Tables):
         )
 
     @reading
-    def golden(self, connection: sqlite3.Connection, bus: str) -> dict[int, UnitRows]:
+    def golden(self, connection: StoreConnection, bus: str) -> dict[int, UnitRows]:
         """The golden rows of every unit of a bus that has some, by its address."""
         marks = connection.execute(
             "SELECT golden_set.unit, golden_set.set_id, parameter_set_unit.name FROM golden_set"
@@ -104,7 +103,7 @@ class SetStore(Tables):
     @reading
     def has_set_since(
         self,
-        connection: sqlite3.Connection,
+        connection: StoreConnection,
         bus: str,
         unit: int,
         since: UnixTime,
@@ -120,19 +119,19 @@ class SetStore(Tables):
         return found.fetchone() is not None
 
     @reading
-    def schedule(self, connection: sqlite3.Connection) -> dict[str, int]:
+    def schedule(self, connection: StoreConnection) -> dict[str, int]:
         """Bus → minute of the local day at which its sets are taken."""
         return dict(connection.execute("SELECT bus, minute_of_day FROM set_schedule"))
 
     @writing
-    def set_schedule(self, connection: sqlite3.Connection, bus: str, minute_of_day: int | None) -> None:
+    def set_schedule(self, connection: StoreConnection, bus: str, minute_of_day: int | None) -> None:
         """Take the sets of a bus daily at a minute of the day; None ends it."""
         connection.execute("DELETE FROM set_schedule WHERE bus = ?", (bus,))
         if minute_of_day is not None:
             connection.execute("INSERT INTO set_schedule VALUES (?, ?)", (bus, minute_of_day))
 
 
-def _rows(connection: sqlite3.Connection, set_id: int, unit: int) -> dict[int, ParameterRow]:
+def _rows(connection: StoreConnection, set_id: int, unit: int) -> dict[int, ParameterRow]:
     found = connection.execute(
         "SELECT number, raw, available, read_at, frame FROM parameter_set_row"
         " WHERE set_id = ? AND unit = ? ORDER BY number",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Awaitable, Callable
 
+from app.database import StoreConnection
 from app.database.messages import messages_of, stored_messages
 from app.database.queries import Tables, writing
 from app.sets.restore_record import Restore
@@ -17,7 +17,7 @@ class SwapStore(Tables):
     """All access to the table of swaps."""
 
     @writing
-    def save(self, connection: sqlite3.Connection, swap: Swap) -> None:
+    def save(self, connection: StoreConnection, swap: Swap) -> None:
         """Store the present state in place of the section's earlier one."""
         row = (
             swap.bus,
@@ -34,7 +34,7 @@ class SwapStore(Tables):
         connection.execute(f"INSERT OR REPLACE INTO swap VALUES ({', '.join('?' * len(row))})", row)
 
     @writing
-    def remove(self, connection: sqlite3.Connection, swap: Swap) -> None:
+    def remove(self, connection: StoreConnection, swap: Swap) -> None:
         connection.execute("DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit))
 
     async def load(self, find_restore: FindRestore) -> list[Swap]:
@@ -45,7 +45,7 @@ class SwapStore(Tables):
         return [swap for swap, _ in rows]
 
 
-def _select(connection: sqlite3.Connection) -> list[tuple[Swap, str | None]]:
+def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
     found = connection.execute(
         "SELECT bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id FROM swap"
     )

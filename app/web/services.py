@@ -40,10 +40,11 @@ class Registry:
         for each in services:
             self.add(each)
 
-    def add(self, service: S) -> S:
-        """Return ``service``, which is now found by its type."""
-        if self._services.setdefault(type(service), service) is not service:
-            raise RuntimeError(f"two services of the type {type(service).__qualname__}")
+    def add(self, service: S, kind: type[S] | None = None) -> S:
+        """Return ``service``, which is now found by its type, or by the more general ``kind``."""
+        kind = kind or type(service)
+        if self._services.setdefault(kind, service) is not service:
+            raise RuntimeError(f"two services of the type {kind.__qualname__}")
         return service
 
     def __getitem__(self, kind: type[S]) -> S:

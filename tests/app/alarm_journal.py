@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.store import AlarmStore
-from app.database import Database
+from app.database import Database, SqliteDatabase
 from bus.instants import UnixTime
 
 T = 1_790_000_400.0
@@ -57,5 +57,5 @@ class Journal:
 @contextmanager
 def alarm_journal(folder: Path) -> Iterator[Journal]:
     """An empty one, in a new store."""
-    with closing(Database(folder / "store.db")) as database:
+    with closing(SqliteDatabase(folder / "store.db")) as database:
         yield Journal(database)

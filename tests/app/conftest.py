@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
+from app.database import Database, SqliteDatabase
 from tests.app.stage import PlayedWorker, Stage, staged
 
 
@@ -26,5 +26,5 @@ async def worker(stage: Stage) -> PlayedWorker:
 @pytest.fixture
 def database(tmp_path: Path) -> Iterator[Database]:
     """An empty one of the site."""
-    with closing(Database(tmp_path / "store.db")) as database:
+    with closing(SqliteDatabase(tmp_path / "store.db")) as database:
         yield database

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from app.database.connection import Database
+from app.database import SqliteDatabase
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import DiskReserve
@@ -46,7 +46,7 @@ class Shelf:
     """A store and its tail, written by the test itself."""
 
     def __init__(self, path: Path) -> None:
-        self.database = Database(path, MIGRATIONS, synchronous="NORMAL")
+        self.database = SqliteDatabase(path, MIGRATIONS, synchronous="NORMAL")
         self.tail = Tail()
         self.start_again()
 

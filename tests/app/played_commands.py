@@ -13,7 +13,7 @@ from app.commands import catalogue
 from app.commands.rules.objection import RuleContext
 from app.commands.safeguards.limits import NO_LIMITS
 from app.commands.service.command_service import WriteSubscriber
-from app.database import Database
+from app.database import SqliteDatabase
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.drift import BusDrift
@@ -177,7 +177,7 @@ class SetScene:
         self.live = a_bus()
         self.commands = PlayedCommands(self.live, {1: factory(), 2: factory()})
         self.events = Noted()
-        self.database = Database(folder / "store.db")
+        self.database = SqliteDatabase(folder / "store.db")
         self.store = SetStore(self.database)
         self.rights = PlayedRights()
         bus = self.live.buses["dry-end"]

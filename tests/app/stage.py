@@ -29,7 +29,7 @@ from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
-from app.database import Database
+from app.database import SqliteDatabase
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.socket import router as feed_router
@@ -214,7 +214,7 @@ class Stage:
     def __init__(
         self, folder: Path, settings: BusSettings, *, control: bool = False, missed_ticks: int = 1000
     ) -> None:
-        self.database = Database(folder / "lineside.db")
+        self.database = SqliteDatabase(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()

@@ -28,7 +28,7 @@ from app.auth.acts import (
     SET_PASSWORD,
     SET_ROLE,
 )
-from app.database import Database
+from app.database import SqliteDatabase
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.errors import CallerError
@@ -42,7 +42,7 @@ ANN = Person("ann", Role.OPERATOR, "session")
 
 @pytest.fixture
 async def accounts(tmp_path: Path) -> AsyncIterator[Accounts]:
-    database = Database(tmp_path / "lineside.db")
+    database = SqliteDatabase(tmp_path / "lineside.db")
     yield Accounts(database, EventLog(database))
     database.close()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from app.alarms.store import AlarmStore, JournalEntry
-from app.database import Database
+from app.database import SqliteDatabase
 from tests.sizes import sizes
 
 
@@ -40,7 +40,7 @@ async def test_a_kill_in_a_flood_loses_and_repeats_no_transition(tmp_path: Path,
     dice = random.Random(14)
     for _ in range(kills):
         flood_and_kill(path, dice.randint(3, 12))
-    database = Database(path)
+    database = SqliteDatabase(path)
     store = AlarmStore(database)
     journal = await store.journal(1_000_000, None)
     stored = await store.load()

@@ -30,7 +30,7 @@ from app.audit.log import EventLog
 from app.audit.settings import Audit
 from app.audit.store import Filter
 from app.auth.accounts import Accounts
-from app.database import Database
+from app.database import SqliteDatabase
 from app.database.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
@@ -47,7 +47,7 @@ class Scene:
     """A log and its anchor."""
 
     def __init__(self, folder: Path) -> None:
-        self.database = Database(folder / "lineside.db")
+        self.database = SqliteDatabase(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.path = folder / "anchor"
         self.anchoring = self.started()

@@ -13,7 +13,8 @@ import pytest
 
 from app.audit.log import ENDED_BEFORE, Event, EventLog
 from app.audit.store import Filter
-from app.database import Database
+from app.database import Database, SqliteDatabase
+from app.errors import ConstraintError
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend
@@ -31,7 +32,7 @@ class Clock:
 
 @pytest.fixture
 async def database(tmp_path: Path) -> AsyncIterator[Database]:
-    opened = Database(tmp_path / "lineside.db")
+    opened = SqliteDatabase(tmp_path / "lineside.db")
     yield opened
     opened.close()
 
@@ -85,7 +86,7 @@ async def test_a_message_is_stored_as_its_text_and_its_params(log: EventLog) -> 
 async def test_a_command_has_one_outcome(log: EventLog) -> None:
     number = await intent(log)
     await log.conclude(number, "verified")
-    with pytest.raises(sqlite3.IntegrityError):
+    with pytest.raises(ConstraintError):
         await log.conclude(number, "refused")
     assert [event["outcome"] for event in await newest(log)] == ["verified"]
 
@@ -104,7 +105,7 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
 @pytest.mark.parametrize("change", ["UPDATE events SET what = 'x' WHERE id = 1", "DELETE FROM events"])
 async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, change: str) -> None:
     await intent(log)
-    with pytest.raises(sqlite3.IntegrityError, match="an event is never"):
+    with pytest.raises(ConstraintError, match="an event is never"):
         await database.write(lambda connection: connection.execute(change))
     assert (await log.proof.verify()).broken is None
 
@@ -115,7 +116,7 @@ async def test_nothing_is_changed_or_removed(log: EventLog, database: Database, 
 )
 async def test_the_head_only_goes_forward(log: EventLog, database: Database, change: str) -> None:
     await intent(log)
-    with pytest.raises(sqlite3.IntegrityError, match="the head of the log"):
+    with pytest.raises(ConstraintError, match="the head of the log"):
         await database.write(lambda connection: connection.execute(change))
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import check, findings
-from app.database import Database
+from app.database import SqliteDatabase
 from app.history.intake.writer import MIGRATIONS
 from tests.mounted import mounted
 
@@ -166,8 +166,8 @@ def test_a_dashboard_port_in_use_is_no_fault(config: Path) -> None:
 def data(config: Path) -> Path:
     """The data folder of a site that was started once."""
     folder = config.parent / "data"
-    Database(folder / "lineside.db").close()
-    Database(folder / "history.db", MIGRATIONS).close()
+    SqliteDatabase(folder / "lineside.db").close()
+    SqliteDatabase(folder / "history.db", MIGRATIONS).close()
     make_key_file(config.parent / "lineside.audit.key", KeyOrigin(0, "0" * 64))
     return folder
 

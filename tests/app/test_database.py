@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from app.database import Database, connection
+from app.database import Database, SqliteDatabase, connection
 from app.database.connection import open_for_reading
-from app.errors import StoreError
+from app.errors import ConstraintError, StoreError
 from bus.errors import CallerError
 
 STEP = "CREATE TABLE things (name TEXT PRIMARY KEY) STRICT;\n"
@@ -30,7 +30,7 @@ def steps(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def database(tmp_path: Path, steps: Path) -> Iterator[Database]:
-    opened = Database(tmp_path / "data" / "x.db", steps)
+    opened = SqliteDatabase(tmp_path / "data" / "x.db", steps)
     yield opened
     opened.close()
 
@@ -60,7 +60,7 @@ async def test_a_transaction_is_complete_or_not_at_all(database: Database) -> No
 
 async def test_a_broken_rule_is_for_the_caller(database: Database) -> None:
     await database.write(lambda c: insert(c, "a"))
-    with pytest.raises(sqlite3.IntegrityError):
+    with pytest.raises(ConstraintError):
         await database.write(lambda c: insert(c, "a"))
     assert await database.read(names) == ["a"]
 
@@ -80,14 +80,14 @@ def test_it_is_durable_and_lets_readers_read_on(
 ) -> None:
     as_served: Any = connection.open_for_writing
     monkeypatch.setattr(connection, "open_for_writing", as_served.__wrapped__)
-    with closing(Database(tmp_path / "x.db", steps)) as database:
+    with closing(SqliteDatabase(tmp_path / "x.db", steps)) as database:
         with open_for_reading(database.path) as reading:
             assert reading.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
         assert database._connection.execute("PRAGMA synchronous").fetchone()[0] == 2
 
 
 async def test_a_closed_database_reports_it(tmp_path: Path, steps: Path) -> None:
-    database = Database(tmp_path / "x.db", steps)
+    database = SqliteDatabase(tmp_path / "x.db", steps)
     database.close()
     with pytest.raises(StoreError, match="is closed; the server is stopping"):
         await database.read(names)
@@ -99,13 +99,13 @@ def test_a_damaged_store_is_reported(tmp_path: Path, steps: Path) -> None:
     with pytest.raises(
         StoreError, match=r"x\.db: it is not a Lineside store, or it is damaged; restore a backup"
     ):
-        Database(path, steps)
+        SqliteDatabase(path, steps)
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, steps: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="check its folder"):
-        Database(tmp_path / "file" / "x.db", steps)
+        SqliteDatabase(tmp_path / "file" / "x.db", steps)
 
 
 async def test_a_full_disk_is_reported_and_survived(database: Database) -> None:
@@ -124,7 +124,7 @@ async def test_a_full_disk_is_reported_and_survived(database: Database) -> None:
 
 def test_many_that_open_a_new_store_at_once_take_its_first_step_once(tmp_path: Path) -> None:
     def opened(_: int) -> int:
-        database = Database(tmp_path / "new" / "store.db")
+        database = SqliteDatabase(tmp_path / "new" / "store.db")
         steps = len(database.migrated)
         database.close()
         return steps

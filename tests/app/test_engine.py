@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database, StoreConnection
+from app.database import Database, SqliteDatabase, StoreConnection
 from app.database.connection import open_for_reading, open_for_writing
 from app.database.engine import has_column, is_intact, json_member, size_of, snapshot, upsert
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Database]:
-    opened = Database(tmp_path / "lineside.db")
+    opened = SqliteDatabase(tmp_path / "lineside.db")
     yield opened
     opened.close()
 

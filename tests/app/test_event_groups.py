@@ -16,7 +16,8 @@ from app.audit import groups
 from app.audit.groups import MAX_PARTS, EventRow, link_parts
 from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.database.migrating import MIGRATIONS, bring_up_to_date
+from app.database.migrating import bring_up_to_date
+from app.database.migration import MIGRATIONS
 from app.web.access import Role
 from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from app.audit.log import EventLog
 from app.cli import cli
-from app.database.migrating import MIGRATIONS
+from app.database.migration import MIGRATIONS
 from app.errors import Problem
 from app.handover.service import Handover
 from app.handover.sheet import write_sheet

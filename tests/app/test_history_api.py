@@ -20,7 +20,7 @@ from pyarrow import parquet
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.audit.log import EventLog
-from app.database import Database
+from app.database import SqliteDatabase
 from app.history.api.routes import router
 from app.history.export import rows as export_rows
 from app.history.intake.recorder import Recorder
@@ -65,7 +65,7 @@ async def history(tmp_path: Path) -> AsyncIterator[History]:
 
 @pytest.fixture
 async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    database = Database(tmp_path / "lineside.db")
+    database = SqliteDatabase(tmp_path / "lineside.db")
     events = EventLog(database, clock=lambda: NOON + 5)
     await events.record(kind="mode", what="mode", bus="dry-end", unit=1, old="LOCAL", new="REMOTE")
     await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pyarrow import parquet
 
-from app.database.connection import Database
+from app.database import SqliteDatabase
 from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import Rollup, combine, pack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
@@ -47,7 +47,7 @@ def months(tmp_path_factory: pytest.TempPathFactory, days: int) -> tuple[Path, i
         connection.executemany(insert.format("hours"), [(unit, day, hours) for day in midnights])
         tables.write_raw_from(connection, end)
 
-    database = Database(folder / FILE, MIGRATIONS)
+    database = SqliteDatabase(folder / FILE, MIGRATIONS)
     database.write_now(write)
     database.close()
     return folder, end

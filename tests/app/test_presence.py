@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
+from app.database import SqliteDatabase
 from app.database.presence import Presence, examining, presence_of, refusal_to_start
 from app.errors import StoreError
 
@@ -50,7 +50,7 @@ def test_a_new_site_is_begun_where_none_can_be_used(
 @pytest.fixture
 def store(tmp_path: Path) -> Path:
     path = tmp_path / "data" / "lineside.db"
-    Database(path).close()
+    SqliteDatabase(path).close()
     return path
 
 
@@ -67,7 +67,7 @@ def test_a_store_is_read_and_no_file_is_made(store: Path) -> None:
 
 
 def test_a_store_that_a_server_has_open_is_read_with_its_log(store: Path) -> None:
-    database = Database(store)
+    database = SqliteDatabase(store)
     database.write_now(lambda connection: connection.execute("CREATE TABLE newest (a)"))
     try:
         with examining(store) as connection:

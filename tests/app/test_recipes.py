@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
+from app.database import SqliteDatabase
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
@@ -24,7 +24,7 @@ class Scene:
         self.live = a_bus()
         self.commands = PlayedCommands(self.live, {})
         self.events = Noted()
-        self.database = Database(folder / "store.db")
+        self.database = SqliteDatabase(folder / "store.db")
         store = RecipeStore(self.database)
         self.book = RecipeBook(self.live, {"dry-end": self.commands}, store, self.events)  # type: ignore[arg-type]
 

@@ -21,7 +21,7 @@ from app.auth.rights import (
     why_withdrawn,
 )
 from app.auth.store import Token, User
-from app.database import Database
+from app.database import Database, SqliteDatabase
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
 from bus.messages import Message
@@ -92,7 +92,7 @@ class Scene:
 
 @pytest.fixture
 async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
-    database = Database(tmp_path / "lineside.db")
+    database = SqliteDatabase(tmp_path / "lineside.db")
     yield Scene(database)
     database.close()
 

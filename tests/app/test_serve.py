@@ -26,7 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
-from app.database import Database
+from app.database import SqliteDatabase
 from app.settings import load
 from tests import fork_server
 from tests.fork_server import ForkedProcess
@@ -281,7 +281,7 @@ def test_two_servers_never_share_their_data(config: Path) -> None:
 
 def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
     store = load(config).server.store
-    Database(store).close()
+    SqliteDatabase(store).close()
     with closing(sqlite3.connect(store)) as connection:
         connection.execute("ALTER TABLE swap RENAME TO lost")
     done = fork_server.run("serve", "--config", config)

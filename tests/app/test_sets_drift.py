@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from app.audit.log import EventLog
-from app.database import Database
+from app.database import SqliteDatabase
 from app.live.screen.sources import Drifted
 from app.sets.drift import BusDrift
 from app.sets.model import ParameterRow, ParameterSet, UnitRows
@@ -26,7 +26,7 @@ GOLDEN_READ, NOW = 1000.0, 51_600.0
 class Scene:
     def __init__(self, folder: Path) -> None:
         self.live = a_bus()
-        self.database = Database(folder / "store.db")
+        self.database = SqliteDatabase(folder / "store.db")
         self.now = NOW
         self.events = EventLog(self.database, lambda: self.now)
         self.store = SetStore(self.database)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database
+from app.database import Database, SqliteDatabase
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
 from app.sets.order import Write
@@ -64,7 +64,7 @@ SetsScene = Callable[..., Scene]
 
 @pytest.fixture
 def a_scene(tmp_path: Path) -> Iterator[SetsScene]:
-    database = Database(tmp_path / "lineside.db")
+    database = SqliteDatabase(tmp_path / "lineside.db")
     yield partial(Scene, database)
     database.close()
 

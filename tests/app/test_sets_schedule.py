@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from app.errors import Problem
+from app.errors import ConstraintError, Problem
 from app.sets.first_write import FirstWrites
 from app.sets.schedule import REPORT_AFTER, SetSchedule, due_between
 from app.web.access import Person, Role
@@ -167,5 +166,5 @@ async def test_the_schedule_is_kept_and_ended(scene: Scene) -> None:
     assert "02:05" in scene.events.events[-1]["what"]
     await scene.schedule.set(ANNA, None)
     assert await scene.store.schedule() == {}
-    with pytest.raises(sqlite3.IntegrityError):
+    with pytest.raises(ConstraintError):
         await scene.store.set_schedule("dry-end", 1440)

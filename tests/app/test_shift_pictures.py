@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import random
-import sqlite3
 import stat
 import zlib
 from base64 import b64encode
@@ -21,8 +20,8 @@ from hypothesis import strategies as st
 from app.cli import backup_store
 from app.cli.backup_store import write_backup
 from app.cli.restore_store import read_backup
-from app.database import Database
-from app.errors import StoreError
+from app.database import SqliteDatabase
+from app.errors import ConstraintError, StoreError
 from app.handover.pictures import FILE, MIGRATIONS
 from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
 from app.handover.rules.pictures import plain_picture
@@ -343,14 +342,14 @@ def test_the_pictures_of_an_earlier_version_are_there_and_stay(tmp_path: Path) -
     first = MIGRATIONS / "0001_pictures.sql"
     (folder / first.name).write_text(first.read_text("utf-8"), "utf-8")
     row = ("0" * 64, "image/png", png())
-    earlier = Database(tmp_path / FILE, folder)
+    earlier = SqliteDatabase(tmp_path / FILE, folder)
     earlier.write_now(lambda store: store.execute("INSERT INTO picture VALUES (?, ?, ?)", row))
     earlier.close()
-    present = Database(tmp_path / FILE, MIGRATIONS)
+    present = SqliteDatabase(tmp_path / FILE, MIGRATIONS)
     found = present.read_now(lambda store: store.execute("SELECT * FROM picture").fetchall())
     assert [tuple(each) for each in found] == [row]
     for change in ("DELETE FROM picture", "UPDATE picture SET content = x''"):
-        with pytest.raises(sqlite3.IntegrityError, match="never"):
+        with pytest.raises(ConstraintError, match="never"):
             present.write_now(lambda store, change=change: store.execute(change))
     present.close()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
-from app.database import Database, copies
+from app.database import SqliteDatabase, copies
 from app.database.copies import copy_of, put_aside, remove_older_copies
 
 
@@ -49,7 +49,7 @@ def test_each_step_leaves_the_newest_two(tmp_path: Path) -> None:
     steps.mkdir()
     for number in range(1, 6):
         (steps / f"{number:04d}_step.sql").write_text(f"CREATE TABLE t{number} (x INTEGER);\n")
-        Database(tmp_path / "x.db", steps).close()
+        SqliteDatabase(tmp_path / "x.db", steps).close()
     assert [path.name for path in sorted(tmp_path.glob("x.db.*-*"))] == [
         "x.db.before-0004",
         "x.db.before-0005",

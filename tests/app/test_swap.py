@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import pytest
 
-from app.database import Database
+from app.database import SqliteDatabase
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
@@ -76,7 +76,7 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.events = Noted()
-        self.database = Database(folder / "store.db")
+        self.database = SqliteDatabase(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
         self.swaps = self.another()

@@ -22,8 +22,8 @@ from app.audit.keys import open_keys
 from app.audit.log import EventLog
 from app.audit.store import head_of
 from app.cli import cli
-from app.database import Database
-from app.database.migrating import MIGRATIONS
+from app.database import SqliteDatabase
+from app.database.migration import MIGRATIONS
 
 Row = dict[str, Any]
 ENTRIES = 9
@@ -46,7 +46,7 @@ class Plant:
         asyncio.run(self._work(entries))
 
     async def _work(self, entries: int) -> None:
-        database = Database(self.store)
+        database = SqliteDatabase(self.store)
         try:
             keys = open_keys([self.key], self.store, await database.read(head_of))
             log = EventLog(database, keys=keys)

@@ -18,7 +18,7 @@ from typer.testing import CliRunner, Result
 
 from app.cli import backup_archive, cli
 from app.cli.backup_archive import MAX_ARCHIVE_BYTES
-from app.database import Database
+from app.database import SqliteDatabase
 
 MAIN = "lineside.db"
 
@@ -31,7 +31,7 @@ class Site:
         self.config = folder / "lineside.toml"
         self.config.write_text('[server]\ndata = "data"\n')
         self.data = folder / "data"
-        Database(self.data / MAIN).close()
+        SqliteDatabase(self.data / MAIN).close()
         self.foreign = folder / "foreign.db"
         with closing(sqlite3.connect(self.foreign)) as connection:
             connection.execute("CREATE TABLE theirs (x)")
@@ -52,7 +52,7 @@ class Site:
     def store(self) -> bytes:
         """A sound store."""
         fresh = self.folder / "fresh" / MAIN
-        Database(fresh).close()
+        SqliteDatabase(fresh).close()
         content = fresh.read_bytes()
         for path in fresh.parent.iterdir():
             path.unlink()

@@ -6,12 +6,11 @@ unit is a follower.
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass
 from typing import Any
 
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.web.access import account_shown
 from bus.instants import UnixTime
 from bus.messages import Message, listed, term
@@ -122,12 +121,12 @@ class BlockStore:
         self._blocks.pop(unit, None)
 
 
-def read_protection(store: sqlite3.Connection) -> Protection:
-    """Every limit and block of a store. Raises sqlite3.Error for one that cannot be read."""
+def read_protection(store: StoreConnection) -> Protection:
+    """Every limit and block of a store. Raises StoreError for one that cannot be read."""
     return {table: _rows(store, table) for table in _COLUMNS}
 
 
-def keep_in_force(restored: sqlite3.Connection, protection: Protection) -> None:
+def keep_in_force(restored: StoreConnection, protection: Protection) -> None:
     """Apply the limits and blocks that were in force before a store was restored from a backup.
 
     They replace those of the same units; others of the restored store stay.
@@ -136,13 +135,13 @@ def keep_in_force(restored: sqlite3.Connection, protection: Protection) -> None:
         _replace(restored, table, rows)
 
 
-def _rows(store: sqlite3.Connection, table: str, bus: str | None = None) -> list[Row]:
+def _rows(store: StoreConnection, table: str, bus: str | None = None) -> list[Row]:
     """The rows of a bus, or without ``bus`` of every one."""
     where, values = ("", ()) if bus is None else (" WHERE bus = ?", (bus,))
     return [tuple(row) for row in store.execute(f"SELECT {_COLUMNS[table]} FROM {table}{where}", values)]
 
 
-def _replace(store: sqlite3.Connection, table: str, rows: Iterable[Row]) -> None:
+def _replace(store: StoreConnection, table: str, rows: Iterable[Row]) -> None:
     columns = _COLUMNS[table]
     marks = ", ".join("?" for _ in columns.split(","))
     store.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", rows)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import sqlite3
 from collections import OrderedDict
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ import msgspec
 
 from app.audit.keyring import KeyRing
 from app.commands.service.command_request import CommandRequest
+from app.database import StoreConnection
 from app.errors import Problem
 from app.web.access import Person
 from bus.contract import Action, Result
@@ -70,8 +70,8 @@ def refuse_other(key: str | None, *, same: bool) -> None:
         raise Problem(422, "invalid", Message.of("id_used", id=str(key)), id=key)
 
 
-def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
-    """Store that the result of a command with a key is open. Raises sqlite3.IntegrityError for a key that
+def begin(connection: StoreConnection, request: CommandRequest, ring: KeyRing, now: UnixTime) -> None:
+    """Store that the result of a command with a key is open. Raises ConstraintError for a key that
     its sender has used."""
     if request.key is None:
         return
@@ -81,7 +81,7 @@ def begin(connection: sqlite3.Connection, request: CommandRequest, ring: KeyRing
     connection.execute(_INSERT, (sender, request.key, now, digest(ring, request.bus, request.action)))
 
 
-def end(connection: sqlite3.Connection, request: CommandRequest, result: Result) -> None:
+def end(connection: StoreConnection, request: CommandRequest, result: Result) -> None:
     """Store the result of a command with a key, without the frames, which are in the events."""
     if request.key is None:
         return
@@ -90,7 +90,7 @@ def end(connection: sqlite3.Connection, request: CommandRequest, result: Result)
     connection.execute("UPDATE idempotency SET result = ? WHERE sender = ? AND key = ?", (stored, *where))
 
 
-def find(connection: sqlite3.Connection, sender: str, key: str) -> Earlier | None:
+def find(connection: StoreConnection, sender: str, key: str) -> Earlier | None:
     """The command of a sender's key; *unverified* where the server ended before its result."""
     row = connection.execute(
         "SELECT requested_at, command, result FROM idempotency WHERE sender IN (?, ?) AND key = ?",

@@ -5,7 +5,6 @@ A change of several units is one event for the line and one for each unit, all i
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,7 +17,7 @@ from app.commands.catalogue import kind_of_command
 from app.commands.service import idempotency
 from app.commands.service.command_request import CommandRequest
 from app.commands.wording import Wording
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import BusLive
 from app.web.access import Person
@@ -63,7 +62,7 @@ class CommandRecord:
         parts = [_entry(request, unit, words) for unit, words in by_unit.items()]
         ring = self._events.keys.ring
 
-        def remember(connection: sqlite3.Connection) -> None:
+        def remember(connection: StoreConnection) -> None:
             link_parts(connection, len(parts))
             idempotency.begin(connection, request=request, ring=ring, now=self._now())
 

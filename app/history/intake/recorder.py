@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from app.database.connection import Database
+from app.database import Database
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery, Intake
 from app.history.series.intervals import splice

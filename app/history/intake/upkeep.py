@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.database.connection import Database
+from app.database import Database
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
 from app.history.intake.recorder import compact
 from app.history.series.runs import DAY, HOUR, MINUTE
@@ -67,8 +67,10 @@ class Upkeep:
         self._settled_at = monotonic_now() + SETTLED_S
 
     def look(self) -> tuple[int, StoreState]:
-        """Free bytes where the store is, and what they mean."""
-        free = free_bytes(self._database.path.parent)
+        """Free bytes where the store is, and what they mean; 0 bytes on a database server."""
+        if self._database.file is None:
+            return 0, "ok"
+        free = free_bytes(self._database.file.parent)
         return free, space(free, self._reserve)
 
     def compact(self, now: int, deadline: Monotonic) -> None:

@@ -14,10 +14,13 @@ from pathlib import Path
 import structlog
 
 from app.audit.kinds import EventKind
-from app.database.connection import Database
+from app.database import Database
 from app.database.copies import put_aside
+from app.database.engine import size_of
+from app.database.opening import open_database
 from app.database.presence import proves_intact
 from app.database.reserve import free_bytes
+from app.database.settings import IN_FILES, StoreSettings
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.recorder import Recorder
@@ -69,9 +72,15 @@ class Writer:
     """Owns the store while it runs. ``tail`` is what readers see beside the store."""
 
     def __init__(
-        self, path: Path, kept: HistorySettings, on_fault: OnFault, reserve: DiskReserve | None = None
+        self,
+        path: Path,
+        kept: HistorySettings,
+        on_fault: OnFault,
+        reserve: DiskReserve | None = None,
+        store: StoreSettings = IN_FILES,
     ) -> None:
         self._path = path
+        self._settings = store
         self._kept = kept
         self._reserve = reserve or DiskReserve()
         self._on_fault = on_fault
@@ -218,7 +227,7 @@ class Writer:
             self._open.database.close()
 
     def _open_store(self) -> None:
-        database = Database(self._path, MIGRATIONS)
+        database = open_database(self._settings, self._path, MIGRATIONS)
         recorder = Recorder(database, self.tail, self._on_damage)
         try:
             # The first row shows whether the store can be written.
@@ -286,7 +295,7 @@ class Writer:
         self._status = replace(
             self._status,
             free_bytes=free,
-            size_bytes=self._path.stat().st_size,
+            size_bytes=read(size_of),
             oldest_reading=None if oldest is None else UnixTime(oldest / SECOND),
             damaged=read(lambda c: tables.damaged_since(c, lately)),
             begun=None if replaced is None else UnixTime(replaced[0] / SECOND),

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 
-from app.database.connection import Database
+from app.database import Database
 from app.history.series.runs import SECOND, micros
 from app.history.store import tables
 from app.history.store.damage import BlockKey, StoredTier, sound

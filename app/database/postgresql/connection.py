@@ -1,0 +1,95 @@
+"""A connection to PostgreSQL that takes the SQL of features."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import psycopg
+from psycopg import RawCursor
+from psycopg.conninfo import make_conninfo
+
+from app.database.postgresql.rows import NamedRow, named_row
+from app.database.postgresql.translation import translated
+from app.database.postgresql.values import ADAPTERS
+from app.database.settings import StoreSettings
+from app.errors import StoreError, system_error
+from bus.messages import Message
+
+CONNECT_S = 5
+LOST_MS = 5000
+"""How long data may go unacknowledged until the connection is taken for lost."""
+IDLE_MS = 5000
+"""How long a transaction may wait for this server, which others wait for."""
+DEFAULTS = {
+    "connect_timeout": CONNECT_S,
+    "keepalives_idle": 2,
+    "keepalives_interval": 1,
+    "keepalives_count": 3,
+    "tcp_user_timeout": LOST_MS,
+    "application_name": "lineside",
+}
+
+
+class PostgresqlConnection:
+    """Translates each statement; rows are by index and by name."""
+
+    def __init__(self, driver: psycopg.Connection[NamedRow]) -> None:
+        self.driver = driver
+
+    def execute(self, sql: str, parameters: Any = (), /) -> RawCursor[NamedRow]:
+        statement = translated(sql)
+        cursor = RawCursor(self.driver, row_factory=named_row)
+        return cursor.execute(statement.sql, statement.values(parameters), binary=True)
+
+    def executemany(self, sql: str, rows: Iterable[Any], /) -> RawCursor[NamedRow]:
+        statement = translated(sql)
+        cursor = RawCursor(self.driver, row_factory=named_row)
+        cursor.executemany(statement.sql, [statement.values(row) for row in rows])
+        return cursor
+
+
+def connection_string(store: StoreSettings) -> str:
+    """All that libpq needs, also what is secret. Raises StoreError where a password file cannot be read."""
+    given: dict[str, Any] = psycopg.conninfo.conninfo_to_dict(store.url)
+    secret = {} if store.password_file is None else {"password": _password(store)}
+    return make_conninfo("", **{**DEFAULTS, **given, **secret})
+
+
+def connect(store: StoreSettings, schema: str, **options: str | int) -> psycopg.Connection[NamedRow]:
+    """A connection in autocommit whose statements mean the tables of a schema. ``options``: settings of the
+    session. Raises psycopg.Error, StoreError."""
+    session: Mapping[str, str | int] = {
+        "search_path": schema,
+        "client_encoding": "utf8",
+        "idle_in_transaction_session_timeout": IDLE_MS,
+        **options,
+    }
+    connection: psycopg.Connection[NamedRow] = psycopg.connect(
+        connection_string(store), autocommit=True, row_factory=named_row, context=_Adapted()
+    )
+    try:
+        for name, value in session.items():
+            connection.execute("SELECT set_config(%s, %s, false)", (name, str(value)))
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+class _Adapted:
+    """Where psycopg looks for the adapters of a connection."""
+
+    adapters = ADAPTERS
+    connection = None
+
+
+def _password(store: StoreSettings) -> str:
+    assert store.password_file is not None
+    try:
+        lines = store.password_file.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        why = system_error(error)
+        failed = Message.of("store_password_unreadable", path=str(store.password_file), error=why)
+        raise StoreError(failed) from error
+    return lines[0] if lines else ""

@@ -1,0 +1,116 @@
+"""A store that is a schema of a PostgreSQL database, which other servers may have, too."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from select import select
+from typing import TypeVar
+
+import psycopg
+
+from app.database.database import COSTLY_S, Database, Listener, Work
+from app.database.migration import MIGRATIONS
+from app.database.postgresql.connection import PostgresqlConnection, connect
+from app.database.postgresql.listening import Listening
+from app.database.postgresql.migrating import bring_up_to_date
+from app.database.postgresql.rows import NamedRow
+from app.database.postgresql.words import in_words
+from app.database.settings import StoreSettings
+from app.errors import StoreUnavailableError
+from bus.messages import Message
+
+T = TypeVar("T")
+Driver = psycopg.Connection[NamedRow]
+
+
+class PostgresqlDatabase(Database):
+    """Each thread has its connection, which is opened when it is needed and again where it was lost."""
+
+    def __init__(self, store: StoreSettings, schema: str, migrations: Path = MIGRATIONS) -> None:
+        self._store = store
+        self._schema = schema
+        self.file = None
+        name = f"{store.shown} ({schema})"
+        with in_words(name):
+            driver = connect(store, schema)
+            try:
+                self.migrated = bring_up_to_date(driver, schema, migrations, name)
+            except BaseException:
+                driver.close()
+                raise
+        super().__init__(name, schema)
+        self._writing = driver
+        self._local = threading.local()
+        self._opened: list[Driver] = []
+        self._listening = Listening(self._connect, schema)
+
+    def write_now(self, work: Work[T]) -> T:
+        with in_words(self.name):
+            if not is_usable(self._writing):
+                self._writing.close()
+                self._writing = self._connect()
+            return transact(self._writing, work, self.name)
+
+    def read_now(self, work: Work[T]) -> T:
+        with in_words(self.name):
+            return work(self._reader("connection"))
+
+    def listen(self, channel: str, callback: Listener) -> None:
+        self._listening.add(channel, callback)
+
+    def give_back(self, pages: int) -> None:
+        """PostgreSQL vacuums on its own."""
+
+    def _disconnect(self) -> None:
+        self._listening.close()
+        for driver in (*self._opened, self._writing):
+            driver.close()
+
+    def _read_within(self, work: Work[T]) -> T:
+        with in_words(self.name):
+            return work(self._reader("costly", statement_timeout=round(1000 * COSTLY_S)))
+
+    def _reader(self, kind: str, **options: int) -> PostgresqlConnection:
+        """The connection of this thread, which cannot write."""
+        driver: Driver | None = getattr(self._local, kind, None)
+        if driver is None or not is_usable(driver):
+            if driver is not None:
+                self._opened.remove(driver)
+                driver.close()
+            driver = self._connect(default_transaction_read_only="on", **options)
+            setattr(self._local, kind, driver)
+            self._opened.append(driver)
+        return PostgresqlConnection(driver)
+
+    def _connect(self, **options: str | int) -> Driver:
+        return connect(self._store, self._schema, **options)
+
+
+def is_usable(driver: Driver) -> bool:
+    """Whether a connection that was idle is not known to be lost. Asks nothing of the server."""
+    if driver.closed:
+        return False
+    try:
+        if select([driver.fileno()], [], [], 0)[0]:
+            driver.pgconn.consume_input()
+    except (psycopg.Error, OSError, ValueError):
+        return False
+    return not driver.pgconn.status
+
+
+def transact(driver: Driver, work: Work[T], name: str) -> T:
+    """``work`` inside one transaction: all of it, or none when it raises."""
+    driver.execute("BEGIN")
+    try:
+        result = work(PostgresqlConnection(driver))
+        # A transaction in which a statement failed is rolled back, which is no error to PostgreSQL.
+        if driver.execute("COMMIT").statusmessage != "COMMIT":
+            raise StoreUnavailableError(
+                Message.of("store_failed", path=name, reason=Message("store_rolled_back"))
+            )
+    except BaseException:
+        if not driver.closed and driver.info.transaction_status:
+            driver.execute("ROLLBACK")
+        raise
+    return result

@@ -1,0 +1,204 @@
+"""One PostgreSQL for all tests that run at the same time, and a database for each test that wants one.
+
+The first process starts it, in a process beside the tests: it serves until the last of them has ended, also
+where they are killed. It keeps nothing, and never waits for the disk.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from app.database import Database
+from app.database.migration import MIGRATIONS
+from app.database.settings import StoreSettings
+
+ROOT = Path(__file__).parents[1]
+SCHEMAS = {
+    "main": MIGRATIONS,
+    "history": ROOT / "app" / "history" / "migrations",
+    "pictures": ROOT / "app" / "handover" / "migrations",
+}
+TEMPLATE = "lineside_template"
+USER = "lineside"
+START_S = 60.0
+OPTIONS = {
+    "fsync": "off",
+    "synchronous_commit": "off",
+    "full_page_writes": "off",
+    "autovacuum": "off",
+    "max_connections": "200",
+    "shared_buffers": "32MB",
+    "max_wal_size": "256MB",
+    "wal_level": "minimal",
+    "max_wal_senders": "0",
+    "listen_addresses": "",
+    "jit": "off",
+}
+_numbers = count()
+
+
+def binaries() -> Path | None:
+    """Where the programs of the newest PostgreSQL of this machine are."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/postgres"), key=lambda path: int(path.parts[4]))
+    return found[-1].parent if found else None
+
+
+def unusable() -> str:
+    """Why no test can use PostgreSQL here; empty where tests can."""
+    if binaries() is None:
+        return "PostgreSQL is not installed (Debian: postgresql)"
+    try:
+        import psycopg  # noqa: F401
+    except ImportError:
+        return "psycopg is not installed"
+    return ""
+
+
+needs_postgresql = pytest.mark.skipif(bool(unusable()), reason=unusable())
+
+
+@cache
+def socket_folder() -> Path:
+    """The folder of the socket on which the PostgreSQL of this run of the tests listens; it is started first
+    where no process of the run has done that."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", f"{os.getpid()}")
+    folder = Path(tempfile.gettempdir(), f"lineside-postgresql-{run[:12]}")
+    folder.mkdir(mode=0o755, exist_ok=True)
+    with (folder / "starting").open("a") as starting:
+        fcntl.flock(starting, fcntl.LOCK_EX)
+        _hold(folder)
+        if not (folder / "ready").exists():
+            _start(folder)
+    return folder
+
+
+_held: list[object] = []
+
+
+def _hold(folder: Path) -> None:
+    """Held by all processes that use it, to the end of each: the kernel ends it for one that is killed."""
+    users = (folder / "users").open("a")
+    fcntl.flock(users, fcntl.LOCK_SH)
+    _held.append(users)
+
+
+def _start(folder: Path) -> None:
+    command = [sys.executable, "-m", "tests.postgresql", str(folder)]
+    with (folder / "log").open("ab") as log:
+        # Not waited for: it ends after this process.
+        _held.append(
+            subprocess.Popen(
+                command, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
+            )
+        )
+    end = time.monotonic() + START_S
+    while not (folder / "ready").exists():
+        if time.monotonic() > end:
+            raise RuntimeError((folder / "log").read_text())
+        time.sleep(0.02)
+
+
+def url_of(database: str) -> str:
+    return f"postgresql://{USER}@/{database}?host={socket_folder()}"
+
+
+@contextmanager
+def fresh_database(*, empty: bool = False) -> Iterator[StoreSettings]:
+    """A database with the tables of every store, or ``empty``."""
+    import psycopg
+
+    name = f"test_{os.getpid()}_{next(_numbers)}"
+    with psycopg.connect(url_of("postgres"), autocommit=True) as server:
+        model = "template0" if empty else TEMPLATE
+        server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
+        try:
+            yield StoreSettings(url=url_of(name))
+        finally:
+            server.execute(f'DROP DATABASE "{name}" WITH (FORCE)'.encode())
+
+
+@contextmanager
+def fresh_store(schema: str = "main") -> Iterator[Database]:
+    """An empty store of a site."""
+    from app.database.postgresql.database import PostgresqlDatabase
+
+    with fresh_database() as store:
+        database = PostgresqlDatabase(store, schema, SCHEMAS[schema])
+        try:
+            yield database
+        finally:
+            database.close()
+
+
+def serve(folder: Path) -> None:
+    """Start PostgreSQL, serve while a test uses it, remove everything."""
+    programs = binaries()
+    assert programs is not None
+    data = folder / "data"
+    data.mkdir(mode=0o700)
+    # PostgreSQL refuses to run as root.
+    user = "nobody" if os.geteuid() == 0 else None
+    if user:
+        shutil.chown(data, user)
+        shutil.chown(folder, user)
+    initialize = [
+        str(programs / "initdb"),
+        "-D",
+        str(data),
+        "-U",
+        USER,
+        "-A",
+        "trust",
+        "-E",
+        "UTF8",
+        "--locale=C",
+    ]
+    subprocess.run([*initialize, "--no-sync", "--no-instructions"], check=True, user=user, cwd="/")
+    options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
+    server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
+    try:
+        _make_template(folder)
+        (folder / "ready").touch()
+        with (folder / "users").open("a") as users:
+            fcntl.flock(users, fcntl.LOCK_EX)
+    finally:
+        server.terminate()
+        server.wait()
+        shutil.rmtree(folder)
+
+
+def _make_template(folder: Path) -> None:
+    import psycopg
+
+    from app.database.postgresql.database import PostgresqlDatabase
+
+    host = f"postgresql://{USER}@/{{}}?host={folder}"
+    end = time.monotonic() + START_S
+    while True:
+        try:
+            with psycopg.connect(host.format("postgres"), autocommit=True) as server:
+                server.execute(f"CREATE DATABASE {TEMPLATE} TEMPLATE template0".encode())
+            break
+        except psycopg.OperationalError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.02)
+    for schema, steps in SCHEMAS.items():
+        PostgresqlDatabase(StoreSettings(url=host.format(TEMPLATE)), schema, steps).close()
+
+
+if __name__ == "__main__":
+    serve(Path(sys.argv[1]))
