@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from app.database.connection import StoreConnection
+from bus.instants import UnixTime, unix_now
 
 
 @contextmanager
@@ -16,6 +17,16 @@ def snapshot(connection: StoreConnection) -> Iterator[None]:
         yield
     finally:
         connection.execute("ROLLBACK")
+
+
+def clock(connection: StoreConnection) -> UnixTime:  # noqa: ARG001
+    """The time of the store, which is one for all servers that share it."""
+    return unix_now()
+
+
+def lock(connection: StoreConnection, name: str) -> None:
+    """Exclude every other transaction with a lock of this name, to the end of this one. Here one at a time
+    writes."""
 
 
 def json_member(column: str, path: str) -> str:
