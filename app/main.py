@@ -23,6 +23,9 @@ from app.feature import Services
 from app.feed import feature as feed
 from app.handover import feature as handover
 from app.history import feature as history
+from app.home import feature as home
+from app.home.keeping import feature as keeping
+from app.home.keeping.life import NO_PORTS, Ports
 from app.live import feature as live
 from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
@@ -49,6 +52,7 @@ FEATURES = (
     web.FEATURE,
     history.FEATURE,
     audit.FEATURE,
+    home.FEATURE,
     server.FEATURE,
     auth.FEATURE,
     live.FEATURE,
@@ -62,20 +66,26 @@ FEATURES = (
     handover.FEATURE,
     browsers.FEATURE,
     metrics.FEATURE,
+    keeping.FEATURE,
 )
 
 
 def create_app(
-    settings: Settings, *, demo: bool = False, worker_tokens: Mapping[str, str] | None = None
+    settings: Settings,
+    *,
+    demo: bool = False,
+    worker_tokens: Mapping[str, str] | None = None,
+    ports: Ports = NO_PORTS,
 ) -> FastAPI:
     """The complete app over ``settings``. ``demo``: requests from this machine are signed in.
-    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed. Its services run
+    ``worker_tokens``: by bus, the token with which the server's own worker opens /feed; ``ports``: what runs
+    the worker of a bus whose home is here. Its services run
     within its lifespan, or within that of ``app.state.services`` where the server does not call it.
 
     Raises StoreError when the data cannot be used, RuntimeError for a route that declares no role and for
     two services of one type.
     """
-    services = Services(settings, demo=demo, worker_tokens=worker_tokens or {})
+    services = Services(settings, demo=demo, worker_tokens=worker_tokens or {}, ports=ports)
     app = FastAPI(
         title="Lineside",
         summary="Monitor and command a line of DIGIMAX IV drives",

@@ -77,6 +77,9 @@ class BusSettings(Dialect):
     port: Annotated[str, Field(min_length=1)]
     baud: Baud = 9600
     turnaround_ms: Annotated[float, Field(strict=True, ge=0, le=5000)] = 50
+    take_over: Literal["automatic", "manual"] | None = None
+    """Whether another server becomes the home of the bus without a person; None: where its port is on a
+    device server, which any server reaches."""
     unit: tuple[UnitSettings, ...] = ()
 
     @field_validator("unit")
@@ -98,6 +101,11 @@ class BusSettings(Dialect):
     @property
     def dialect(self) -> Dialect:
         return Dialect.model_validate({name: getattr(self, name) for name in Dialect.model_fields})
+
+    @property
+    def is_taken_over(self) -> bool:
+        """Whether another server becomes the home of the bus without a person."""
+        return self.take_over == "automatic" if self.take_over is not None else "://" in self.port
 
     @property
     def turnaround_s(self) -> float:

@@ -22,6 +22,7 @@ from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.feature import Feature, Services
 from app.history.service import History
+from app.home.lease import SITE
 from app.live.browsers.hub import Hub
 from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import BusLive
@@ -42,9 +43,12 @@ def make(services: Services) -> None:
     of_buses = services.of_buses(BusAlarms)
     alarms = services.add(LineAlarms(of_buses, of_site, store, events))
     own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
-    # The site's own alarms first: the state of each is loaded after its definition.
-    services.lifespan.add("own alarms", start=own_alarms.load)
-    services.lifespan.add("alarms", of_site.follow, start=alarms.load, end=alarms.write)
+    for name, follow in {SITE: of_site.follow, **{bus: of.follow for bus, of in of_buses.items()}}.items():
+        at_home, place = services.at_home(name), f"of {name}" if name else "of the site"
+        # The site's own alarms first: the state of each is loaded after its definition.
+        at_home.add(f"own alarms {place}", start=partial(own_alarms.load, name))
+        load, write = partial(alarms.load, name), partial(alarms.write, name)
+        at_home.add(f"alarms {place}", follow, start=load, end=write)
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 
@@ -61,7 +65,6 @@ def _make_of_bus(services: Services, name: str, bus: Registry, store: AlarmStore
         tuned=settings.built_in_alarm,
     )
     bus.add(alarms)
-    services.lifespan.add(f"alarms of {name}", alarms.follow)
 
 
 def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
@@ -71,7 +74,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
     expiry = ExpiryWatch(
         services[Accounts].tokens, authorities, certificates=(tls.certificate,) if tls else ()
     )
-    services.lifespan.add("expiry", expiry.follow)
+    services.at_home().add("expiry", expiry.follow)
     conditions = site_conditions(
         lambda: history.status,
         lambda: anchoring.status,

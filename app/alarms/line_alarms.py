@@ -56,13 +56,13 @@ class LineAlarms:
         self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
         self.subscribe(self._note)
 
-    async def load(self) -> None:
-        """Take up the states that the last run left; once at start."""
+    async def load(self, bus: str) -> None:
+        """Take up the states that the last run left; when the home of a bus, or of the site (``""``), is
+        taken."""
         stored = await self.store.load()
-        self.site.load(stored)
-        for bus in self.buses.values():
-            bus.load(stored)
-        for alarm in self.every():
+        of_bus = self.buses[bus] if bus else self.site
+        of_bus.load(stored)
+        for alarm in of_bus.list.alarms.values():
             self._note(alarm)
 
     def _note(self, alarm: Alarm) -> None:
@@ -76,9 +76,9 @@ class LineAlarms:
             else:
                 index.pop(definition.key, None)
 
-    async def write(self) -> None:
-        """Bring to disk what is not there yet, as far as it can be; the server ends."""
-        for each in self._lists:
+    async def write(self, bus: str | None = None) -> None:
+        """Bring to disk what is not there yet, as far as it can be: of a bus, of the site (``""``), or all."""
+        for each in self._lists if bus is None else (self.list_of(bus),):
             for work in (each.write, each.record_observed):
                 with suppress(StoreError):
                     await work()

@@ -84,10 +84,14 @@ class OwnAlarmBook:
         self._acting = asyncio.Lock()
         """One act at a time: names and their number are checked before what is stored."""
 
-    async def load(self) -> None:
-        """Observe what is stored and fits; once at start."""
+    async def load(self, bus: str) -> None:
+        """Observe what is stored for a bus and fits; when its home is taken. For the site (``""``): note what
+        fits no bus."""
+        self._forget(bus)
         for row in await self._database.read(_stored):
             name = row["alarm"]
+            if self._bus_of(row) != bus:
+                continue
             try:
                 written = json.loads(row["settings"])
                 name = str(written.get("name", name))
@@ -100,6 +104,23 @@ class OwnAlarmBook:
                 self._bus(settings).add_own(settings, Alarm(own_definition(settings)))
                 own = OwnAlarm(settings, row["who"], row["changed_at"], row["request"], row["version"])
                 self.added[own.key] = own
+
+    def _bus_of(self, row: StoreRow) -> str:
+        """The bus in the key of a row where it is configured, else the site."""
+        bus = str(row["alarm"]).split(".")[0]
+        return bus if bus in self._alarms.buses else ""
+
+    def _forget(self, bus: str) -> None:
+        """Another server may have changed them meanwhile."""
+        for key, own in tuple(self.added.items()):
+            if own.settings.bus == bus:
+                alarms = self._bus(own.settings)
+                alarms.end_own(alarms.list.alarms[key])
+                alarms.list.take_out(key)
+                del self.added[key]
+        of_bus = [key for key in self.left_aside if key.split(".")[0] == bus]
+        for key in of_bus or (self.left_aside if not bus else ()):
+            del self.left_aside[key]
 
     def _leave_aside(self, row: StoreRow, name: str, why: Message) -> None:
         log.warning("alarm of the site does not fit the configuration", alarm=name, why=str(why))

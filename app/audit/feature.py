@@ -15,6 +15,7 @@ from app.audit.store import head_of
 from app.database import Database
 from app.database.migration import FIRST, Migration
 from app.feature import Feature, Services
+from app.home.lease import SITE
 from app.settings import Settings
 from bus.messages import Message
 
@@ -28,14 +29,16 @@ def make(services: Services) -> None:
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
     begin = partial(_record_start, settings, database, events)
     lifespan.add("event log", start=begin, end=partial(_record_end, events))
+    for bus in (SITE, *services.buses):
+        close = partial(events.close_open_intents, bus or None)
+        services.at_home(bus).add(f"open commands of {bus or 'the site'}", start=close)
     record_all = partial(events.repeated.record_due, everything=True)
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
 
 
 async def _record_start(settings: Settings, database: Database, events: EventLog) -> None:
-    """Close what the last run left open, then record what this one begins with."""
+    """Record what this run begins with."""
     data = settings.server.data
-    await events.close_open_intents()
     if database.migrated:
         await events.record(kind="server", what=_store_changed(database.migrated))
     await events.record(kind="server", what=Message("event_server_started"))

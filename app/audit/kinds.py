@@ -15,6 +15,7 @@ EventKind = Literal[
     "configuration",
     "control",
     "estop",
+    "home",
     "limits",
     "login",
     "notification",

@@ -111,9 +111,10 @@ class EventLog:
         entry = self._entry(kind, **fields, count=count if count > 1 else None, **time)
         return (await self._append_all([entry], also))[0]
 
-    async def close_open_intents(self) -> int:
-        """At start: what was open when the server ended is unverified. Returns how many there were."""
-        left = await self._database.read(store.open_intents)
+    async def close_open_intents(self, bus: str | None) -> int:
+        """When the home of a bus, or of the site (None), is taken: what was open when that ended is
+        unverified. Returns how many there were."""
+        left = await self._database.read(lambda connection: store.open_intents(connection, bus))
         for first in range(0, len(left), CHUNK):
             chunk = left[first : first + CHUNK]
             await self.conclude_together({intent["id"]: ("unverified", ENDED_BEFORE) for intent in chunk})

@@ -163,13 +163,13 @@ def kinds(connection: StoreConnection) -> list[str]:
     return [row["kind"] for row in connection.execute(query)]
 
 
-def open_intents(connection: StoreConnection) -> list[dict[str, Any]]:
-    """Commands without an outcome."""
+def open_intents(connection: StoreConnection, bus: str | None) -> list[dict[str, Any]]:
+    """Commands to a bus, or to none, without an outcome."""
     query = (
         "SELECT * FROM events e WHERE e.kind = 'command' AND e.about IS NULL AND e.outcome IS NULL "
-        "AND NOT EXISTS (SELECT 1 FROM events f WHERE f.about = e.id)"
+        "AND NOT EXISTS (SELECT 1 FROM events f WHERE f.about = e.id) AND coalesce(e.bus, '') = ?"
     )
-    return [dict(row) for row in connection.execute(query)]
+    return [dict(row) for row in connection.execute(query, (bus or "",))]
 
 
 def extent(connection: StoreConnection) -> tuple[Head, int]:

@@ -36,7 +36,7 @@ def make(services: Services) -> None:
             rights=rights,
             sessions=services[SignIn],
         )
-        services.lifespan.add(f"safeguards of {name}", start=of_bus.add(guards).load)
+        services.at_home(name).add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]
         of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
 

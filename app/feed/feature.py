@@ -24,7 +24,7 @@ def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     history = services[History]
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
     feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
-    services.lifespan.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
+    services.at_home(name).add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
 
 
 FEATURE = Feature(make, (socket.router,))

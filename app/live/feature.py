@@ -18,7 +18,7 @@ def make(services: Services) -> None:
     recorder = _make_recorder(services, services, None)
     services[History].on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():
-        bus.add(live.buses[name])
+        services.at_home(name).add(f"live state of {name}", start=bus.add(live.buses[name]).forget)
         _make_recorder(services, bus, name)
 
 
@@ -26,7 +26,8 @@ def _make_recorder(services: Services, owner: Registry, bus: str | None) -> Chan
     """``owner``: the site, or one bus."""
     recorder = owner.add(ChangeRecorder(services[EventLog], bus))
     name = f"changes of {bus or 'the site'}"
-    services.lifespan.add(name, recorder.follow, finish=recorder.recorded)
+    lifespan = services.lifespan if bus is None else services.at_home(bus)
+    lifespan.add(name, recorder.follow, finish=recorder.recorded)
     return recorder
 
 

@@ -37,9 +37,12 @@ class RecipeBook:
         self._events = events
         self._loaded: dict[str, Loaded] = {}
 
-    async def load_marks(self) -> None:
-        """Read which recipes were loaded last; once at start."""
-        self._loaded = await self.store.loaded()
+    async def load_mark(self, bus: str) -> None:
+        """Read which recipe was loaded last; when the home of a bus is taken."""
+        loaded = await self.store.loaded()
+        self._loaded.pop(bus, None)
+        if bus in loaded:
+            self._loaded[bus] = loaded[bus]
 
     def loaded(self, bus: str) -> Loaded | None:
         """The recipe that a bus was loaded with last."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from app.audit.log import EventLog
 from app.commands.service.command_service import CommandService
 from app.database import Database
@@ -16,7 +18,8 @@ from app.recipes.store import RecipeStore
 def make(services: Services) -> None:
     commands, store = services.of_buses(CommandService), RecipeStore(services[Database])
     recipes = services.add(RecipeBook(services[LiveState], commands, store, services[EventLog]))
-    services.lifespan.add("recipes", start=recipes.load_marks)
+    for name in services.buses:
+        services.at_home(name).add(f"recipes of {name}", start=partial(recipes.load_mark, name))
 
 
 FEATURE = Feature(make, (api.router, pages.router), ACTS)

@@ -65,9 +65,10 @@ class RestoreService:
         """The last restores of a unit that were begun, newest first."""
         return [self._restores.get(begun.id, begun) for begun in await self._store.of_unit(bus, unit)]
 
-    async def load(self) -> None:
-        """Once at start: mark restores that were running when the server ended as stopped."""
-        for restore in await self._store.under_way():
+    async def load(self, bus: str) -> None:
+        """When the home of a bus is taken: mark its restores that were running when that ended as stopped."""
+        self._restores = {key: restore for key, restore in self._restores.items() if restore.bus != bus}
+        for restore in await self._store.under_way(bus):
             restore.stop("server_ended", Message("restore_under_way_at_end"))
             await self._store.save(restore)
             await self._record(restore)
@@ -123,7 +124,7 @@ class RestoreService:
         if any((other.bus, other.unit) == place and other.state in UNDER_WAY for other in others):
             raise Problem(409, "busy", Message.of("unit_being_restored", unit=restore.unit))
         restore.state, restore.who = "running", person.name
-        self.background.begin(self._run(person, restore), f"restore {restore.id}")
+        self.background.begin(self._run(person, restore), f"restore {restore.id}", restore.bus)
 
     def cancel(self, person: Person, restore: Restore) -> None:
         """Stop it after the current row."""

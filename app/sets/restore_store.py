@@ -36,10 +36,10 @@ class RestoreStore(Tables):
         return next(_select(connection, "id = ?", restore_id), None)
 
     @reading
-    def under_way(self, connection: StoreConnection) -> list[Restore]:
-        """Those that had not ended when the server did."""
+    def under_way(self, connection: StoreConnection, bus: str) -> list[Restore]:
+        """Those of a bus that had not ended when its home did."""
         marks = ", ".join("?" * len(UNDER_WAY))
-        return list(_select(connection, f"state IN ({marks})", *UNDER_WAY))
+        return list(_select(connection, f"bus = ? AND state IN ({marks})", bus, *UNDER_WAY))
 
     @reading
     def of_unit(self, connection: StoreConnection, bus: str, unit: int) -> list[Restore]:

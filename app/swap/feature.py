@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from app.audit.log import EventLog
 from app.database import Database
 from app.feature import Feature, Services
@@ -16,7 +18,8 @@ from bus.instants import unix_now
 def make(services: Services) -> None:
     store, restores = SwapStore(services[Database]), services[RestoreService]
     swaps = services.add(SwapService(services[EventLog], store, restores, unix_now))
-    services.lifespan.add("swaps", start=swaps.load)
+    for name in services.buses:
+        services.at_home(name).add(f"swaps of {name}", start=partial(swaps.load, name))
 
 
 FEATURE = Feature(make, (pages.router,), ACTS)

@@ -47,9 +47,10 @@ class SwapService:
         self._restores = restores
         restores.on_end(self.on_restore_end)
 
-    async def load(self) -> None:
-        """Once at start, after the restores: what was under way when the server ended."""
-        for swap in await self._store.load(self._restores.find):
+    async def load(self, bus: str) -> None:
+        """When the home of a bus is taken, after the restores: what was under way when that ended."""
+        self._swaps = {place: swap for place, swap in self._swaps.items() if swap.bus != bus}
+        for swap in await self._store.load(bus, self._restores.find):
             self._swaps[swap.bus, swap.unit] = swap
 
     def of(self, bus: str, unit: int) -> Swap | None:

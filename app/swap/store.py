@@ -37,17 +37,19 @@ class SwapStore(Tables):
     def remove(self, connection: StoreConnection, swap: Swap) -> None:
         connection.execute("DELETE FROM swap WHERE bus = ? AND unit = ?", (swap.bus, swap.unit))
 
-    async def load(self, find_restore: FindRestore) -> list[Swap]:
-        """Every swap that was not left, with the restore that it led to."""
-        rows = await self.database.read(_select)
+    async def load(self, bus: str, find_restore: FindRestore) -> list[Swap]:
+        """Every swap of a bus that was not left, with the restore that it led to."""
+        rows = await self.database.read(lambda connection: _select(connection, bus))
         for swap, restore_id in rows:
             swap.restore = await find_restore(restore_id) if restore_id else None
         return [swap for swap, _ in rows]
 
 
-def _select(connection: StoreConnection) -> list[tuple[Swap, str | None]]:
+def _select(connection: StoreConnection, bus: str) -> list[tuple[Swap, str | None]]:
     found = connection.execute(
         "SELECT bus, unit, who, began_at, set_id, set_unit, is_new, proven, seen, restore_id FROM swap"
+        " WHERE bus = ?",
+        (bus,),
     )
     return [
         (

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from bus.instants import UnixTime
 
-CONTRACT_VERSION = 4
+CONTRACT_VERSION = 5
 BUFFER_AGE_S = 7 * 86_400.0
 """How old an update may be that a worker kept while the app was away. An older one is refused."""
 
@@ -52,6 +52,9 @@ ParameterNumber = Annotated[int, Meta(ge=1, le=40)]
 OutputNumber = Annotated[int, Meta(ge=1, le=6)]
 BaudRate = Annotated[int, Meta(ge=300, le=9600)]
 Total = Annotated[int, Meta(ge=0, le=2**53)]
+MAX_EPOCH = 2**53
+Epoch = Annotated[int, Meta(ge=0, lt=MAX_EPOCH)]
+"""Of the home of a bus; 0: none."""
 
 Stamp = Annotated[UnixTime, Meta(ge=0.0, le=32_503_680_000.0)]
 """Seconds since the epoch, to the year 3000; whether it is near enough to now, the receiver judges."""

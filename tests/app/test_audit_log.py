@@ -95,8 +95,8 @@ async def test_what_a_dead_server_left_open_is_unverified(log: EventLog) -> None
     done, left = await intent(log), await intent(log)
     await log.conclude(done, "acknowledged")
     await log.record(kind="login", what="logged in", who="ann")
-    assert await log.close_open_intents() == 1
-    assert await log.close_open_intents() == 0
+    assert await log.close_open_intents("dry-end") == 1
+    assert await log.close_open_intents("dry-end") == 0
     events = {event["id"]: event for event in await newest(log, kind="command")}
     assert events[done]["outcome"] == "acknowledged"
     assert (events[left]["outcome"], events[left]["message"]) == ("unverified", str(ENDED_BEFORE))

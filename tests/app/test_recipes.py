@@ -149,7 +149,7 @@ async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_de
     await scene.book.load(ANNA, recipe, monotonic_now(), confirm=True, command_id="one")
     live = a_bus()
     again = RecipeBook(live, {"dry-end": scene.commands}, scene.book.store, scene.events)  # type: ignore[arg-type]
-    await again.load_marks()
+    await again.load_mark("dry-end")
     assert again.loaded_words("dry-end") == ("Kraft 80", [])
     responding(live, commanded=1200)
     assert again.loaded_words("dry-end") == ("Kraft 80", ["Nip"])

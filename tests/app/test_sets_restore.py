@@ -176,7 +176,7 @@ async def test_a_killed_server_left_the_exact_list_of_what_was_done(a_scene: Set
     await asyncio.wait_for(scene.commands.hanging.wait(), 10)
 
     after = scene.server()
-    await after.load()
+    await after.load("dry-end")
     found = await after.find(killed.id)
     assert found is not None
     assert (found.state, found.who) == ("stopped", "anna")

@@ -169,7 +169,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
     scene.restores[restore.id] = restore
     again = scene.another()
-    await again.load()
+    await again.load("dry-end")
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
@@ -177,7 +177,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
         await again.begin(ANNA, "dry-end", 2, None)
     await again.cancel(ANNA, known)
     later = scene.another()
-    await later.load()
+    await later.load("dry-end")
     assert later.of("dry-end", 2) is None
 
 

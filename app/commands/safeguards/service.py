@@ -53,6 +53,8 @@ class Safeguards:
         sessions.on_signed_out(self.revoke_control)
 
     async def load(self) -> None:
+        """Read limits and blocks, and free control; when the home of the bus is taken."""
+        self.control = Control(required=self.control.required)
         await self.limits.load()
         await self.blocks.load()
 

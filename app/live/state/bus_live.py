@@ -32,7 +32,7 @@ from bus.contract import (
     UnitLink,
     Update,
 )
-from bus.instants import UnixTime
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 
@@ -131,6 +131,16 @@ class BusLive:
         updates = updates_of(snapshot)
         self.apply(updates)
         return updates
+
+    async def forget(self) -> None:
+        """Begin with nothing known: another server may have had the bus meanwhile."""
+        fresh = never_seen(self.settings, unix_now())
+        self.link, self.link_onset, self.worker_lost = fresh.link, fresh.link_onset, fresh.worker_lost
+        self.figures = self.read_at = None
+        for number, unit in self.units.items():
+            new = fresh.units[number]
+            unit.link, unit.reading, unit.parameters, unit.staged = new.link, None, {}, None
+            unit.motion, unit.onsets, unit.last_response = new.motion, new.onsets, None
 
     def lose_worker(self, at: UnixTime, cause: Message = NO_WORKER) -> None:
         """The worker's connection ended: the port counts as closed, nothing counts as fresh."""

@@ -1,0 +1,18 @@
+-- Which server is the home of each bus; '' is the site itself. Times are of the store's clock.
+CREATE TABLE home (
+    bus TEXT PRIMARY KEY,
+    holder TEXT NOT NULL,
+    -- The process of the holder: two servers with one name are told apart by it.
+    instance TEXT NOT NULL,
+    epoch INTEGER NOT NULL,
+    until REAL NOT NULL,
+    url TEXT NOT NULL,
+    taken_at REAL NOT NULL,
+    reason TEXT NOT NULL,
+    -- The instance, once it has given the bus up.
+    released TEXT NOT NULL,
+    -- What a person asked for: which server is to take the bus, and until when that holds.
+    wished_by TEXT NOT NULL,
+    wished_for TEXT NOT NULL,
+    wish_ends REAL NOT NULL
+);

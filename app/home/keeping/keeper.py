@@ -1,0 +1,324 @@
+"""Holds the homes of this server: renews each second, takes what it may, and gives up in time."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from typing import NamedTuple
+
+import structlog
+
+from app.audit.log import EventLog
+from app.errors import StoreError
+from app.home.homes import Homes
+from app.home.keeping.life import HomeLife, Ports
+from app.home.lease import (
+    NEW,
+    RENEW_S,
+    UNSEEN,
+    Claimant,
+    HomeRow,
+    Lease,
+    Sighting,
+    Verdict,
+    verdict,
+)
+from app.home.store import Beat, HomeStore
+from bus.instants import Monotonic, MonotonicClock, monotonic_now
+from bus.messages import Message
+
+BEAT_WITHIN_S = 2.0
+"""A store that takes longer is away."""
+LOOK_S = 0.2
+"""How often it is looked whether a lease has run out."""
+MAX_END_S = 3.0
+"""What the end of the server waits for its homes to be given up."""
+
+log = structlog.get_logger()
+
+Lifetime = Callable[[], AbstractAsyncContextManager[None]]
+
+
+class HomeTerms(NamedTuple):
+    """What the configuration says of a bus. ``permitted``: this server may be its home; ``automatic``: it is
+    taken over without a person, and therefore given up where the lease cannot be renewed."""
+
+    permitted: bool
+    automatic: bool
+
+
+class HomeKeeper:
+    """Runs the lifespan of each bus whose home is here. ``is_new``: this process has made the store."""
+
+    def __init__(
+        self,
+        homes: Homes,
+        store: HomeStore,
+        events: EventLog,
+        terms: Mapping[str, HomeTerms],
+        lifetimes: Mapping[str, Lifetime],
+        ports: Ports,
+        *,
+        is_new: bool = False,
+        monotonic: MonotonicClock = monotonic_now,
+    ) -> None:
+        self._homes = homes
+        self._store = store
+        self._events = events
+        self._terms = terms
+        self._monotonic = monotonic
+        self.instance = secrets.token_hex(8)
+        self._sightings = dict.fromkeys(terms, NEW if is_new else UNSEEN)
+        self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
+        self._leases: dict[str, Lease] = {}
+        """What is renewed: also what is being given up, until its port is closed."""
+        self._wake = asyncio.Event()
+        self._all_released = asyncio.Event()
+        self._logged: set[str] = set()
+        self._away = ""
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Be the home of buses. Raises StartError where this server alone has the store and a part of a bus
+        cannot start."""
+        run = self._leased if self._homes.is_shared else self._alone
+        async with run():
+            yield
+
+    def wake(self) -> None:
+        """Look at the store at once."""
+        self._wake.set()
+
+    @asynccontextmanager
+    async def _alone(self) -> AsyncIterator[None]:
+        beat = await self._store.take_all(self._homes.server, self.instance, self._homes.url, self._terms)
+        for bus, row in beat.rows.items():
+            self._homes.hold(bus, Lease(row.epoch, self._monotonic()))
+        self._homes.note_rows(beat.rows)
+        async with AsyncExitStack() as stack:
+            for life in self._lives.values():
+                await stack.enter_async_context(life.running())
+            yield
+
+    @asynccontextmanager
+    async def _leased(self) -> AsyncIterator[None]:
+        works = (self._beat_without_end, self._watch)
+        tasks = [asyncio.create_task(work()) for work in works]
+        lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
+        try:
+            yield
+        finally:
+            # The leases are renewed until their ports are closed, but none is taken.
+            self._all_released = asyncio.Event()
+            self._note_released()
+            self._terms = {bus: HomeTerms(False, terms.automatic) for bus, terms in self._terms.items()}
+            for bus in tuple(self._leases):
+                self._give_up(bus)
+            await self._released()
+            for task in (*tasks, *lives):
+                task.cancel()
+            await asyncio.gather(*tasks, *lives, return_exceptions=True)
+
+    async def _released(self) -> None:
+        """Wait until every home is given up, or for `MAX_END_S`."""
+        try:
+            async with asyncio.timeout(MAX_END_S):
+                await self._all_released.wait()
+        except TimeoutError:
+            log.warning("homes not given up in time", buses=sorted(self._leases))
+
+    def _note_released(self) -> None:
+        if not self._leases:
+            self._all_released.set()
+
+    # --- the life of one home ------------------------------------------------------------------
+
+    async def _live(self, bus: str) -> None:
+        life = self._lives[bus]
+        while True:
+            await life.held.wait()
+            failed = await life.live()
+            lease = self._leases.get(bus)
+            self._homes.hold(bus, None)
+            if lease is not None:
+                await self._release(bus, lease)
+                self._leases.pop(bus, None)
+                self._note_released()
+            if failed is not None:
+                log.error("home not started", bus=bus or "site", why=failed)
+                # Another server may be able to.
+                await asyncio.sleep(2 * RENEW_S)
+            life.is_on = False
+
+    async def _release(self, bus: str, lease: Lease) -> None:
+        try:
+            async with asyncio.timeout(BEAT_WITHIN_S):
+                await self._store.release(bus, self.instance, lease.epoch)
+        except (StoreError, TimeoutError) as error:
+            log.warning("home not released; it lapses", bus=bus or "site", why=str(error) or "no response")
+
+    def _give_up(self, bus: str) -> None:
+        """End what runs for a bus, its port first. The lease is renewed until then."""
+        self._homes.hold(bus, None)
+        self._lives[bus].lose()
+
+    def _lose(self, bus: str, why: Message) -> None:
+        """The lease is gone."""
+        lease = self._leases.pop(bus, None)
+        self._give_up(bus)
+        if lease is not None:
+            log.error("home lost", bus=bus or "site", epoch=lease.epoch, why=str(why))
+            task = asyncio.create_task(self._record("lost", bus, lease.epoch, "", why))
+            self._lives[bus].records.add(task)
+            task.add_done_callback(self._lives[bus].records.discard)
+
+    # --- looking at the store ------------------------------------------------------------------
+
+    async def _beat_without_end(self) -> None:
+        while True:
+            began = self._monotonic()
+            try:
+                await self.beat()
+            except Exception:
+                log.exception("homes were not renewed")
+            left_s = began + RENEW_S - self._monotonic()
+            self._wake.clear()
+            try:
+                async with asyncio.timeout(max(left_s, 0.0)):
+                    await self._wake.wait()
+            except TimeoutError:
+                continue
+
+    async def beat(self) -> None:
+        """Renew what is held, see the rows of all, and take what may be taken."""
+        began = self._monotonic()
+        epochs = {bus: lease.epoch for bus, lease in self._leases.items()}
+        try:
+            async with asyncio.timeout(BEAT_WITHIN_S):
+                beat = await self._store.beat(self._homes.server, self.instance, self._homes.url, epochs)
+        except (StoreError, TimeoutError) as error:
+            self._store_is_away(began, str(error) or "it does not respond")
+            return
+        self._away = ""
+        self._see(beat, began, epochs)
+        await self._take_free(beat)
+
+    def _store_is_away(self, began: Monotonic, why: str) -> None:
+        """What no other server takes without a person stays; all else is lost by its own clock."""
+        if why != self._away:
+            log.error("homes cannot be renewed", why=why)
+        self._away = why
+        for bus, lease in tuple(self._leases.items()):
+            if not self._terms[bus].automatic:
+                self._renewed(bus, lease.renewed(began))
+
+    def _renewed(self, bus: str, lease: Lease) -> None:
+        self._leases[bus] = lease
+        if self._homes.is_here(bus):
+            self._homes.hold(bus, lease)
+
+    def _see(self, beat: Beat, began: Monotonic, epochs: Mapping[str, int]) -> None:
+        now = self._monotonic()
+        self._homes.note_rows(beat.rows)
+        for bus in self._terms:
+            row = beat.rows.get(bus)
+            self._sightings[bus] = self._sightings[bus].again(row, now)
+            lease = self._leases.get(bus)
+            if lease is None or lease.epoch != epochs.get(bus):
+                continue
+            if row is None or not self._is_mine(row, lease):
+                self._lose(bus, Message("home_reason_changed"))
+                continue
+            self._renewed(bus, lease.renewed(began))
+            if row.wish(beat.now) not in ("", self._homes.server):
+                self._give_up(bus)
+
+    def _is_mine(self, row: HomeRow, lease: Lease) -> bool:
+        mine = (self._homes.server, self.instance, lease.epoch)
+        return (row.holder, row.instance, row.epoch) == mine and not row.is_released
+
+    async def _watch(self) -> None:
+        """Give up what could not be renewed, also while the store does not respond."""
+        while True:
+            await asyncio.sleep(LOOK_S)
+            self.look()
+
+    def look(self) -> None:
+        """Give up each lease that has run out by the own clock."""
+        now = self._monotonic()
+        for bus, lease in tuple(self._leases.items()):
+            if lease.left_s(now) <= 0.0:
+                self._lose(bus, Message.of("home_reason_lapse", why=self._away or "-"))
+
+    # --- taking --------------------------------------------------------------------------------
+
+    async def _take_free(self, beat: Beat) -> None:
+        for bus, terms in self._terms.items():
+            if bus in self._leases or self._lives[bus].is_on:
+                continue
+            sighting = self._sightings[bus]
+            claimant = Claimant(self._homes.server, self.instance, *terms)
+            found = verdict(sighting, claimant, self._monotonic(), beat.now)
+            self._tell(bus, found, beat.rows.get(bus))
+            if found == "may_take":
+                await self._take(bus, sighting, claimant)
+
+    async def _take(self, bus: str, sighting: Sighting, claimant: Claimant) -> None:
+        began, former = self._monotonic(), self._homes.of(bus)
+        reason = _reason(sighting.row)
+        try:
+            async with asyncio.timeout(BEAT_WITHIN_S):
+                taken = await self._store.take(
+                    sighting,
+                    claimant,
+                    bus,
+                    url=self._homes.url,
+                    epoch_above=former.epoch,
+                    reason=str(reason),
+                )
+        except (StoreError, TimeoutError) as error:
+            log.warning("home not taken", bus=bus or "site", why=str(error) or "no response")
+            return
+        if not isinstance(taken, HomeRow):
+            return
+        lease = self._leases[bus] = Lease(taken.epoch, began)
+        self._sightings[bus] = self._sightings[bus].again(taken, self._monotonic())
+        self._homes.hold(bus, lease)
+        self._lives[bus].hold()
+        log.info("home taken", bus=bus or "site", epoch=taken.epoch, why=taken.reason)
+        by_person = taken.reason != str(reason)
+        why = taken.reason if by_person else reason
+        await self._record("taken", bus, taken.epoch, taken.wished_by if by_person else "", why)
+
+    async def _record(self, what: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
+        code = f"event_home_{what}" if bus else f"event_home_site_{what}"
+        event = Message.of(code, server=self._homes.server, epoch=epoch)
+        try:
+            await self._events.record(kind="home", who=who, bus=bus or None, what=event, message=why)
+        except StoreError as error:
+            log.warning("event of a home not recorded", what=str(event), why=str(error))
+
+    def _tell(self, bus: str, found: Verdict, row: HomeRow | None) -> None:
+        """Log once what a person must put right."""
+        if row is None or found not in ("held_by_namesake", "unusable"):
+            return
+        if found == "held_by_namesake":
+            if self._sightings[bus].changes <= 1:
+                return
+            text = Message.of("home_namesake", server=row.holder, buses=bus or "site", url=row.url)
+        else:
+            text = Message.of("home_row_unusable", bus=bus or "site", epoch=row.epoch)
+        if str(text) not in self._logged:
+            self._logged.add(str(text))
+            log.error("home", why=str(text))
+
+
+def _reason(row: HomeRow | None) -> Message:
+    """Why a bus is free."""
+    if row is None:
+        return Message("home_reason_first")
+    if row.is_released:
+        return Message.of("home_reason_released", holder=row.holder)
+    return Message.of("home_reason_lapsed", holder=row.holder, seconds=5)
