@@ -15,7 +15,6 @@ from app.audit.chain import (
     ROTATED,
     SITE,
     Head,
-    newest_of,
     remark_on,
     sealed_entry,
     sealed_head,
@@ -32,16 +31,24 @@ _COLUMNS = (*FIELDS, "count", "messages", "chain", "key", "previous", "hash", "s
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _NOTE_HEAD = upsert("events_head", ("chain",), ("id", "hash", "key", "seal"))
 _HEADS = "SELECT id, hash, key, seal, chain FROM events_head"
-_LAST = "SELECT id, hash, key, chain FROM events ORDER BY id DESC LIMIT 1"
+_HEAD = f"{_HEADS} WHERE chain = ?"
+_LAST = """
+SELECT last.id, last.hash, last.key, COALESCE(last.chain, ''),
+       head.id, head.hash, head.key, head.seal, head.chain
+FROM events AS last LEFT JOIN events_head AS head ON head.chain = COALESCE(last.chain, '')
+ORDER BY last.id DESC LIMIT 1
+"""
+"""The last entry, and the noted end of its chain."""
+_NO_ENTRY = (0, "", "", SITE, *[None] * 5)
 
 
 def append(connection: StoreConnection, entries: Sequence[Mapping[str, Any]], keys: Keys) -> list[int]:
     """Add entries without their ids; return the ids. Where a chain before them cannot be vouched for, an
     entry about that comes first."""
     lock(connection, "events")
+    end = _LogEnd(connection, keys)
     chains = [_chain_of(connection, entry) for entry in entries]
-    end = _LogEnd(connection, {*chains, SITE}, keys)
-    if entries:
+    if entries and end.is_first_use_of_key:
         end.take_newest_key(entries[0]["time"], chains)
     numbers = [end.add(chain, entry) for chain, entry in zip(chains, entries, strict=True)]
     end.note()
@@ -58,37 +65,35 @@ def _chain_of(connection: StoreConnection, entry: Mapping[str, Any]) -> str:
 
 
 class _LogEnd:
-    """The ends of the chains of one transaction, as they are continued. `note` stores them."""
+    """The ends of the chains as one transaction continues them. `note` stores them."""
 
-    def __init__(self, connection: StoreConnection, chains: set[str], keys: Keys) -> None:
+    def __init__(self, connection: StoreConnection, keys: Keys) -> None:
         self._connection = connection
-        marks = ", ".join("?" * len(chains))
-        newest_too = f"{_HEADS} WHERE chain IN ({marks}) OR id = (SELECT max(id) FROM events_head)"
-        self._heads = _heads(connection.execute(newest_too, [*chains]))
-        newest = newest_of(self._heads.values())
-        last = connection.execute(_LAST).fetchone()
-        self._number = max(newest.id, last[0] if last else 0)
-        self._newest_key = newest.key
-        self._ring = keys.knowing(newest.key)
-        self._is_altered = self._number > newest.id
-        if last and self._is_altered:
-            # It is there behind the noted ends, and cannot have been written so.
-            number, digest, key, chain = last
-            self._heads[chain or SITE] = Head(number, digest, key, chain=chain or SITE)
+        self._heads: dict[str, Head | None] = {}
         self._changed: set[str] = set()
+        number, digest, key, chain, *noted = connection.execute(_LAST).fetchone() or _NO_ENTRY
+        self._number: int = number
+        end = Head(*noted) if noted[0] else self._head(chain)
+        self._is_altered = number > (end.id if end else 0)
+        if self._is_altered:
+            # It is there behind the noted end, and cannot have been written so.
+            end = Head(number, digest, key, chain=chain)
+        self._heads[chain] = end
+        newest_key = end.key if end else ""
+        self._ring = keys.knowing(newest_key)
+        self.is_first_use_of_key = self._ring.rank(newest_key) not in (None, len(self._ring.keys) - 1)
 
     def take_newest_key(self, time: UnixTime, chains: Iterable[str]) -> None:
         """Where a newer key is used for the first time, seal every chain with it: else one who knows an older
         key could rewrite a chain in which nothing follows. ``chains`` are continued anyway."""
-        if self._ring.rank(self._newest_key) is None or self._newest_key == self._ring.newest:
-            return
-        self._heads = _heads(self._connection.execute(_HEADS)) | self._heads
+        for row in self._connection.execute(_HEADS).fetchall():
+            self._heads.setdefault(row[4], Head(*row))
         for chain in sorted(self._heads.keys() - set(chains)):
             self.add(chain, new_entry(kind="audit", time=time, what=ROTATED, bus=chain or None))
 
     def add(self, chain: str, entry: Mapping[str, Any]) -> int:
         """Add an entry without its id to a chain; return the id."""
-        continued = chain if chain in self._heads else SITE
+        continued = SITE if self._head(chain) is None else chain
         if remark := self._remark_on(continued):
             about = new_entry(kind="audit", time=entry["time"], what=remark, bus=continued or None)
             self._insert(continued, about)
@@ -97,28 +102,36 @@ class _LogEnd:
     def note(self) -> None:
         """Store the ends of the chains that were continued."""
         for chain in self._changed:
-            head = self._heads[chain]
-            self._connection.execute(_NOTE_HEAD, (chain, head.id, head.hash, head.key, head.seal))
+            if head := self._heads[chain]:
+                self._connection.execute(_NOTE_HEAD, (chain, head.id, head.hash, head.key, head.seal))
+
+    def _head(self, chain: str) -> Head | None:
+        """The end of a chain, None where it has not begun."""
+        if chain not in self._heads:
+            row = self._connection.execute(_HEAD, (chain,)).fetchone()
+            self._heads[chain] = Head(*row) if row else None
+        return self._heads[chain]
 
     def _remark_on(self, chain: str) -> Message | None:
-        remark = None if chain in self._changed else remark_on(self._heads.get(chain, Head()), self._ring)
-        if remark is None and self._is_altered:
-            remark = END_ALTERED
+        if chain in self._changed:
+            return None
+        head = self._head(chain)
+        remark = (remark_on(head, self._ring) if head else None) or (
+            END_ALTERED if self._is_altered else None
+        )
         self._is_altered = False
         return remark
 
     def _insert(self, chain: str, entry: Mapping[str, Any]) -> int:
-        before = self._heads.get(chain) or self._heads.get(SITE) or Head()
-        self._number += 1
+        own = self._head(chain)
+        before = own or self._head(SITE) or Head()
+        self._number = max(self._number, before.id) + 1
         # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
-        row = {name: entry.get(name) for name in _COLUMNS} | {"id": self._number, "chain": chain}
+        row = {name: entry.get(name) for name in _COLUMNS}
+        row["id"], row["chain"] = self._number, chain
         sealed = sealed_entry(before.hash, row, self._ring)
-        self._connection.execute(_INSERT, [sealed.get(name) for name in _COLUMNS])
-        for continued in {chain} if chain in self._heads else {chain, SITE}:
+        self._connection.execute(_INSERT, [sealed[name] for name in _COLUMNS])
+        for continued in (chain,) if own else {chain, SITE}:
             self._heads[continued] = sealed_head(sealed, self._ring, continued)
             self._changed.add(continued)
         return self._number
-
-
-def _heads(rows: Iterable[Sequence[Any]]) -> dict[str, Head]:
-    return {row[4]: Head(*row) for row in rows}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from app.audit.entry import messages_of
@@ -31,6 +31,7 @@ END_ALTERED = Message("event_audit_end_altered")
 """No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
 _END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
 """The text of that remark in an entry of a version that kept texts alone."""
+_canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str).encode
 _DERIVED = frozenset({"hash", "seal"})
 
 
@@ -43,11 +44,6 @@ class Head:
     key: str = ""
     seal: str = ""
     chain: str = SITE
-
-    @property
-    def sealed_parts(self) -> tuple[str, ...]:
-        """What its seal covers; of the site's chain without the name, as versions with one chain wrote it."""
-        return (str(self.id), self.hash, *([self.chain] if self.chain else ()))
 
 
 def newest_of(heads: Iterable[Head]) -> Head:
@@ -71,26 +67,32 @@ def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
     if not entry.get("key"):
         newer = covered.keys() - {*FIELDS, "previous", "key"}
         covered = {name: entry.get(name) for name in FIELDS} | {name: covered[name] for name in newer}
-    canonical = json.dumps(covered, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str)
-    return hashlib.sha256(f"{previous}\n{canonical}".encode("utf-8", "surrogatepass")).hexdigest()
+    return hashlib.sha256(f"{previous}\n{_canonical(covered)}".encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict[str, Any]:
     """``entry``, which has its id, chained to the hash before and sealed with the newest key."""
-    chained = {**entry, "previous": previous, "key": ring.newest}
-    digest = entry_hash(previous, chained)
-    return {**chained, "hash": digest, "seal": ring.seal("entry", digest)}
+    sealed = {**entry, "previous": previous, "key": ring.newest}
+    sealed["hash"] = digest = entry_hash(previous, sealed)
+    sealed["seal"] = ring.seal("entry", digest)
+    return sealed
 
 
 def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = SITE) -> Head:
     """A sealed entry as the newest of a chain."""
-    head = Head(entry["id"], entry["hash"], ring.newest, chain=chain)
-    return replace(head, seal=ring.seal("head", *head.sealed_parts))
+    number, digest = entry["id"], entry["hash"]
+    return Head(number, digest, ring.newest, ring.seal("head", *_head_parts(number, digest, chain)), chain)
+
+
+def _head_parts(number: int, digest: str, chain: str) -> tuple[str, ...]:
+    """What the seal of a head covers; of the site's chain without the name, as versions with one chain had
+    it."""
+    return (str(number), digest, chain) if chain else (str(number), digest)
 
 
 def confirms_head(head: Head, ring: KeyRing) -> bool:
     """Whether ``head`` was noted with a key of the ring."""
-    return ring.confirms(head.seal, head.key, "head", *head.sealed_parts)
+    return ring.confirms(head.seal, head.key, "head", *_head_parts(head.id, head.hash, head.chain))
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:

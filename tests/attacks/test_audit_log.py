@@ -17,7 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.audit.anchoring import Anchoring
-from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, Head, entry_hash
+from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head
 from app.audit.keyring import BEGINNING
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
@@ -303,8 +303,8 @@ def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
     with closing(sqlite3.connect(plant.store)) as connection:
         for chain, number in {SITE: 1 if plant.bus else 9, plant.bus or SITE: 9}.items():
             (digest,) = connection.execute("SELECT hash FROM events WHERE id = ?", (number,)).fetchone()
-            head = Head(number, digest, ring.newest, chain=chain)
-            end = (chain, number, digest, ring.newest, ring.seal("head", *head.sealed_parts))
+            head = sealed_head({"id": number, "hash": digest}, ring, chain)
+            end = (chain, number, digest, ring.newest, head.seal)
             connection.execute(
                 "INSERT INTO events_head (chain, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)", end
             )

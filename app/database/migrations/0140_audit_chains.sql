@@ -9,7 +9,7 @@ CREATE TABLE chain_head (
     hash  TEXT    NOT NULL,
     key   TEXT    NOT NULL,
     seal  TEXT    NOT NULL
-) STRICT;
+) STRICT, WITHOUT ROWID;
 INSERT INTO chain_head (chain, id, hash, key, seal) SELECT '', id, hash, key, seal FROM events_head;
 DROP TABLE events_head;
 ALTER TABLE chain_head RENAME TO events_head;
