@@ -111,7 +111,7 @@ class Walk:
         for chain in sorted(self._ends.keys() | heads.keys()):
             if chain not in self._faults:
                 self._check_end(chain, heads.get(chain, Head()))
-        self._check_what_is_missing()
+        self._check_missing()
         if self._number < (origin := self._ring.origin.id):
             before_key = Message.of("audit_end_before_key", entry=self._number, written=origin)
             self._faults.setdefault(SITE, _Fault(self._number + 1, before_key))
@@ -193,7 +193,7 @@ class Walk:
         elif last.id > origin.id and last.key != self._ring.newest:
             self._break(chain, last.id + 1, "audit_newest_key_unused")
 
-    def _check_what_is_missing(self) -> None:
+    def _check_missing(self) -> None:
         """Break the chain of which an anchor names an entry that is not there, and that of the site for an
         entry that nothing else names."""
         for number in sorted(self._unmet, reverse=True):

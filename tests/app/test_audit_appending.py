@@ -111,7 +111,7 @@ async def test_two_servers_append_to_one_store_at_once() -> None:
         assert (await logs[1].proof.verify({})).broken is None
 
 
-async def test_what_is_added_in_one_transaction_is_noted_once(store: Database) -> None:
+async def test_entries_of_one_transaction_are_noted_once(store: Database) -> None:
     entries = [new_entry(kind="estop", time=float(number), what="x", bus=DRY) for number in range(1, 4)]
     keys = passing_keys()
     assert store.write_now(lambda c: appending.append(c, entries, keys)) == [1, 2, 3]
