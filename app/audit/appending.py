@@ -71,8 +71,9 @@ class _LogEnd:
         self._connection = connection
         self._heads: dict[str, Head | None] = {}
         self._changed: set[str] = set()
-        number, digest, key, chain, *noted = connection.execute(_LAST).fetchone() or _NO_ENTRY
-        self._number: int = number
+        found: Sequence[Any] = connection.execute(_LAST).fetchone() or _NO_ENTRY
+        number, digest, key, chain, *noted = found
+        self._number: int = max(0, number)
         end = Head(*noted) if noted[0] else self._head(chain)
         self._is_altered = number > (end.id if end else 0)
         if self._is_altered:
@@ -88,7 +89,8 @@ class _LogEnd:
         key could rewrite a chain in which nothing follows. ``chains`` are continued anyway."""
         for row in self._connection.execute(_HEADS).fetchall():
             self._heads.setdefault(row[4], Head(*row))
-        for chain in sorted(self._heads.keys() - set(chains)):
+        begun = {chain for chain, head in self._heads.items() if head is not None}
+        for chain in sorted(begun - set(chains)):
             self.add(chain, new_entry(kind="audit", time=time, what=ROTATED, bus=chain or None))
 
     def add(self, chain: str, entry: Mapping[str, Any]) -> int:
@@ -116,9 +118,9 @@ class _LogEnd:
         if chain in self._changed:
             return None
         head = self._head(chain)
-        remark = (remark_on(head, self._ring) if head else None) or (
-            END_ALTERED if self._is_altered else None
-        )
+        remark = remark_on(head, self._ring) if head else None
+        if remark is None and self._is_altered:
+            remark = END_ALTERED
         self._is_altered = False
         return remark
 

@@ -215,6 +215,17 @@ def test_an_entry_is_added_behind_the_end_and_the_server_goes_on(plant: Site, bu
     assert "entry 10 is missing" in plant.faults()
 
 
+def test_an_entry_before_the_first_takes_the_place_of_the_log(plant: Site) -> None:
+    """Numbers begin at 1 again, and the anchor misses what was there."""
+    [row] = plant.rows("SELECT * FROM events WHERE id = 3")
+    plant.attack("DELETE FROM events", "DELETE FROM events_head")
+    plant.put("events", row | {"id": -5})
+    plant.work(2)
+    assert [row["id"] for row in plant.rows("SELECT id FROM events ORDER BY id")] == [-5, 1, 2, 3]
+    assert "the log ends at entry 3, but the anchor names entry 8" in plant.verify()[1].replace("\n", " ")
+    assert "entry 1 is missing; after 0 comes -5" in plant.faults()
+
+
 def test_every_broken_chain_is_named_and_the_others_are_not(plant: Site) -> None:
     plant.attack("UPDATE events SET what = 'nothing happened' WHERE id IN (4, 6)")
     faults = plant.faults()
