@@ -303,6 +303,22 @@ def test_the_start_compares_every_chain_with_its_anchors(plant: Site) -> None:
     assert asyncio.run(altered()) == "entry 8 is not the one that the anchor names"
 
 
+def test_a_restored_backup_names_where_every_chain_ended(plant: Site, tmp_path: Path) -> None:
+    for words in (
+        ["backup-store", str(tmp_path / "one.tar")],
+        ["restore-store", str(tmp_path / "one.tar"), "--yes"],
+    ):
+        plant.anchor.unlink(missing_ok=True)
+        done = CliRunner().invoke(cli, [*words, "--config", str(plant.config)])
+        assert done.exit_code == 0, done.output
+    [event] = plant.rows("SELECT message FROM events WHERE what = 'the stores were restored from a backup'")
+    assert "the audit log that was replaced ended at entry 9, " in event["message"]
+    assert f"its chain of {DRY} at entry 7, " in event["message"]
+    assert f"its chain of {WET} at entry 8, " in event["message"]
+    plant.work()
+    assert plant.verify()[0] == 0
+
+
 def test_a_seal_of_an_end_is_of_its_chain_alone() -> None:
     ring = KeyRing((b"k" * 32,))
     seals = {sealed_head({"id": 1, "hash": "a" * 64}, ring, chain).seal for chain in (SITE, DRY, WET)}
