@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.audit.keys import open_keys
-from app.audit.store import head_of, prove
+from app.audit.store import heads_of, prove
 from app.database import SqliteDatabase
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
@@ -72,7 +72,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
     with sqlite3.connect(data / "lineside.db") as connection:
         connection.row_factory = sqlite3.Row
         there = connection.execute("SELECT count(*) FROM events WHERE id <= ?", (last_event,)).fetchone()[0]
-        keys = open_keys([data / KEY_FILE], data / "lineside.db", head_of(connection))
+        keys = open_keys([data / KEY_FILE], data / "lineside.db", heads_of(connection))
         intact = prove(connection, keys.ring, {}).broken is None
     tail = Tail()
     database = SqliteDatabase(data / "history.db", MIGRATIONS)

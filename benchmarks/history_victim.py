@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.database import SqliteDatabase
 from app.history.service import History
 from app.settings import ServerSettings, Settings
@@ -31,7 +31,7 @@ async def _live(folder: Path) -> None:
     history = History(Settings(server=ServerSettings(data=folder / "flood")))
     store = folder / "flood" / "lineside.db"
     database = SqliteDatabase(store)
-    keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(head_of))
+    keys = open_keys([store.with_name(KEY_FILE)], store, database.read_now(heads_of))
     events = EventLog(database, keys=keys)
     history.start()
     step = 0

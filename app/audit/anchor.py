@@ -1,9 +1,12 @@
 """The anchor: heads of the audit log in a file that cannot be changed with access to the store alone.
 
-One line of JSON for each head, only ever appended: the file may be append-only or on write-once media. The
-anchor beside the key has the newest line alone: that a log began, and how far it came.
+One line of JSON for the newest entry of the log, only ever appended: the file may be append-only or on
+write-once media. ``chains`` of a line are the heads that differ from those of the lines before, at the same
+instant; a line without them is of the site's chain. The anchor beside the key has the newest head of every
+chain in one line: that a log began, and how far it came.
 
 ``{"id":812,"hash":"3fa9…","time":"2026-11-21T02:01:33Z","key":"91c2…","seal":"77ab…"}``
+``{"id":815,"hash":"0b1e…",…,"chains":{"dry-end":[815,"0b1e…"]}}``
 """
 
 from __future__ import annotations
@@ -12,23 +15,25 @@ import errno
 import os
 import stat
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import msgspec
 
-from app.audit.chain import Head
+from app.audit.chain import SITE, Head, newest_of
 from app.audit.keyring import KeyRing
 from app.database.private import restrict, write_file
 from app.errors import StoreError, system_error
 from bus.instants import UnixTime
 from bus.messages import Message
 
-_TAIL_BYTES, _TAIL_LINES = 4096, 5
-"""Where the newest line of a file is, however long that is."""
+FULL_EVERY_BYTES = 131_072
+"""At least so often a line of a file has the heads of all chains."""
+_TAIL_BYTES = 2 * FULL_EVERY_BYTES
+"""Where the newest head of each chain is, however long the file is."""
 
 
 class AnchorError(StoreError):
@@ -50,49 +55,76 @@ def _in_words(path: Path) -> Iterator[None]:
         raise AnchorError(path, error) from error
 
 
-class _AnchorLine(msgspec.Struct):
+class _AnchorLine(msgspec.Struct, omit_defaults=True):
     id: int
     hash: str
     time: str
     key: str
-    seal: str
+    seal: str = ""
+    chains: dict[str, tuple[int, str]] = {}
+
+    @property
+    def heads(self) -> dict[str, Head]:
+        """The heads that it names, by chain."""
+        chains = self.chains or {SITE: (self.id, self.hash)}
+        return {name: Head(*end, chain=name) for name, end in chains.items()}
+
+    @property
+    def sealed_parts(self) -> tuple[str, ...]:
+        chains = [msgspec.json.encode(self.chains).decode()] if self.chains else []
+        return str(self.id), self.hash, self.time, *chains
+
+    def is_sealed(self, ring: KeyRing) -> bool:
+        return ring.confirms(self.seal, self.key, "anchor", *self.sealed_parts)
 
 
 @dataclass(frozen=True)
 class Anchors:
-    """The content of a file of anchors. ``heads``: hash by entry. ``forged``: the first line that was not
+    """The content of a file of anchors. ``heads``: by entry. ``forged``: the first line that was not
     written with the key; ``unreadable``: invalid lines, as one that a power failure cut off."""
 
-    heads: dict[int, str] = field(default_factory=dict)
+    heads: dict[int, Head] = field(default_factory=dict)
     newest: int = 0
     forged: int | None = None
     unreadable: int = 0
 
 
-def anchor_line(head: Head, at: UnixTime, ring: KeyRing) -> bytes:
-    """A head as a line of the file. ``at``: Unix time in seconds."""
+def anchor_line(heads: Mapping[str, Head], at: UnixTime, ring: KeyRing) -> bytes:
+    """Heads of one instant, by chain, as a line of the file. ``at``: Unix time in seconds."""
+    newest = newest_of(heads.values())
     time = datetime.fromtimestamp(float(at), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    seal = ring.seal("anchor", str(head.id), head.hash, time)
-    return msgspec.json.encode(_AnchorLine(head.id, head.hash, time, ring.newest, seal)) + b"\n"
+    line = _AnchorLine(newest.id, newest.hash, time, ring.newest)
+    if heads.keys() != {SITE}:
+        line.chains = {name: (head.id, head.hash) for name, head in sorted(heads.items())}
+    line.seal = ring.seal("anchor", *line.sealed_parts)
+    return msgspec.json.encode(line) + b"\n"
 
 
 def read_anchors(lines: Iterable[bytes], ring: KeyRing) -> Anchors:
     """The content of the lines. Of two different hashes of one entry the second counts as forged."""
-    heads: dict[int, str] = {}
+    heads: dict[int, Head] = {}
     newest = unreadable = 0
     for number, text in enumerate(lines, start=1):
         if not text.strip():
             continue
-        try:
-            line = msgspec.json.decode(text, type=_AnchorLine)
-        except (msgspec.MsgspecError, UnicodeError):
+        line = _decoded(text)
+        if line is None:
             unreadable += 1
             continue
-        sealed = ring.confirms(line.seal, line.key, "anchor", str(line.id), line.hash, line.time)
-        if not sealed or heads.setdefault(line.id, line.hash) != line.hash:
+        named = line.heads.values()
+        if not line.is_sealed(ring) or any(
+            heads.setdefault(head.id, head).hash != head.hash for head in named
+        ):
             return Anchors(heads, newest, forged=number, unreadable=unreadable)
         newest = line.id
     return Anchors(heads, newest, unreadable=unreadable)
+
+
+def _decoded(text: bytes) -> _AnchorLine | None:
+    try:
+        return msgspec.json.decode(text, type=_AnchorLine)
+    except (msgspec.MsgspecError, UnicodeError):
+        return None
 
 
 def key_anchor_of(key_file: Path) -> Path:
@@ -116,9 +148,13 @@ def refuse_forged(path: Path, anchors: Anchors) -> Anchors:
     return anchors
 
 
-def joined_heads(first: Anchors, second: Anchors) -> dict[int, str]:
-    """The hashes of two files by entry. Where they contradict each other no hash will do."""
-    both = {number: "" for number, head in first.heads.items() if second.heads.get(number, head) != head}
+def joined_heads(first: Anchors, second: Anchors) -> dict[int, Head]:
+    """The heads of two files by entry. Where they contradict each other no hash will do."""
+    both = {
+        number: replace(head, hash="")
+        for number, head in first.heads.items()
+        if second.heads.get(number, head).hash != head.hash
+    }
     return first.heads | second.heads | both
 
 
@@ -128,22 +164,25 @@ def read_anchor_file(path: Path, ring: KeyRing) -> Anchors:
         return read_anchors(file, ring)
 
 
-def newest_anchor(path: Path, ring: KeyRing) -> Head | None:
-    """The head that a file names last, None where there is no file yet, or none in it; the file becomes
-    readable by its user alone. Raises AnchorError."""
+def newest_anchor(path: Path, ring: KeyRing) -> dict[str, Head]:
+    """The head that a file names last of each chain; empty where there is no file yet, or none in it; the
+    file becomes readable by its user alone. Raises AnchorError."""
     with suppress(OSError, StoreError):
         restrict(path)
-    anchors = read_anchors(_newest_lines(path), ring)
-    return Head(anchors.newest, anchors.heads[anchors.newest]) if anchors.newest else None
+    heads: dict[str, Head] = {}
+    for text in _newest_lines(path):
+        line = _decoded(text)
+        if line is not None and line.is_sealed(ring):
+            heads |= line.heads
+    return heads
 
 
 def is_of_lost_key(path: Path, ring: KeyRing) -> bool:
     """Whether the newest line of a file names a key that is not in the ring: it cannot be checked any more.
     Raises AnchorError."""
-    for text in reversed(_newest_lines(path)):
-        with suppress(msgspec.MsgspecError, UnicodeError):
-            return ring.rank(msgspec.json.decode(text, type=_AnchorLine).key) is None
-    return False
+    lines = (_decoded(text) for text in reversed(_newest_lines(path)))
+    newest = next((line for line in lines if line is not None), None)
+    return newest is not None and ring.rank(newest.key) is None
 
 
 def put_aside(path: Path) -> Path | None:
@@ -159,7 +198,7 @@ def put_aside(path: Path) -> Path | None:
 def _newest_lines(path: Path) -> list[bytes]:
     with _in_words(path), suppress(FileNotFoundError), path.open("rb") as file:
         file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL_BYTES))
-        return file.read().splitlines()[-_TAIL_LINES:]
+        return file.read().splitlines()
     return []
 
 

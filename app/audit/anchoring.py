@@ -1,9 +1,9 @@
-"""Exports the head of the audit log to the anchor every minute, and reports when the log was altered."""
+"""Exports the heads of the audit log to the anchor every minute, and reports when the log was altered."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import structlog
 
 from app.audit.anchor import (
+    FULL_EVERY_BYTES,
     AnchorError,
     anchor_line,
     append_line,
@@ -51,23 +52,28 @@ class AnchorStatus:
 
 
 class _AnchorPlace:
-    """A file of anchors, and the head that it has; ``is_single``: its newest line alone. One that is not
+    """A file of anchors, and the heads that it has; ``is_single``: in its newest line alone. One that is not
     configured is not missed: that it cannot be written is an event, and no more."""
 
     def __init__(self, path: Path, *, is_configured: bool = False, is_single: bool = False) -> None:
         self.path = path
         self.is_configured = is_configured
         self.is_single = is_single
-        self.exported: Head | None = None
+        self.exported: dict[str, Head] | None = None
         self.is_failing = False
+        self._bytes_since_full = FULL_EVERY_BYTES
         self._work: asyncio.Future[Any] | None = None
 
-    def write(self, line: bytes) -> None:
-        """Add a line, on disk when this returns. Raises AnchorError."""
+    def write(self, heads: dict[str, Head], at: UnixTime, ring: KeyRing) -> None:
+        """Add a line with the heads that have changed, or with all from time to time; on disk when this
+        returns. Raises AnchorError."""
         if self.is_single:
-            replace_line(self.path, line)
-        else:
-            append_line(self.path, line)
+            replace_line(self.path, anchor_line(heads, at, ring))
+            return
+        is_full = self._bytes_since_full >= FULL_EVERY_BYTES
+        line = anchor_line(heads if is_full else changed(self.exported or {}, heads), at, ring)
+        append_line(self.path, line)
+        self._bytes_since_full = len(line) + (0 if is_full else self._bytes_since_full)
 
     async def in_thread(self, work: Callable[[], T], within_s: float) -> T:
         """Run ``work`` once earlier work of this place has ended: a network file system may hang. Raises
@@ -83,7 +89,7 @@ class _AnchorPlace:
 
 
 class Anchoring:
-    """Exports the head of ``events`` to the file ``path`` and to the anchor beside the key, after it is in
+    """Exports the heads of ``events`` to the file ``path`` and to the anchor beside the key, after it is in
     the store: the log may be ahead of an anchor, never behind. Never raises for what the media do.
 
     ``is_configured`` False: the file is in its default place.
@@ -107,13 +113,13 @@ class Anchoring:
             await asyncio.sleep(EVERY_S)
 
     async def end(self) -> None:
-        """Write the head of the log as the server leaves it, where the medium is quick."""
+        """Write the heads of the log as the server leaves it, where the medium is quick."""
         with suppress(TimeoutError):
             async with asyncio.timeout(AT_END_S):
                 await self.export(AT_END_S)
 
     async def export(self, within_s: float = WITHIN_S) -> None:
-        """Write the head where it has changed. A failure is an event and :attr:`status`, and is retried."""
+        """Write the heads that have changed. A failure is an event and :attr:`status`, and is retried."""
         async with self._one_at_a_time:
             await asyncio.gather(*(self._export_to(place, within_s) for place in self._places))
 
@@ -128,36 +134,35 @@ class Anchoring:
     async def _export(self, place: _AnchorPlace, within_s: float) -> None:
         if place.exported is None:
             place.exported = await self._begin(place, within_s)
-        head, _ = await self._events.proof.extent()
-        if self.status.altered or (head.id, head.hash) == (place.exported.id, place.exported.hash):
+        heads, _ = await self._events.proof.extent()
+        if self.status.altered or not changed(place.exported, heads):
             return
         verdict = await self._events.proof.since(place.exported)
         if verdict.fault is not None:
             await self._found_altered(verdict.fault)
             return
-        line = anchor_line(head, self._clock(), self._events.keys.ring)
-        await place.in_thread(lambda: place.write(line), within_s)
-        place.exported = head
+        now, ring = self._clock(), self._events.keys.ring
+        await place.in_thread(lambda: place.write(heads, now, ring), within_s)
+        place.exported = heads
         if place.is_failing:
             place.is_failing = False
             if place.is_configured:
                 self.status = AnchorStatus(self.status.altered)
             await self._record(Message("event_anchor_written"))
 
-    async def _begin(self, place: _AnchorPlace, within_s: float) -> Head:
-        """The head that the anchor names last, as the log has it; a difference is reported."""
+    async def _begin(self, place: _AnchorPlace, within_s: float) -> dict[str, Head]:
+        """The heads that the anchor names last, as the log has them; a difference is reported."""
         ring = self._events.keys.ring
         anchored = await place.in_thread(lambda: _present_anchor(place, ring), within_s)
-        if anchored is None:
-            return Head()
-        there = await self._events.proof.link(anchored.id)
-        if there is None:
-            await self._found_altered(cut_off(anchored.id, str(place.path)))
-            return anchored
-        if there.hash != anchored.hash:
-            await self._found_altered(not_anchored(anchored.id))
-            return anchored
-        return there
+        there = await self._events.proof.links([head.id for head in anchored.values()])
+        for head in anchored.values():
+            if head.id not in there:
+                await self._found_altered(cut_off(head.id, str(place.path)))
+                return anchored
+            if there[head.id].hash != head.hash:
+                await self._found_altered(not_anchored(head.id))
+                return anchored
+        return {chain: there[head.id] for chain, head in anchored.items()}
 
     async def _found_altered(self, fault: Message) -> None:
         if self.status.altered:
@@ -181,8 +186,14 @@ class Anchoring:
             await self._events.record(kind="audit", what=what, message=message)
 
 
-def _present_anchor(place: _AnchorPlace, ring: KeyRing) -> Head | None:
-    """The head that a file names last. One in its default place begins again with a new key."""
+def changed(before: Mapping[str, Head], heads: Mapping[str, Head]) -> dict[str, Head]:
+    """The heads that are others than before."""
+    known = {(chain, head.id, head.hash) for chain, head in before.items()}
+    return {chain: head for chain, head in heads.items() if (chain, head.id, head.hash) not in known}
+
+
+def _present_anchor(place: _AnchorPlace, ring: KeyRing) -> dict[str, Head]:
+    """The heads that a file names last. One in its default place begins again with a new key."""
     if not place.is_configured and is_of_lost_key(place.path, ring):
         put_aside(place.path)
     return newest_anchor(place.path, ring)

@@ -1,16 +1,20 @@
-"""The chain that makes the log provable: an entry's hash covers the one before and all of the entry's fields,
-and a seal over that hash shows that it was made with the key. Pure."""
+"""The chains that make the log provable: an entry's hash covers the one before and all of the entry's fields,
+and a seal over that hash shows that it was made with the key. Pure.
+
+Each bus has a chain, and the site one; the numbers of entries ascend without a gap over all of them. The
+chain of a bus branches off that of the site: its first entry is an entry of both.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from app.audit.entry import messages_of
-from app.audit.keyring import BEGINNING, KeyRing
+from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
 from bus.messages import Message
 
 FIELDS = (
@@ -18,23 +22,40 @@ FIELDS = (
     *("what", "old", "new", "old_raw", "new_raw", "outcome", "message", "frames"),
 )
 """The fields that the hash of an entry without a key covers, as versions before the key wrote it."""
+SITE = ""
+"""The chain of the site, which has the events without a bus."""
 SEALED_FROM_HERE = Message("event_audit_sealed")
 OTHER_KEY = Message("event_audit_other_key")
+ROTATED = Message("event_audit_key_rotated")
 END_ALTERED = Message("event_audit_end_altered")
 """No failure of the machine causes this: an entry and the seal of the end are written in one transaction."""
 _END_ALTERED_TEXT = "the end of the audit log was altered before this entry"
 """The text of that remark in an entry of a version that kept texts alone."""
+_canonical = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str).encode
 _DERIVED = frozenset({"hash", "seal"})
 
 
 @dataclass(frozen=True)
 class Head:
-    """The newest entry of a log, and its seal as such; ``key`` empty: no key was used yet."""
+    """The newest entry of a chain, and its seal as such; ``key`` empty: no key was used yet."""
 
     id: int = 0
     hash: str = BEGINNING
     key: str = ""
     seal: str = ""
+    chain: str = SITE
+
+
+def newest_of(heads: Iterable[Head]) -> Head:
+    """The newest entry of all chains; number 0 where there is none."""
+    return max(heads, key=lambda head: head.id, default=Head())
+
+
+def origin_of(heads: Mapping[str, Head]) -> KeyOrigin:
+    """The ends of the chains as those before a first key that is made now."""
+    newest = newest_of(heads.values())
+    others = ((name, head.id, head.hash) for name, head in heads.items() if head is not newest)
+    return KeyOrigin(newest.id, newest.hash, tuple(sorted(others)))
 
 
 def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
@@ -46,30 +67,36 @@ def entry_hash(previous: str, entry: Mapping[str, Any]) -> str:
     if not entry.get("key"):
         newer = covered.keys() - {*FIELDS, "previous", "key"}
         covered = {name: entry.get(name) for name in FIELDS} | {name: covered[name] for name in newer}
-    canonical = json.dumps(covered, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=str)
-    return hashlib.sha256(f"{previous}\n{canonical}".encode("utf-8", "surrogatepass")).hexdigest()
+    return hashlib.sha256(f"{previous}\n{_canonical(covered)}".encode("utf-8", "surrogatepass")).hexdigest()
 
 
 def sealed_entry(previous: str, entry: Mapping[str, Any], ring: KeyRing) -> dict[str, Any]:
     """``entry``, which has its id, chained to the hash before and sealed with the newest key."""
-    chained = {**entry, "previous": previous, "key": ring.newest}
-    digest = entry_hash(previous, chained)
-    return {**chained, "hash": digest, "seal": ring.seal("entry", digest)}
+    sealed = {**entry, "previous": previous, "key": ring.newest}
+    sealed["hash"] = digest = entry_hash(previous, sealed)
+    sealed["seal"] = ring.seal("entry", digest)
+    return sealed
 
 
-def sealed_head(entry: Mapping[str, Any], ring: KeyRing) -> Head:
-    """A sealed entry as the newest of the log."""
-    seal = ring.seal("head", str(entry["id"]), entry["hash"])
-    return Head(entry["id"], entry["hash"], ring.newest, seal)
+def sealed_head(entry: Mapping[str, Any], ring: KeyRing, chain: str = SITE) -> Head:
+    """A sealed entry as the newest of a chain."""
+    number, digest = entry["id"], entry["hash"]
+    return Head(number, digest, ring.newest, ring.seal("head", *_head_parts(number, digest, chain)), chain)
+
+
+def _head_parts(number: int, digest: str, chain: str) -> tuple[str, ...]:
+    """What the seal of a head covers; of the site's chain without the name, as versions with one chain had
+    it."""
+    return (str(number), digest, chain) if chain else (str(number), digest)
 
 
 def confirms_head(head: Head, ring: KeyRing) -> bool:
     """Whether ``head`` was noted with a key of the ring."""
-    return ring.confirms(head.seal, head.key, "head", str(head.id), head.hash)
+    return ring.confirms(head.seal, head.key, "head", *_head_parts(head.id, head.hash, head.chain))
 
 
 def remark_on(head: Head, ring: KeyRing) -> Message | None:
-    """An entry about the log itself, needed before anything is added to ``head``; mostly none."""
+    """An entry about the chain itself, needed before anything is added to ``head``; mostly none."""
     if head.id == 0 or confirms_head(head, ring):
         return None
     if not head.key:

@@ -11,7 +11,7 @@ from app.audit.anchoring import Anchoring
 from app.audit.configuration import change_since_last
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.database import Database
 from app.database.migration import FIRST, Migration
 from app.feature import Feature, Services
@@ -22,7 +22,7 @@ from bus.messages import Message
 
 def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
-    keys = open_keys(settings.key_files, database.file, database.read_now(head_of))
+    keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
     events = services.add(EventLog(database, keys=keys))
     is_configured = settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))

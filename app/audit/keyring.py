@@ -20,10 +20,17 @@ Purpose = Literal["entry", "head", "anchor", "command", "decoy"]
 
 @dataclass(frozen=True)
 class KeyOrigin:
-    """The newest entry of the log when its first key was made; entries up to it have no seal of that key."""
+    """The newest entry of the log when its first key was made; entries up to it have no seal of that key.
+    ``others``: chain, number and hash of the last entries of the other chains at that moment."""
 
     id: int = 0
     hash: str = BEGINNING
+    others: tuple[tuple[str, int, str], ...] = ()
+
+    @cached_property
+    def hashes(self) -> dict[int, str]:
+        """The hash of the last entry of each chain, by the number of the entry."""
+        return {self.id: self.hash, **{number: digest for _, number, digest in self.others}}
 
 
 @dataclass(frozen=True)

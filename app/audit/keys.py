@@ -9,14 +9,14 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
-from app.audit.chain import Head
+from app.audit.chain import Head, origin_of
 from app.audit.keyring import KEY_BYTES, KeyOrigin, KeyRing
 from app.database.private import fresh_file, sync_folder
 from app.errors import StoreError, system_error
@@ -56,11 +56,11 @@ def passing_keys() -> Keys:
     return Keys(KeyRing((secrets.token_bytes(KEY_BYTES),)))
 
 
-def open_keys(paths: Sequence[Path], store: Path | None, head: Head) -> Keys:
-    """The keys of the log in ``store``, whose newest entry is ``head``, from the first of the files that is
+def open_keys(paths: Sequence[Path], store: Path | None, heads: Mapping[str, Head]) -> Keys:
+    """The keys of the log in ``store``, whose chains end with ``heads``, from the first of the files that is
     there. Where none is, the first that can be made is made. Raises KeyFileError."""
     owners = owners_of(store)
-    path = find_key_file(paths) or _made(paths, KeyOrigin(head.id, head.hash))
+    path = find_key_file(paths) or _made(paths, origin_of(heads))
     ring = read_key_file(path, owners)
     if ring is None:
         raise KeyFileError(Message.of("audit_key_removed", path=str(path)))
@@ -101,9 +101,12 @@ class _Log(msgspec.Struct):
     hash: _Hex
 
 
-class _Content(msgspec.Struct):
+class _Content(msgspec.Struct, omit_defaults=True):
+    """``log``: its newest entry when the first key was made; ``chains``: the last ones of other chains."""
+
     log: _Log
     keys: Annotated[list[_Hex], msgspec.Meta(min_length=1)]
+    chains: dict[str, _Log] = {}
 
 
 def read_key_file(path: Path, owners: frozenset[int]) -> KeyRing | None:
@@ -153,7 +156,9 @@ def replace_key_file(path: Path, ring: KeyRing) -> None:
 
 
 def _content_of(ring: KeyRing) -> bytes:
-    content = _Content(_Log(ring.origin.id, ring.origin.hash), [key.hex() for key in ring.keys])
+    origin = ring.origin
+    chains = {name: _Log(number, digest) for name, number, digest in origin.others}
+    content = _Content(_Log(origin.id, origin.hash), [key.hex() for key in ring.keys], chains)
     return msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
 
 
@@ -174,5 +179,6 @@ def _ring(path: Path, content: bytes) -> KeyRing:
         decoded = msgspec.json.decode(content, type=_Content)
     except msgspec.MsgspecError as error:
         raise KeyFileError(Message.of("audit_key_damaged", path=str(path), error=str(error))) from error
-    origin = KeyOrigin(decoded.log.id, decoded.log.hash)
+    others = tuple((name, end.id, end.hash) for name, end in decoded.chains.items())
+    origin = KeyOrigin(decoded.log.id, decoded.log.hash, others)
     return KeyRing(tuple(bytes.fromhex(key) for key in decoded.keys), origin)

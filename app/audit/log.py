@@ -9,11 +9,12 @@ from typing import Any, Required, TypedDict, Unpack
 
 import structlog
 
-from app.audit import store
+from app.audit import appending, store
 from app.audit.anchor import read_key_anchor
-from app.audit.chain import Head
+from app.audit.chain import Head, newest_of
 from app.audit.entry import Event as Event
 from app.audit.entry import is_moment, new_entry, readable
+from app.audit.keyring import KeyRing
 from app.audit.keys import Keys, passing_keys
 from app.audit.kinds import EventKind
 from app.audit.repeated import RepeatedEvents
@@ -51,8 +52,9 @@ class EventFields(TypedDict, total=False):
 
 
 class EventLog:
-    """Append-only. Whatever returns from here is on disk. Without ``keys``, what seals the entries ends with
-    the process: nothing that is kept may be written so."""
+    """Append-only. Whatever returns from here is on disk. An event of a bus is in the chain of that bus, any
+    other in that of the site. Without ``keys``, what seals the entries ends with the process: nothing that is
+    kept may be written so."""
 
     def __init__(self, database: Database, clock: Clock = unix_now, keys: Keys | None = None) -> None:
         self.keys = keys or passing_keys()
@@ -148,7 +150,7 @@ class EventLog:
 
     async def _write_all(self, entries: Sequence[Event], also: Also | None = None) -> list[int]:
         def append(connection: StoreConnection) -> list[int]:
-            numbers = [store.append(connection, entry, self.keys) for entry in entries]
+            numbers = appending.append(connection, entries, self.keys)
             if also is not None:
                 also(connection)
             return numbers
@@ -182,33 +184,38 @@ class LogProof:
         self._keys = keys
         self._one_at_a_time = asyncio.Lock()
 
-    async def verify(self, anchors: Mapping[int, str] | None = None) -> AuditVerification:
-        """Whether the log is intact, and holds the hashes that ``anchors`` names by entry; where None, those
+    async def verify(self, anchors: Mapping[int, Head] | None = None) -> AuditVerification:
+        """Whether the log is intact, and holds the heads that ``anchors`` names by entry; where None, those
         of the anchor beside the key."""
         async with self._one_at_a_time:
             if anchors is None:
                 # Before the extent: the log may be ahead of its anchor, never behind.
                 beside_key = await asyncio.to_thread(read_key_anchor, self._keys.path, self._keys.ring)
                 anchors = beside_key.heads
-            head, last = await self.extent()
-            walk = Walk(self._keys.knowing(head.key), anchors)
+            heads, last = await self.extent()
+            walk = Walk(self._knowing(heads), anchors)
             await self._follow(walk, store.LOWEST_ID, last)
-            return walk.end(head)
+            return walk.end(heads)
 
-    async def since(self, known: Head) -> AuditVerification:
-        """Whether what was added after an entry that is known to be good continues it."""
-        head, last = await self.extent()
-        walk = Walk(self._keys.knowing(head.key), start=known)
-        await self._follow(walk, known.id + 1 if known.id else store.LOWEST_ID, last)
-        return walk.end(head)
+    async def since(self, known: Mapping[str, Head]) -> AuditVerification:
+        """Whether what was added after the ends of the chains at one instant, which are known to be good,
+        continues them."""
+        heads, last = await self.extent()
+        walk = Walk(self._knowing(heads), start=known)
+        newest = newest_of(known.values()).id
+        await self._follow(walk, newest + 1 if newest else store.LOWEST_ID, last)
+        return walk.end(heads)
 
-    async def extent(self) -> tuple[Head, int]:
-        """The entry noted as the newest, and the number of the last one stored."""
+    async def extent(self) -> tuple[dict[str, Head], int]:
+        """The newest entry of each chain as noted apart, and the number of the last one stored."""
         return await self._database.read(store.extent)
 
-    async def link(self, number: int) -> Head | None:
-        """One entry as the next one continues it, None where there is none."""
-        return await self._database.read(lambda connection: store.link_of(connection, number))
+    async def links(self, numbers: Sequence[int]) -> dict[int, Head]:
+        """Entries by number, as the next ones of their chains continue them; without those that are gone."""
+        return await self._database.read(lambda connection: store.links_of(connection, numbers))
+
+    def _knowing(self, heads: Mapping[str, Head]) -> KeyRing:
+        return self._keys.knowing(newest_of(heads.values()).key)
 
     async def _follow(self, walk: Walk, number: int, until: int) -> None:
         def follow(connection: StoreConnection) -> int | None:

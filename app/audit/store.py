@@ -1,24 +1,19 @@
-"""The events table: appended to, read, never changed."""
+"""The events table as it is read, and verified; `app.audit.appending` writes it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.audit.chain import FIELDS, Head, remark_on, sealed_entry, sealed_head
-from app.audit.entry import new_entry, readable
+from app.audit.chain import SITE, Head
+from app.audit.entry import readable
 from app.audit.keyring import KeyRing
-from app.audit.keys import Keys
 from app.audit.walk import AuditVerification, Walk
 from app.database import StoreConnection
-from app.database.engine import json_member, upsert
+from app.database.engine import json_member
 from bus.instants import UnixTime
 
-_COLUMNS = (*FIELDS, "count", "messages", "key", "previous", "hash", "seal")
-"""A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
-_INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
-_NOTE_HEAD = upsert("events_head", ("only",), ("id", "hash", "key", "seal"))
 LOWEST_ID = -(2**63)
 """Where a walk begins: an entry that was added before the first must be seen too."""
 CHUNK = 500
@@ -31,6 +26,7 @@ SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.ne
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
+_EXTENT = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
 _SEARCHED = ("what", "who", "old", "new", "message")
 _IN_GROUP = """
 SELECT 1 FROM event_parts JOIN events change ON change.id = event_parts.change
@@ -108,36 +104,10 @@ def _pattern(text: str) -> str:
     return f"%{text}%"
 
 
-def head_of(connection: StoreConnection) -> Head:
-    """The newest entry as noted apart."""
-    head, _ = extent(connection)
-    return head
-
-
-def append(connection: StoreConnection, entry: Mapping[str, Any], keys: Keys) -> int:
-    """Add an entry without its id; return the id. Where the log before it cannot be vouched for, an entry
-    about that comes first."""
-    head = _end_of(connection)
-    ring = keys.knowing(head.key)
-    if remark := remark_on(head, ring):
-        head = _insert(connection, head, new_entry(kind="audit", time=entry["time"], what=remark), ring)
-    return _insert(connection, head, entry, ring).id
-
-
-def _end_of(connection: StoreConnection) -> Head:
-    """The newest entry as noted apart, or one that is there behind it and cannot have been written so."""
-    head, last = extent(connection)
-    return (link_of(connection, last) if last > head.id else None) or head
-
-
-def _insert(connection: StoreConnection, head: Head, entry: Mapping[str, Any], ring: KeyRing) -> Head:
-    # Exactly what the row will hold: the hash of anything else would not be confirmed by it.
-    row = {name: entry.get(name) for name in _COLUMNS} | {"id": head.id + 1}
-    sealed = sealed_entry(head.hash, row, ring)
-    connection.execute(_INSERT, [sealed.get(name) for name in _COLUMNS])
-    new = sealed_head(sealed, ring)
-    connection.execute(_NOTE_HEAD, (1, new.id, new.hash, new.key, new.seal))
-    return new
+def heads_of(connection: StoreConnection) -> dict[str, Head]:
+    """The newest entry of each chain as noted apart, by chain; of a store of any version."""
+    heads, _ = extent(connection)
+    return heads
 
 
 def select(connection: StoreConnection, wanted: Filter, limit: int) -> list[dict[str, Any]]:
@@ -172,29 +142,33 @@ def open_intents(connection: StoreConnection, bus: str | None) -> list[dict[str,
     return [dict(row) for row in connection.execute(query, (bus or "",))]
 
 
-def extent(connection: StoreConnection) -> tuple[Head, int]:
-    """The entry noted as the newest, and the number of the last one stored, at one instant."""
-    row = connection.execute(
-        "SELECT head.*, (SELECT max(id) FROM events) AS last FROM (SELECT 1) LEFT JOIN events_head AS head"
-    ).fetchone()
-    _, number, *rest, last = row
-    # A store of an earlier version has no key and no seal.
-    return Head() if number is None else Head(number, *rest), last or 0
+def extent(connection: StoreConnection) -> tuple[dict[str, Head], int]:
+    """The newest entry of each chain as noted apart, and the number of the last one stored, of one
+    instant."""
+    rows = [dict(row) for row in connection.execute(_EXTENT)]
+    # A store of an earlier version has one chain, and at first no key and no seal.
+    heads = [
+        Head(row["id"], row["hash"], row.get("key", ""), row.get("seal", ""), row.get("chain", SITE))
+        for row in rows
+        if row["id"] is not None
+    ]
+    return {head.chain: head for head in heads}, rows[0]["last"] or 0
 
 
-def link_of(connection: StoreConnection, number: int) -> Head | None:
-    """One entry as the next one continues it."""
-    row = connection.execute("SELECT id, hash, key FROM events WHERE id = ?", (number,)).fetchone()
-    return Head(*row) if row else None
+def links_of(connection: StoreConnection, numbers: Iterable[int]) -> dict[int, Head]:
+    """Entries by number, each as the next one of its chain continues it."""
+    query = "SELECT id, hash, key FROM events WHERE id = ?"
+    found = (connection.execute(query, (number,)).fetchone() for number in numbers)
+    return {row[0]: Head(*row) for row in found if row is not None}
 
 
-def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, str]) -> AuditVerification:
+def prove(connection: StoreConnection, ring: KeyRing, anchors: Mapping[int, Head]) -> AuditVerification:
     """Walk the log, chunk by chunk: entries added in between are left for the next time."""
-    head, last = extent(connection)
+    heads, last = extent(connection)
     walk, number = Walk(ring, anchors), LOWEST_ID
     while (following := follow_chunk(connection, walk, number, last)) is not None:
         number = following
-    return walk.end(head)
+    return walk.end(heads)
 
 
 def follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: int) -> int | None:
@@ -202,4 +176,4 @@ def follow_chunk(connection: StoreConnection, walk: Walk, number: int, until: in
     query = "SELECT * FROM events WHERE id >= ? AND id <= ? ORDER BY id LIMIT ?"
     chunk = [dict(row) for row in connection.execute(query, (number, until, CHUNK))]
     walk.follow(chunk)
-    return chunk[-1]["id"] + 1 if chunk and walk.broken is None else None
+    return chunk[-1]["id"] + 1 if chunk else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -10,11 +10,11 @@ from typing import Annotated
 import typer
 
 from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
-from app.audit.chain import Head
-from app.audit.keyring import KeyOrigin, KeyRing
+from app.audit.chain import ROTATED, Head, newest_of, origin_of
+from app.audit.keyring import KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
-from app.audit.store import head_of, prove
-from app.audit.walk import AuditVerification
+from app.audit.store import heads_of, prove
+from app.audit.walk import AuditVerification, ChainVerification
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config, check_store
 from app.cli.site_log import record, site_log
@@ -23,7 +23,7 @@ from app.database.words import in_words
 from app.errors import StoreError
 from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
-from bus.messages import Message, in_english
+from bus.messages import Message, in_english, joined
 
 audit = typer.Typer(help="Verify the event log, or begin a new key.", no_args_is_help=True)
 AnchorFile = Annotated[
@@ -33,13 +33,12 @@ AnchorFile = Annotated[
 
 @audit.command()
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
-    """Verify chain, seals and anchors of the log, and that the store has the signatures of shifts that the
-    log names. Exit 0 when all is intact, 1 with the first altered entry."""
+    """Verify every chain of the log, its seals and anchors, and that the store has the signatures of shifts
+    that the log names. Exit 0 when all is intact, 1 with the first altered entry of each chain."""
     settings = load(config)
     verdict, anchors = _verdict(settings, anchor)
-    if verdict.broken is not None:
-        fault = in_english(verdict.fault)
-        raise StoreError(Message.of("audit_broken", entry=verdict.broken, fault=fault))
+    if broken := joined([_broken(chain) for chain in verdict.chains if chain.fault is not None]):
+        raise StoreError(broken)
     report(Message.of("audit_whole", n=verdict.entries))
     for remark in _remarks(verdict, anchors):
         report(remark)
@@ -52,7 +51,7 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
     with site_log(load(config)) as (_, events):
         events.keys.rotate()
         # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
-        record(events, "audit", Message("event_audit_key_rotated"))
+        record(events, "audit", ROTATED)
     report(Message.of("key_rotated", file=str(events.keys.path)))
 
 
@@ -63,7 +62,7 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification
     if not store.exists():
         raise StoreError(Message.of("store_missing", path=str(store)))
     with in_words(store), closing(open_for_reading(store)) as connection:
-        ring = _ring(settings.key_files, store, head_of(connection))
+        ring = _ring(settings.key_files, store, heads_of(connection))
         anchors = _anchors(settings, anchor, ring)
         beside_key = read_key_anchor(find_key_file(settings.key_files), ring)
         verdict = prove(connection, ring, joined_heads(anchors, beside_key))
@@ -75,6 +74,13 @@ def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification
         return verdict, anchors
 
 
+def _broken(chain: ChainVerification) -> Message:
+    entry, fault = chain.broken or 0, in_english(chain.fault)
+    if chain.bus is None:
+        return Message.of("audit_broken", entry=entry, fault=fault)
+    return Message.of("audit_broken_of_bus", bus=chain.bus, entry=entry, fault=fault)
+
+
 def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
     """Read the anchors of the file that was named or configured, or of the default place where it exists."""
     path = named or settings.anchor_file
@@ -83,17 +89,19 @@ def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
     return refuse_forged(path, read_anchor_file(path, ring))
 
 
-def _ring(paths: Sequence[Path], store: Path, head: Head) -> KeyRing:
+def _ring(paths: Sequence[Path], store: Path, heads: Mapping[str, Head]) -> KeyRing:
     path = find_key_file(paths)
     ring = read_key_file(path, owners_of(store)) if path else None
-    if ring is None and head.key:
+    if ring is None and newest_of(heads.values()).key:
         raise StoreError(Message.of("audit_key_missing", path=str(paths[0])))
-    return ring or KeyRing((), KeyOrigin(head.id, head.hash))
+    return ring or KeyRing((), origin_of(heads))
 
 
 def _remarks(verdict: AuditVerification, anchors: Anchors) -> list[Message]:
-    """List what the proof does not cover."""
+    """List the chains, and what the proof does not cover."""
     remarks = []
+    if buses := [chain.bus for chain in verdict.chains if chain.bus is not None]:
+        remarks.append(Message.of("audit_chains", buses=buses))
     if verdict.unsealed:
         remarks.append(Message.of("audit_unsealed", last=verdict.unsealed))
     if anchors.heads:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,9 @@ from typing import Annotated
 import typer
 
 from app.audit.anchor import key_anchor_of, put_aside
-from app.audit.chain import Head
+from app.audit.chain import Head, newest_of
 from app.audit.keys import find_key_file
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.backup_archive import STORES, open_archive
 from app.cli.backup_store import fault_of
@@ -162,21 +162,19 @@ def make_ready(fresh: Path, present: Path, backup: Message, key_files: Sequence[
     with closing(SqliteDatabase(fresh)) as database:
         events = open_log(database, key_files)
         withheld = database.write_now(bring_in)
-        replaced = None
-        if standing is not None:
-            replaced = Message.of("restored_over", entry=standing.head.id, hash=standing.head.hash)
-        message = joined([backup, replaced, *consequences(withheld)]) or ""
+        replaced = [] if standing is None else _replaced(standing.heads)
+        message = joined([backup, *replaced, *consequences(withheld)]) or ""
         record(events, "server", Message("event_stores_restored"), message)
     return withheld
 
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """What the present store has in force, and the newest entry of its log."""
+    """What the present store has in force, and the newest entry of each chain of its log."""
 
     rights: Present | None
     protection: Protection
-    head: Head
+    heads: dict[str, Head]
 
 
 def _standing(present: Path) -> InForce | None:
@@ -185,9 +183,24 @@ def _standing(present: Path) -> InForce | None:
         return None
     try:
         with closing(open_for_reading(present)) as connection:
-            return InForce(read_present(connection), read_protection(connection), head_of(connection))
+            return InForce(read_present(connection), read_protection(connection), heads_of(connection))
     except (sqlite3.Error, ValueError):
         return None
+
+
+def _replaced(heads: Mapping[str, Head]) -> list[Message]:
+    """Name where the log ended that is replaced, and where each of its other chains did."""
+    newest = newest_of(heads.values())
+    others = (head for _, head in sorted(heads.items()) if head is not newest)
+    return [
+        Message.of("restored_over", entry=newest.id, hash=newest.hash),
+        *(
+            Message.of("restored_over_bus", bus=head.chain, entry=head.id, hash=head.hash)
+            if head.chain
+            else Message.of("restored_over_site", entry=head.id, hash=head.hash)
+            for head in others
+        ),
+    ]
 
 
 def consequences(withheld: Withheld) -> list[Message]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from app.audit.keys import open_keys
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.cli.serve import check_store
 from app.database import Database
 from app.database.opening import open_database
@@ -39,7 +39,7 @@ def record(events: EventLog, kind: EventKind, what: Message, message: str | Mess
 
 def open_log(database: Database, key_files: Sequence[Path]) -> EventLog:
     """The event log of a store, with its keys. Raises KeyFileError."""
-    return EventLog(database, keys=open_keys(key_files, database.file, database.read_now(head_of)))
+    return EventLog(database, keys=open_keys(key_files, database.file, database.read_now(heads_of)))
 
 
 @contextmanager

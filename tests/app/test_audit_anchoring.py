@@ -24,7 +24,7 @@ from app.audit.anchor import (
     read_anchors,
 )
 from app.audit.anchoring import Anchoring, AnchorStatus, anchor_notice
-from app.audit.chain import Head
+from app.audit.chain import SITE, Head
 from app.audit.keyring import KeyRing
 from app.audit.log import EventLog
 from app.audit.settings import Audit
@@ -218,23 +218,21 @@ async def test_a_long_log_is_verified_without_blocking_the_event_loop(scene: Sce
 
 def test_lines_that_a_power_failure_cut_off_take_no_others_with_them(tmp_path: Path) -> None:
     path = tmp_path / "anchor"
-    complete = anchor_line(Head(1, "a" * 64), 1.0, RING)
+    complete = anchor_line({SITE: Head(1, "a" * 64)}, 1.0, RING)
     path.write_bytes(complete + complete[:40])
-    append_line(path, anchor_line(Head(2, "b" * 64), 2.0, RING))
+    append_line(path, anchor_line({SITE: Head(2, "b" * 64)}, 2.0, RING))
     anchors = read_anchors(path.read_bytes().splitlines(), RING)
-    assert anchors.heads == {1: "a" * 64, 2: "b" * 64}
+    assert anchors.heads == {1: Head(1, "a" * 64), 2: Head(2, "b" * 64)}
     assert (anchors.unreadable, anchors.forged) == (1, None)
-    newest = newest_anchor(path, RING)
-    assert newest is not None
-    assert newest.id == 2
+    assert newest_anchor(path, RING) == {SITE: Head(2, "b" * 64)}
 
 
 def test_a_line_made_without_the_key_is_named() -> None:
-    good = anchor_line(Head(1, "a" * 64), 1.0, RING)
+    good = anchor_line({SITE: Head(1, "a" * 64)}, 1.0, RING)
     for forged in (
         good.replace(b'"id":1', b'"id":2'),
-        anchor_line(Head(2, "b" * 64), 2.0, KeyRing((b"s" * 32,))),
-        anchor_line(Head(1, "b" * 64), 2.0, RING),
+        anchor_line({SITE: Head(2, "b" * 64)}, 2.0, KeyRing((b"s" * 32,))),
+        anchor_line({SITE: Head(1, "b" * 64)}, 2.0, RING),
     ):
         assert read_anchors([good, forged], RING).forged == 2
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.audit.chain import FIELDS, Head, entry_hash, sealed_entry, sealed_head
+from app.audit.chain import FIELDS, SITE, Head, entry_hash, sealed_entry, sealed_head
 from app.audit.entry import new_entry
 from app.audit.keyring import BEGINNING, KeyOrigin, KeyRing
 from app.audit.walk import AuditVerification, Walk
@@ -21,9 +21,9 @@ STRANGERS_RING = KeyRing((b"s" * 32,))
 def verify(
     log: Log, head: Head | None, ring: KeyRing = RING, anchors: dict[int, str] | None = None
 ) -> AuditVerification:
-    walk = Walk(ring, anchors)
+    walk = Walk(ring, {number: Head(number, digest) for number, digest in (anchors or {}).items()})
     walk.follow(log)
-    return walk.end(head)
+    return walk.end({} if head is None else {SITE: head})
 
 
 def entry(number: int) -> dict[str, Any]:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.chain import Head
+from app.audit.chain import SITE, Head
 from app.audit.keyring import KeyOrigin, KeyRing
 from app.audit.keys import KeyFileError, Keys, open_keys
 from app.errors import StoreError
 from app.settings import ConfigurationError, Settings, load
 
-HEAD = Head(7, "a" * 64)
+HEADS = {SITE: Head(7, "a" * 64)}
 
 
 @pytest.fixture
@@ -31,14 +31,14 @@ def path(tmp_path: Path) -> Path:
 
 
 def opened(path: Path, store: Path) -> Keys:
-    return open_keys([path], store, HEAD)
+    return open_keys([path], store, HEADS)
 
 
 def test_it_is_made_once_and_read_by_its_user_alone(path: Path, store: Path) -> None:
     made = opened(path, store).ring
     assert path.stat().st_mode & 0o777 == 0o600
     assert made.origin == KeyOrigin(7, "a" * 64)
-    assert open_keys([path], store, Head(9, "b" * 64)).ring == made
+    assert open_keys([path], store, {SITE: Head(9, "b" * 64)}).ring == made
     assert sorted(entry.name for entry in path.parent.iterdir()) == [path.name, store.name]
 
 
@@ -167,10 +167,12 @@ def test_a_service_that_can_write_to_its_data_folder_alone_has_its_key_there(sto
     dashboard.
     """
     nowhere = [store.parent / "nowhere" / "key", store.parent / "neither" / "key"]
-    keys = open_keys([*nowhere, store.parent / "key"], store, HEAD)
+    keys = open_keys([*nowhere, store.parent / "key"], store, HEADS)
     assert keys.path == store.parent / "key"
     nowhere[0].parent.mkdir()
-    assert open_keys([*nowhere, store.parent / "key"], store, HEAD).ring == keys.ring, "the key that there is"
+    assert open_keys([*nowhere, store.parent / "key"], store, HEADS).ring == keys.ring, (
+        "the key that there is"
+    )
 
 
 @pytest.mark.parametrize("key_file", ["data/a.key", "data/deep/a.key", "here/a.key"])
@@ -188,5 +190,5 @@ def test_the_data_of_another_configuration_comes_without_its_key(tmp_path: Path)
     (first / "lineside.db").touch()
     opened(tmp_path / "one.key", first / "lineside.db")
     shutil.copytree(first, second)
-    other = open_keys([tmp_path / "two.key"], second / "lineside.db", Head(3, "c" * 64))
+    other = open_keys([tmp_path / "two.key"], second / "lineside.db", {SITE: Head(3, "c" * 64)})
     assert other.ring.origin == KeyOrigin(3, "c" * 64)

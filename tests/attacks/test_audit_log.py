@@ -5,6 +5,7 @@ detects it.
 from __future__ import annotations
 
 import asyncio
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -16,11 +17,11 @@ import pytest
 from typer.testing import CliRunner
 
 from app.audit.anchoring import Anchoring
-from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, Head, entry_hash
+from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head
 from app.audit.keyring import BEGINNING
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.cli import cli
 from app.database import SqliteDatabase
 from app.database.migration import MIGRATIONS
@@ -31,9 +32,11 @@ WITHOUT_ANCHOR = ("--anchor", "/dev/null")
 
 
 class Plant:
-    """A store with a log, its configuration, and the two who have to do with it."""
+    """A store with a log, its configuration, and the two who have to do with it. ``bus``: the one of which
+    the server writes entries; None: of none."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, bus: str | None = None) -> None:
+        self.bus = bus
         self.config = folder / "lineside.toml"
         self.store = folder / "data" / "lineside.db"
         self.key = folder / "lineside.audit.key"
@@ -48,10 +51,10 @@ class Plant:
     async def _work(self, entries: int) -> None:
         database = SqliteDatabase(self.store)
         try:
-            keys = open_keys([self.key], self.store, await database.read(head_of))
+            keys = open_keys([self.key], self.store, await database.read(heads_of))
             log = EventLog(database, keys=keys)
             for number in range(entries):
-                await log.record(kind="estop", what=f"e-stop {number}", bus="dry-end", unit=1)
+                await log.record(kind="estop", what=f"e-stop {number}", bus=self.bus, unit=1)
             await Anchoring(log, self.anchor).export()
         finally:
             database.close()
@@ -68,21 +71,36 @@ class Plant:
             connection.commit()
 
     def rebuild(self, change: Callable[[list[Row]], list[Row]], *, key: str | None = None) -> None:
-        """Replace the log by a changed one in which every hash fits; ``key``: the key that it claims."""
+        """Replace the log by a changed one in which every hash fits; ``key``: the key that it claims, in one
+        chain as versions wrote that had no key."""
         with closing(sqlite3.connect(self.store)) as connection:
             connection.row_factory = sqlite3.Row
             rows = change([dict(row) for row in connection.execute("SELECT * FROM events ORDER BY id")])
-            previous = BEGINNING
+            ends: dict[str, tuple[int, str]] = {}
             self.attack("DELETE FROM events")
             for number, row in enumerate(rows, start=1):
-                row |= {"id": number, "previous": previous, "key": row["key"] if key is None else key}
-                previous = row["hash"] = entry_hash(previous, row)
+                row |= {"id": number} if key is None else {"id": number, "key": key, "chain": None}
+                chain = row["chain"] or SITE
+                row["previous"] = ends.get(chain, ends.get(SITE, (0, BEGINNING)))[1]
+                row["hash"] = entry_hash(row["previous"], row)
+                ends |= dict.fromkeys({chain} if chain in ends else {chain, SITE}, (number, row["hash"]))
                 marks = ", ".join("?" * len(row))
                 connection.execute(f"INSERT INTO events ({', '.join(row)}) VALUES ({marks})", [*row.values()])
-            connection.execute("UPDATE events_head SET id = ?, hash = ?", (len(rows), previous))
+            for chain, end in ends.items():
+                connection.execute("UPDATE events_head SET id = ?, hash = ? WHERE chain = ?", (*end, chain))
             if key is not None:
                 connection.execute("UPDATE events_head SET key = ?, seal = ''", (key,))
+                connection.execute("DELETE FROM events_head WHERE chain <> ''")
             connection.commit()
+
+    @property
+    def cut_off(self) -> tuple[str, str]:
+        """SQL that removes the newest entries and sets the end of their chain back."""
+        return (
+            "DELETE FROM events WHERE id > 5",
+            "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5) "
+            f"WHERE chain = '{self.bus or SITE}'",
+        )
 
     def copy_store(self, path: Path) -> None:
         """The store as it is now."""
@@ -101,15 +119,15 @@ class Plant:
         return done.exit_code, done.output
 
     def broken_at(self, *options: str) -> str:
-        """Return the fault of the log; fail if there is none."""
+        """Return the fault of the log, the first chain's first; fail if there is none."""
         code, printed = self.verify(*options)
         assert code == 1, printed
-        return printed.removeprefix("lineside: the audit log is broken at entry ")
+        return re.sub(r"^lineside: the audit log (of \S+ )?is broken at entry ", "", printed)
 
 
-@pytest.fixture
-def plant(tmp_path: Path) -> Plant:
-    made = Plant(tmp_path)
+@pytest.fixture(params=[None, "dry-end"], ids=["of the site", "of a bus"])
+def plant(tmp_path: Path, request: pytest.FixtureRequest) -> Plant:
+    made = Plant(tmp_path, request.param)
     made.work()
     assert made.verify()[0] == 0
     return made
@@ -150,19 +168,13 @@ def test_the_log_is_rebuilt_as_one_from_before_there_was_a_key(plant: Plant) -> 
 
 
 def test_the_newest_entries_are_cut_off(plant: Plant) -> None:
-    plant.attack(
-        "DELETE FROM events WHERE id > 5",
-        "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5)",
-    )
+    plant.attack(*plant.cut_off)
     assert "the log ends at entry 5" in plant.broken_at()
 
 
 def test_the_newest_entries_are_cut_off_and_the_server_goes_on(plant: Plant) -> None:
     """The anchor is not even needed: the server notes in the log itself that the end had no seal."""
-    plant.attack(
-        "DELETE FROM events WHERE id > 5",
-        "UPDATE events_head SET id = 5, hash = (SELECT hash FROM events WHERE id = 5)",
-    )
+    plant.attack(*plant.cut_off)
     plant.work(1)
     with closing(sqlite3.connect(plant.store)) as connection:
         (what,) = connection.execute("SELECT what FROM events WHERE id = 6").fetchone()
@@ -199,7 +211,8 @@ def test_the_store_is_removed_and_restarted(plant: Plant) -> None:
     for path in plant.store.parent.glob("lineside.db*"):
         path.unlink()
     plant.work(20)
-    assert "entry 9 is not the one that the anchor names" in plant.broken_at()
+    # The anchor names the first entry of a bus too: it is one of the site's chain.
+    assert f"entry {1 if plant.bus else 9} is not the one that the anchor names" in plant.broken_at()
 
 
 def test_entries_before_the_first_are_added(plant: Plant) -> None:
@@ -209,7 +222,12 @@ def test_entries_before_the_first_are_added(plant: Plant) -> None:
 
 def _columns_but_id() -> str:
     with closing(sqlite3.connect(":memory:")) as connection:
-        for step in ("0002_events.sql", "0031_audit_seals.sql", "0050_event_messages.sql"):
+        for step in (
+            "0002_events.sql",
+            "0031_audit_seals.sql",
+            "0050_event_messages.sql",
+            "0140_audit_chains.sql",
+        ):
             connection.executescript((MIGRATIONS / step).read_text())
         return ", ".join(row[1] for row in connection.execute("PRAGMA table_info(events)") if row[1] != "id")
 
@@ -252,7 +270,7 @@ def test_a_new_key_vouches_for_the_log_from_then_on_only(plant: Plant) -> None:
 
 
 def test_a_store_from_before_the_key_is_sealed_as_it_is(tmp_path: Path) -> None:
-    plant = Plant(tmp_path)
+    plant = Plant(tmp_path, "dry-end")
     plant.work()
     plant.rebuild(lambda rows: rows, key="")
     plant.key.unlink()
@@ -281,11 +299,15 @@ def test_after_a_rotation_the_older_key_forges_nothing(plant: Plant) -> None:
     # With the older key any end of the log can be sealed, continuing from before the rotation.
     plant.attack("DELETE FROM events WHERE id > 9", "DELETE FROM events_head")
     plant.key.write_bytes(older)
-    ring = open_keys([plant.key], plant.store, Head()).ring
+    ring = open_keys([plant.key], plant.store, {}).ring
     with closing(sqlite3.connect(plant.store)) as connection:
-        (digest,) = connection.execute("SELECT hash FROM events WHERE id = 9").fetchone()
-        end = (1, 9, digest, ring.newest, ring.seal("head", "9", digest))
-        connection.execute("INSERT INTO events_head (only, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)", end)
+        for chain, number in {SITE: 1 if plant.bus else 9, plant.bus or SITE: 9}.items():
+            (digest,) = connection.execute("SELECT hash FROM events WHERE id = ?", (number,)).fetchone()
+            head = sealed_head({"id": number, "hash": digest}, ring, chain)
+            end = (chain, number, digest, ring.newest, head.seal)
+            connection.execute(
+                "INSERT INTO events_head (chain, id, hash, key, seal) VALUES (?, ?, ?, ?, ?)", end
+            )
         connection.commit()
     plant.work(2)
     assert plant.verify(*WITHOUT_ANCHOR)[0] == 0, "to the older key alone all is well"

@@ -16,7 +16,7 @@ from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import Anchoring, AnchorStatus
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.store import Filter, head_of
+from app.audit.store import Filter, heads_of
 from app.cli import cli
 from app.database import SqliteDatabase
 from app.main import create_app
@@ -42,7 +42,7 @@ class QuietPlant(Plant):
         async def run() -> AnchorStatus:
             database = SqliteDatabase(self.store)
             try:
-                keys = open_keys(load(self.config).key_files, self.store, await database.read(head_of))
+                keys = open_keys(load(self.config).key_files, self.store, await database.read(heads_of))
                 log = EventLog(database, keys=keys)
                 for number in range(entries):
                     await log.record(kind="estop", what=f"e-stop {number}")

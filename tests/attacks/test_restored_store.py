@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from app.audit.keys import open_keys
 from app.audit.log import EventLog
-from app.audit.store import head_of
+from app.audit.store import heads_of
 from app.auth import store
 from app.auth.accounts import Accounts
 from app.cli import cli
@@ -41,7 +41,7 @@ class Plant:
         database = SqliteDatabase(self.store)
 
         async def run() -> None:
-            keys = open_keys(load(self.config).key_files, self.store, await database.read(head_of))
+            keys = open_keys(load(self.config).key_files, self.store, await database.read(heads_of))
             await work(Accounts(database, EventLog(database, keys=keys)), database)
 
         asyncio.run(run())
