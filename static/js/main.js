@@ -1,6 +1,7 @@
 // What every page has. Most start here; a page with its own first module imports this afterwards.
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
+import * as blink from "./blink.js";
 import * as counts from "./counts.js";
 import * as focus from "./focus.js";
 import * as keypad from "./keypad.js";
@@ -23,6 +24,7 @@ for (const current of document.querySelectorAll(":is(.rail__item, .tabs__tab)[ar
   current.scrollIntoView({ block: "nearest", inline: "center" });
 rebind();
 visibility.start(draw, drawAll);
+blink.start();
 focus.start();
 quality.findUnits();
 quality.start();

@@ -140,22 +140,25 @@ def test_a_new_alarm_moves_no_row(site: Site, browser_page: OpensPages) -> None:
 
 def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browser_page: OpensPages) -> None:
     acknowledge_all(site)
-    page = opened(browser_page(viewport=PANEL), site, "/events")
+    page = opened(browser_page(viewport=PANEL, reduced_motion="no-preference"), site, "/events")
     head = page.locator(".top__alarms")
     expect(head).to_be_hidden()
     stop(site, 2, active=True)
     expect(head).to_contain_text(re.compile(r"Emergency stop\s*active since \d\d:\d\d"))
     expect(head).to_have_attribute("data-is", "urgent waiting")
-    urgent = head.locator(".alarm-priority__shape").evaluate(
-        "shape => getComputedStyle(shape).backgroundColor"
-    )
+    shape = head.locator(".alarm-priority__shape")
+    urgent = shape.evaluate("shape => getComputedStyle(shape).backgroundColor")
+    for faint in (True, False, True):
+        page.wait_for_function(
+            "([shape, faint]) => getComputedStyle(shape).opacity < 0.5 === faint",
+            arg=[shape.element_handle(), faint],
+        )
     stop(site, 2, active=False)
     expect(head).to_contain_text(re.compile(r"Emergency stop\s*cleared \d\d:\d\d"))
     expect(head).to_have_attribute("data-is", "urgent cleared waiting")
-    cleared = head.locator(".alarm-priority__shape").evaluate(
-        "shape => getComputedStyle(shape).backgroundColor"
-    )
-    assert cleared != urgent
+    assert shape.evaluate("shape => getComputedStyle(shape).backgroundColor") != urgent
+    page.wait_for_selector("html[data-blink]", state="attached")
+    expect(shape).to_have_css("opacity", "1")
     site.line.remote.do("mode", unit=3, to="local")
     try:
         expect(head).to_contain_text(re.compile(r"Not in REMOTE\s*active since \d\d:\d\d · \d more"))
