@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -115,19 +115,55 @@ def url_of(database: str) -> str:
     return f"postgresql://{USER}@/{database}?host={socket_folder()}"
 
 
-@contextmanager
-def fresh_database(*, empty: bool = False) -> Iterator[StoreSettings]:
-    """A database with the tables of every store, or ``empty``."""
+def fresh_database(*, empty: bool = False) -> StoreSettings:
+    """A database with the tables of every store, or ``empty``. It goes when PostgreSQL ends."""
     import psycopg
 
     name = f"test_{os.getpid()}_{next(_numbers)}"
+    model = "template0" if empty else TEMPLATE
     with psycopg.connect(url_of("postgres"), autocommit=True) as server:
-        model = "template0" if empty else TEMPLATE
         server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
-        try:
-            yield StoreSettings(url=url_of(name))
-        finally:
-            server.execute(f'DROP DATABASE "{name}" WITH (FORCE)'.encode())
+    return StoreSettings(url=url_of(name))
+
+
+_free: list[StoreSettings] = []
+
+
+@contextmanager
+def emptied_database() -> Iterator[StoreSettings]:
+    """A database with the tables of every store, none of which has a row. Another test may have used it."""
+    store = _free.pop() if _free else fresh_database()
+    try:
+        yield store
+    finally:
+        _empty(store)
+        _free.append(store)
+
+
+def _empty(store: StoreSettings) -> None:
+    """Remove every row; also of tables whose rules say that none is ever removed."""
+    import psycopg
+
+    with psycopg.connect(store.url, autocommit=True) as server:
+        server.execute(_EMPTY.encode())
+
+
+_EMPTY = """
+DO $body$
+DECLARE each record;
+BEGIN
+    PERFORM pg_terminate_backend(pid, 5000) FROM pg_stat_activity
+    WHERE datname = current_database() AND pid <> pg_backend_pid();
+    SET LOCAL session_replication_role = replica;
+    FOR each IN SELECT oid::regclass AS name, relkind AS kind FROM pg_class
+        WHERE relkind IN ('r', 'S') AND relname <> 'migrations'
+        AND relnamespace IN ('main'::regnamespace, 'history'::regnamespace, 'pictures'::regnamespace)
+    LOOP
+        IF each.kind = 'r' THEN EXECUTE format('DELETE FROM %s', each.name);
+        ELSE PERFORM setval(each.name, 1, false); END IF;
+    END LOOP;
+END $body$
+"""
 
 
 @contextmanager
@@ -135,12 +171,8 @@ def fresh_store(schema: str = "main") -> Iterator[Database]:
     """An empty store of a site."""
     from app.database.postgresql.database import PostgresqlDatabase
 
-    with fresh_database() as store:
-        database = PostgresqlDatabase(store, schema, SCHEMAS[schema])
-        try:
-            yield database
-        finally:
-            database.close()
+    with emptied_database() as store, closing(PostgresqlDatabase(store, schema, SCHEMAS[schema])) as database:
+        yield database
 
 
 def serve(folder: Path) -> None:
@@ -154,19 +186,8 @@ def serve(folder: Path) -> None:
     if user:
         shutil.chown(data, user)
         shutil.chown(folder, user)
-    initialize = [
-        str(programs / "initdb"),
-        "-D",
-        str(data),
-        "-U",
-        USER,
-        "-A",
-        "trust",
-        "-E",
-        "UTF8",
-        "--locale=C",
-    ]
-    subprocess.run([*initialize, "--no-sync", "--no-instructions"], check=True, user=user, cwd="/")
+    initialize = f"{programs}/initdb -U {USER} -A trust -E UTF8 --locale=C --no-sync --no-instructions -D"
+    subprocess.run([*initialize.split(), data], check=True, user=user, cwd="/")
     options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
     server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
     try:

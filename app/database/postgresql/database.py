@@ -89,14 +89,8 @@ class PostgresqlDatabase(Database):
 
 def is_usable(driver: Driver) -> bool:
     """Whether a connection that was idle is not known to be lost. Asks nothing of the server."""
-    if driver.closed:
-        return False
-    try:
-        if select([driver.fileno()], [], [], 0)[0]:
-            driver.pgconn.consume_input()
-    except (psycopg.Error, OSError, ValueError):
-        return False
-    return not driver.pgconn.status
+    # The server sends nothing without a request but that it ends the connection.
+    return not driver.closed and not select([driver.fileno()], [], [], 0)[0]
 
 
 def transact(driver: Driver, work: Work[T], name: str) -> T:
