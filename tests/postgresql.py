@@ -141,7 +141,7 @@ def emptied_database() -> Iterator[StoreSettings]:
 
 
 def _empty(store: StoreSettings) -> None:
-    """Remove every row; also of tables whose rules say that none is ever removed."""
+    """Remove every row; also of tables whose rules refuse that."""
     import psycopg
 
     with psycopg.connect(store.url, autocommit=True) as server:

@@ -13,7 +13,7 @@ from bus.settings import StrictModel
 
 SCHEMES = ("postgresql", "postgres")
 SECRETS = ("password", "sslpassword")
-"""Parameters of a URL that are shown to nobody."""
+"""Parameters of a URL that are never shown."""
 
 
 class StoreSettings(StrictModel):

@@ -71,13 +71,13 @@ def note(connection: StoreConnection, bus: str, minute: int = 0) -> None:
 def test_values_are_those_of_sqlite(shared: Database) -> None:
     def read(connection: StoreConnection) -> Any:
         return connection.execute(
-            "SELECT ? AS whole, CAST(? AS REAL) AS real, ? AS truth, CAST(? AS BYTEA) AS bytes,"
+            "SELECT ? AS number, CAST(? AS REAL) AS real, ? AS truth, CAST(? AS BYTEA) AS bytes,"
             " 1 = 1 AS is_so, (SELECT sum(number) FROM migrations WHERE number < 3) AS total",
             (2**62, 1.5, True, b"\0\xff"),
         ).fetchone()
 
     row = shared.read_now(read)
-    found = {"whole": 2**62, "real": 1.5, "truth": 1, "bytes": b"\0\xff", "is_so": 1, "total": 3}
+    found = {"number": 2**62, "real": 1.5, "truth": 1, "bytes": b"\0\xff", "is_so": 1, "total": 3}
     assert dict(row) == found
     assert [type(value) for value in row] == [int, float, int, bytes, int, int]
     assert (row["real"], row[1]) == (1.5, 1.5)
@@ -150,10 +150,10 @@ def test_the_clock_is_that_of_the_database(shared: Database) -> None:
     assert abs(shared.read_now(clock) - unix_now()) < WITHIN_S
 
 
-async def test_every_server_hears_what_is_committed(store: StoreSettings) -> None:
-    heard: asyncio.Queue[str] = asyncio.Queue()
+async def test_every_server_gets_the_texts_of_a_committed_transaction(store: StoreSettings) -> None:
+    texts: asyncio.Queue[str] = asyncio.Queue()
 
-    def say(connection: StoreConnection) -> None:
+    def announce(connection: StoreConnection) -> None:
         notify(connection, "rights", "anna")
 
     def fail(connection: StoreConnection) -> None:
@@ -161,17 +161,17 @@ async def test_every_server_hears_what_is_committed(store: StoreSettings) -> Non
         raise ValueError("midway")
 
     with opened(store) as here, opened(store) as there:
-        here.listen("rights", heard.put_nowait)
+        here.listen("rights", texts.put_nowait)
         async with asyncio.timeout(WITHIN_S):
             await listening(there)
             with pytest.raises(ValueError, match="midway"):
                 await there.write(fail)
-            await there.write(say)
-            assert await heard.get() == "anna"
+            await there.write(announce)
+            assert await texts.get() == "anna"
             await there.write(end_other_connections)
-            assert await heard.get() == ""
-            await there.write(say)
-            assert await heard.get() == "anna"
+            assert await texts.get() == ""
+            await there.write(announce)
+            assert await texts.get() == "anna"
         await asyncio.to_thread(here.close)
 
 

@@ -75,7 +75,7 @@ def _table(sql: str) -> Iterator[str]:
     assert name is not None
     yield translated(_typed(_END.sub(")", sql))).sql
     for column in re.findall(r"^\s*(\w+)\s+BLOB\b", sql, re.MULTILINE):
-        # What is stored is packed already.
+        # The content is packed already.
         yield f"ALTER TABLE {name[1]} ALTER COLUMN {column} SET STORAGE EXTERNAL"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 MAX_STATEMENTS = 2048
 RESERVED = frozenset({"only"})
-"""Names of columns that PostgreSQL takes for words of its own."""
+"""Names of columns that are words of PostgreSQL."""
 _TOKEN = re.compile(
     r"(?P<text>'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\")"
     r"|(?P<comment>--[^\n]*)"
