@@ -13,11 +13,12 @@ import pytest
 
 from app.audit.log import ENDED_BEFORE, Event, EventLog
 from app.audit.store import Filter
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.errors import ConstraintError
 from bus.contract import Frame
 from bus.messages import Message, term
 from tests.app.intents import intend
+from tests.stores import open_store
 
 
 class Clock:
@@ -32,7 +33,7 @@ class Clock:
 
 @pytest.fixture
 async def database(tmp_path: Path) -> AsyncIterator[Database]:
-    opened = SqliteDatabase(tmp_path / "lineside.db")
+    opened = open_store(tmp_path / "lineside.db")
     yield opened
     opened.close()
 

@@ -14,17 +14,18 @@ import pytest
 from app.audit import store
 from app.audit.log import EventLog
 from app.audit.store import Filter
-from app.database import Database, SqliteDatabase, connection
+from app.database import Database, connection
 from app.errors import TooCostlyError
 from app.web.access import Role
 from tests.app.complete_app import complete_app
+from tests.stores import open_store
 
 PATIENCE_S = 10.0
 
 
 @contextmanager
 def database(folder: Path) -> Iterator[Database]:
-    with closing(SqliteDatabase(folder / "lineside.db", synchronous="NORMAL")) as opened:
+    with closing(open_store(folder / "lineside.db")) as opened:
         yield opened
 
 

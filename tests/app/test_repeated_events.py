@@ -10,9 +10,9 @@ import pytest
 from app.audit.log import EventLog
 from app.audit.repeated import MANY, MAX_KEYS, RepeatedEvents
 from app.audit.store import Filter
-from app.database import SqliteDatabase
 from app.server.repeats import WINDOW_S
 from tests.app.complete_app import complete_app
+from tests.stores import open_store
 
 
 class Scene:
@@ -20,7 +20,7 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.now = 1000.0
-        self.database = SqliteDatabase(folder / "lineside.db")
+        self.database = open_store(folder / "lineside.db")
         self.events = EventLog(self.database, lambda: self.now)
         self.events.repeated = RepeatedEvents(self.events.record, lambda: self.now, lambda: self.now)
 

@@ -14,11 +14,11 @@ from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
 from app.commands.service import command_service
-from app.database import SqliteDatabase
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Command, Update
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
+from tests.stores import open_store
 
 
 @pytest.fixture
@@ -165,7 +165,7 @@ async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
 
 
 async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     limits, block = (
         Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
         CommandBlock("why", "anna", 5.0),

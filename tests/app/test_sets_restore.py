@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.errors import Problem
 from app.sets.model import ParameterRow, UnitRows
 from app.sets.order import Write
@@ -22,6 +22,7 @@ from app.web.access import Person, Role
 from bus.contract import WriteParameter
 from bus.messages import Message
 from tests.app.played_commands import ANNA, Noted, PlayedCommands, a_bus, factory, responding
+from tests.stores import open_store
 
 BEN = Person("ben", Role.ENGINEER, "session")
 WANTED = {6: 50, 7: 60, 12: 7, 9: 1234}
@@ -64,7 +65,7 @@ SetsScene = Callable[..., Scene]
 
 @pytest.fixture
 def a_scene(tmp_path: Path) -> Iterator[SetsScene]:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     yield partial(Scene, database)
     database.close()
 

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from app.cli import backup_store
 from app.cli.backup_store import write_backup
 from app.cli.restore_store import read_backup
-from app.database import SqliteDatabase
 from app.errors import ConstraintError, StoreError
 from app.handover.pictures import FILE, MIGRATIONS
 from app.handover.rules.orientation import TURNED, exif_of, orientation_of, plain_exif
@@ -28,6 +27,7 @@ from app.handover.rules.pictures import plain_picture
 from app.web.access import Role
 from bus.errors import CallerError
 from tests.app.complete_app import House, complete_app
+from tests.stores import open_store
 
 API = "/api/v1/shifts"
 PLACE = b"GPS 52.5, 13.4"
@@ -342,10 +342,10 @@ def test_the_pictures_of_an_earlier_version_are_there_and_stay(tmp_path: Path) -
     first = MIGRATIONS / "0001_pictures.sql"
     (folder / first.name).write_text(first.read_text("utf-8"), "utf-8")
     row = ("0" * 64, "image/png", png())
-    earlier = SqliteDatabase(tmp_path / FILE, folder)
+    earlier = open_store(tmp_path / FILE, folder)
     earlier.write_now(lambda store: store.execute("INSERT INTO picture VALUES (?, ?, ?)", row))
     earlier.close()
-    present = SqliteDatabase(tmp_path / FILE, MIGRATIONS)
+    present = open_store(tmp_path / FILE, MIGRATIONS)
     found = present.read_now(lambda store: store.execute("SELECT * FROM picture").fetchall())
     assert [tuple(each) for each in found] == [row]
     for change in ("DELETE FROM picture", "UPDATE picture SET content = x''"):

@@ -17,11 +17,12 @@ from app.auth.rights import Rights
 from app.auth.settings import Sessions
 from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.errors import CallerError
 from tests.administrator import BY
+from tests.stores import open_store
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -67,7 +68,7 @@ class House:
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     house = House(database)
     yield house
     database.close()

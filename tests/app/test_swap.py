@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import pytest
 
-from app.database import SqliteDatabase
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
@@ -30,6 +29,7 @@ from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_commands import ANNA, Noted
 from tests.app.screens import line
+from tests.stores import open_store
 
 
 def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
@@ -76,7 +76,7 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.events = Noted()
-        self.database = SqliteDatabase(folder / "store.db")
+        self.database = open_store(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
         self.swaps = self.another()

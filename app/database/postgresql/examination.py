@@ -13,8 +13,8 @@ from app.database.settings import StoreSettings
 def has_site(store: StoreSettings, schema: str) -> bool:
     """Whether a site lives in the database. Raises StoreError."""
     with examining(store, schema) as connection:
-        found = connection.execute("SELECT to_regclass(?)", (f"{schema}.migrations",)).fetchone()
-        return found[0] is not None
+        found = connection.execute("SELECT to_regclass(?)", (f"{schema}.migrations",)).fetchall()
+        return found[0][0] is not None
 
 
 @contextmanager

@@ -24,6 +24,9 @@ CREATE OR REPLACE FUNCTION json_extract(content text, path text) RETURNS text
 LANGUAGE sql IMMUTABLE PARALLEL SAFE AS $body$
 SELECT content::json #>> string_to_array(substr(path, 3), '.')
 $body$;
+CREATE OR REPLACE FUNCTION joined_by_comma(before text, number bigint) RETURNS text
+LANGUAGE sql IMMUTABLE PARALLEL SAFE AS $body$ SELECT concat_ws(',', before, number) $body$;
+CREATE OR REPLACE AGGREGATE group_concat(bigint) (SFUNC = joined_by_comma, STYPE = text);
 """
 """What the SQL of features names: functions that SQLite has. A member of JSON comes as text."""
 _TYPES = {

@@ -21,7 +21,7 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*)",
     re.IGNORECASE,
 )
-_WORDS = {"LIKE": "ILIKE", "NOTNULL": "IS NOT NULL", "IFNULL": "coalesce"}
+_WORDS = {"LIKE": "ILIKE"}
 """ILIKE ignores the case of ASCII letters in a column of collation "C", as LIKE of SQLite does."""
 
 
