@@ -127,6 +127,8 @@ def fresh_database(*, empty: bool = False) -> StoreSettings:
 
 
 _free: list[StoreSettings] = []
+spoiled: set[str] = set()
+"""URLs of databases whose tables a test has changed."""
 
 
 @contextmanager
@@ -137,7 +139,8 @@ def emptied_database() -> Iterator[StoreSettings]:
         yield store
     finally:
         _empty(store)
-        _free.append(store)
+        if store.url not in spoiled:
+            _free.append(store)
 
 
 def _empty(store: StoreSettings) -> None:

@@ -13,12 +13,14 @@ from app.database import Database
 from app.database.migration import MIGRATIONS
 from app.database.opening import open_database
 from app.database.settings import IN_FILES, StoreSettings
-from tests.postgresql import emptied_database, needs_postgresql
+from tests.postgresql import emptied_database, needs_postgresql, spoiled
 
 Engine = Literal["sqlite", "postgresql"]
 ENGINES = ("sqlite", pytest.param("postgresql", marks=needs_postgresql))
 both_engines = pytest.mark.usefixtures("engine")
 """Runs a test twice; its stores are made by `open_store`, or of `store_settings`."""
+only_sqlite = pytest.mark.only_sqlite
+"""Leaves one test of a module with `both_engines` to SQLite: it is about its files."""
 _databases: dict[Path, StoreSettings] | None = None
 _used = ExitStack()
 
@@ -42,6 +44,20 @@ def store_settings(folder: Path) -> StoreSettings:
     if folder not in _databases:
         _databases[folder] = _used.enter_context(emptied_database())
     return _databases[folder]
+
+
+def store_table(folder: Path) -> str:
+    """The same in lineside.toml."""
+    url = store_settings(folder).url
+    return f"[store]\nurl = '{url}'\n" if url else ""
+
+
+def without_trigger(name: str, table: str) -> str:
+    """SQL that removes a rule of a table. Its database is of no use to another test."""
+    if _databases is None:
+        return f"DROP TRIGGER {name}"
+    spoiled.update(each.url for each in _databases.values())
+    return f"DROP TRIGGER {name} ON {table}"
 
 
 def open_store(file: Path, migrations: Path = MIGRATIONS, *, checkpoints: bool = True) -> Database:

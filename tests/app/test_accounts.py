@@ -33,7 +33,9 @@ from app.web.access import Person, Role
 from bus.errors import CallerError
 from bus.messages import Message
 from tests.administrator import BY
-from tests.stores import open_store
+from tests.stores import both_engines, open_store
+
+pytestmark = both_engines
 
 PASSWORD = "correct horse"
 PIN = "471193"

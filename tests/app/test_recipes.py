@@ -16,7 +16,9 @@ from bus.contract import BusLink, ParameterValue, Reading, SetLine, UnitLink
 from bus.instants import monotonic_now, unix_now
 from bus.messages import Message, in_english
 from tests.app.played_commands import ANNA, HEALTHY, REMOTE, Noted, PlayedCommands, a_bus, fresh, responding
-from tests.stores import open_store
+from tests.stores import both_engines, open_store
+
+pytestmark = both_engines
 
 
 class Scene:

@@ -13,7 +13,9 @@ from app.auth.accounts import Accounts
 from app.auth.rights import Rights
 from app.web.access import Person, Role
 from tests.administrator import BY
-from tests.stores import open_store
+from tests.stores import both_engines, open_store
+
+pytestmark = both_engines
 
 PASSWORD = "correct horse"
 

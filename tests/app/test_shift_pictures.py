@@ -27,7 +27,7 @@ from app.handover.rules.pictures import plain_picture
 from app.web.access import Role
 from bus.errors import CallerError
 from tests.app.complete_app import House, complete_app
-from tests.stores import open_store
+from tests.stores import both_engines, open_store
 
 API = "/api/v1/shifts"
 PLACE = b"GPS 52.5, 13.4"
@@ -268,6 +268,7 @@ async def test_the_form_takes_files_by_their_content_and_not_by_their_name(house
     assert [len(note["pictures"]) for note in found] == [1]
 
 
+@both_engines
 async def test_a_refused_note_stores_no_picture(house: House, tmp_path: Path) -> None:
     operator = await house.program(Role.OPERATOR)
     for wrong in ({"corrects": 99}, {"alarm": "none.1"}, {"bus": "none"}, {"text": " "}):
@@ -382,6 +383,7 @@ async def test_a_damaged_store_of_pictures_is_reported_and_costs_its_pictures_on
         assert not (tmp_path / "one.tar").exists()
 
 
+@both_engines
 async def test_the_pictures_of_a_shift_are_bounded(house: House) -> None:
     operator = await house.program(Role.OPERATOR)
     for number in range(6):
