@@ -33,6 +33,9 @@ SCHEMAS = {
 }
 TEMPLATE = "lineside_template"
 USER = "lineside"
+GUARDED = "guarded"
+"""A user who needs the password `PASSWORD`."""
+PASSWORD = "correct horse battery"
 START_S = 60.0
 OPTIONS = {
     "fsync": "off",
@@ -191,6 +194,8 @@ def serve(folder: Path) -> None:
         shutil.chown(folder, user)
     initialize = f"{programs}/initdb -U {USER} -A trust -E UTF8 --locale=C --no-sync --no-instructions -D"
     subprocess.run([*initialize.split(), data], check=True, user=user, cwd="/")
+    rules = data / "pg_hba.conf"
+    rules.write_text(f"local all {GUARDED} scram-sha-256\n{rules.read_text()}")
     options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
     server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
     try:
@@ -220,6 +225,8 @@ def _make_template(folder: Path) -> None:
             if time.monotonic() > end:
                 raise
             time.sleep(0.02)
+    with psycopg.connect(host.format("postgres"), autocommit=True) as server:
+        server.execute(f"CREATE ROLE {GUARDED} LOGIN SUPERUSER PASSWORD '{PASSWORD}'".encode())
     for schema, steps in SCHEMAS.items():
         PostgresqlDatabase(StoreSettings(url=host.format(TEMPLATE)), schema, steps).close()
 

@@ -22,6 +22,8 @@ from app.errors import ConstraintError, StoreError, StoreUnavailableError, TooCo
 from bus.errors import CallerError
 from bus.instants import unix_now
 from tests.postgresql import (
+    GUARDED,
+    PASSWORD,
     emptied_database,
     fresh_database,
     fresh_store,
@@ -248,6 +250,27 @@ def test_an_unreachable_host() -> None:
 def test_a_database_that_is_not_there() -> None:
     with pytest.raises(StoreError, match='database "nowhere" does not exist'):
         open_database(StoreSettings(url=url_of("nowhere")), FILE)
+
+
+@pytest.mark.parametrize("password", ["wrong password", None])
+def test_a_password_that_is_wrong_or_missing(
+    store: StoreSettings, tmp_path: Path, password: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PGPASSFILE", str(tmp_path / "none"))
+    url = store.url.replace("lineside@", f"{GUARDED}@" if password is None else f"{GUARDED}:{password}@")
+    with pytest.raises(StoreUnavailableError, match=r"it refuses the user: .*check the user") as refused:
+        open_database(StoreSettings(url=url.replace(" ", "%20")), FILE)
+    assert not password or password not in str(refused.value)
+
+
+def test_a_password_file(store: StoreSettings, tmp_path: Path) -> None:
+    file = tmp_path / "db.password"
+    guarded = StoreSettings(url=store.url.replace("lineside@", f"{GUARDED}@"), password_file=file)
+    with pytest.raises(StoreError, match="the password of the store cannot be read"):
+        open_database(guarded, FILE)
+    file.write_text(f"{PASSWORD}\n")
+    with opened(guarded) as database:
+        assert database.read_now(lambda c: one(c, "SELECT current_user")) == GUARDED
 
 
 def test_a_role_without_rights(empty: StoreSettings) -> None:

@@ -105,7 +105,8 @@ def _trigger(sql: str) -> Iterator[str]:
 def split(script: str) -> Iterable[str]:
     """The statements of a step."""
     statement = ""
-    for part in script.split(";"):
+    *parts, _ = script.split(";")
+    for part in parts:
         statement += f"{part};"
         if sqlite3.complete_statement(statement):
             yield statement.strip()
