@@ -118,32 +118,34 @@ def url_of(database: str) -> str:
     return f"postgresql://{USER}@/{database}?host={socket_folder()}"
 
 
-def fresh_database(*, empty: bool = False) -> StoreSettings:
-    """A database with the tables of every store, or ``empty``. It goes when PostgreSQL ends."""
-    import psycopg
-
-    name = f"test_{os.getpid()}_{next(_numbers)}"
-    model = "template0" if empty else TEMPLATE
-    with psycopg.connect(url_of("postgres"), autocommit=True) as server:
-        server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
-    return StoreSettings(url=url_of(name))
-
-
 _free: list[StoreSettings] = []
 spoiled: set[str] = set()
 """URLs of databases whose tables a test has changed."""
 
 
 @contextmanager
-def emptied_database() -> Iterator[StoreSettings]:
-    """A database with the tables of every store, none of which has a row. Another test may have used it."""
-    store = _free.pop() if _free else fresh_database()
+def fresh_database(*, empty: bool = False) -> Iterator[StoreSettings]:
+    """A database with the tables of every store, none of which has a row, or one without any table."""
+    if empty:
+        yield _new_database("template0")
+        return
+    store = _free.pop() if _free else _new_database(TEMPLATE)
     try:
         yield store
     finally:
         _empty(store)
         if store.url not in spoiled:
             _free.append(store)
+
+
+def _new_database(model: str) -> StoreSettings:
+    """It goes when PostgreSQL ends."""
+    import psycopg
+
+    name = f"test_{os.getpid()}_{next(_numbers)}"
+    with psycopg.connect(url_of("postgres"), autocommit=True) as server:
+        server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
+    return StoreSettings(url=url_of(name))
 
 
 def _empty(store: StoreSettings) -> None:
@@ -177,7 +179,7 @@ def fresh_store(schema: str = "main") -> Iterator[Database]:
     """An empty store of a site."""
     from app.database.postgresql.database import PostgresqlDatabase
 
-    with emptied_database() as store, closing(PostgresqlDatabase(store, schema, SCHEMAS[schema])) as database:
+    with fresh_database() as store, closing(PostgresqlDatabase(store, schema, SCHEMAS[schema])) as database:
         yield database
 
 

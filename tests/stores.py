@@ -13,7 +13,7 @@ from app.database import Database
 from app.database.migration import MIGRATIONS
 from app.database.opening import open_database
 from app.database.settings import IN_FILES, StoreSettings
-from tests.postgresql import emptied_database, needs_postgresql, spoiled
+from tests.postgresql import fresh_database, needs_postgresql, spoiled
 
 Engine = Literal["sqlite", "postgresql"]
 ENGINES = ("sqlite", pytest.param("postgresql", marks=needs_postgresql))
@@ -42,7 +42,7 @@ def store_settings(folder: Path) -> StoreSettings:
     if _databases is None:
         return IN_FILES
     if folder not in _databases:
-        _databases[folder] = _used.enter_context(emptied_database())
+        _databases[folder] = _used.enter_context(fresh_database())
     return _databases[folder]
 
 

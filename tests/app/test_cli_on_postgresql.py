@@ -12,14 +12,14 @@ from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import cli
 from app.database.settings import StoreSettings
-from tests.postgresql import emptied_database, fresh_database, needs_postgresql
+from tests.postgresql import fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
 
 
 @pytest.fixture
 def store() -> Iterator[StoreSettings]:
-    with emptied_database() as settings:
+    with fresh_database() as settings:
         yield settings
 
 
@@ -59,7 +59,8 @@ def test_a_second_server_needs_the_key_of_the_site_and_another_site_another_data
 
 
 def test_the_key_of_a_site_does_not_start_on_an_empty_database(tmp_path: Path) -> None:
-    config = site(tmp_path, fresh_database(empty=True))
+    with fresh_database(empty=True) as empty:
+        config = site(tmp_path, empty)
     make_key_file(config.with_name("lineside.audit.key"), KeyOrigin())
     refusal = add_user(config, 1)
     assert "no site lives in the database postgresql://" in refusal

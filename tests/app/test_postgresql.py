@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import shutil
 import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -24,7 +25,7 @@ from bus.instants import unix_now
 from tests.postgresql import (
     GUARDED,
     PASSWORD,
-    emptied_database,
+    SCHEMAS,
     fresh_database,
     fresh_store,
     needs_postgresql,
@@ -32,9 +33,7 @@ from tests.postgresql import (
     url_of,
 )
 
-if TYPE_CHECKING:
-    from app.database.postgresql.database import PostgresqlDatabase
-
+PostgresqlDatabase = pytest.importorskip("app.database.postgresql.database").PostgresqlDatabase
 pytestmark = needs_postgresql
 FILE = Path("lineside.db")
 WITHIN_S = 10.0
@@ -49,13 +48,14 @@ def shared() -> Iterator[Database]:
 
 @pytest.fixture
 def store() -> Iterator[StoreSettings]:
-    with emptied_database() as settings:
+    with fresh_database() as settings:
         yield settings
 
 
 @pytest.fixture
-def empty() -> StoreSettings:
-    return fresh_database(empty=True)
+def empty() -> Iterator[StoreSettings]:
+    with fresh_database(empty=True) as settings:
+        yield settings
 
 
 def opened(store: StoreSettings) -> contextlib.closing[Database]:
@@ -236,6 +236,39 @@ def test_a_later_step_is_taken_completely_or_not_at_all(empty: StoreSettings, tm
         open_database(empty, Path("things.db"), tmp_path)
 
 
+TABLES = """
+SELECT table_name, column_name, data_type, is_nullable, column_default, collation_name, is_identity
+FROM information_schema.columns WHERE table_schema = current_schema() ORDER BY 1, 2
+"""
+RULES = """
+SELECT event_object_table, event_manipulation, action_condition, action_statement
+FROM information_schema.triggers WHERE trigger_schema = current_schema() ORDER BY 1, 2, 3, 4
+"""
+INDEXES = r"""
+SELECT tablename, regexp_replace(indexdef, 'INDEX \w+ ON', 'INDEX ON') FROM pg_indexes
+WHERE schemaname = current_schema() ORDER BY 1, 2
+"""
+BEFORE = {"main": 130, "history": 2, "pictures": 2}
+"""The last step before PostgreSQL was an engine: each further one is taken by both."""
+
+
+@pytest.mark.parametrize("schema", SCHEMAS)
+def test_steps_lead_to_the_tables_of_a_new_store(empty: StoreSettings, tmp_path: Path, schema: str) -> None:
+    def described(connection: StoreConnection) -> list[list[tuple[Any, ...]]]:
+        queries = (TABLES, RULES, INDEXES)
+        return [[tuple(row) for row in connection.execute(query)] for query in queries]
+
+    for step in SCHEMAS[schema].glob("*.sql"):
+        if int(step.name[:4]) <= BEFORE[schema]:
+            shutil.copy(step, tmp_path)
+    stepped = Path(f"{schema}.db")
+    open_database(empty, stepped, tmp_path).close()
+    with closing(PostgresqlDatabase(empty, schema, SCHEMAS[schema])) as database:
+        stepped_to = database.read_now(described)
+    with fresh_store(schema) as database:
+        assert stepped_to == database.read_now(described)
+
+
 def test_an_unreachable_host() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -274,8 +307,7 @@ def test_a_password_file(store: StoreSettings, tmp_path: Path) -> None:
 
 
 def test_a_role_without_rights(empty: StoreSettings) -> None:
-    admin: PostgresqlDatabase
-    with closing(open_database(empty, FILE)) as admin:  # type: ignore[assignment]
+    with closing(open_database(empty, FILE)) as admin:
         admin.write_now(lambda c: c.execute(f'CREATE ROLE "{admin.name[-20:]}" LOGIN'))
         role = admin.name[-20:]
     url = empty.url.replace("lineside@", f"{role.replace(' ', '%20')}@")
@@ -283,7 +315,7 @@ def test_a_role_without_rights(empty: StoreSettings) -> None:
         with pytest.raises(StoreError, match="the user of \\[store\\] url lacks rights"):
             open_database(StoreSettings(url=url), FILE)
     finally:
-        with closing(open_database(empty, FILE)) as admin:  # type: ignore[assignment]
+        with closing(open_database(empty, FILE)) as admin:
             admin.write_now(lambda c: c.execute(f'DROP ROLE "{role}"'))
 
 

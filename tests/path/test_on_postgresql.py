@@ -16,7 +16,7 @@ from tests import fork_server
 from tests.e2e.site import PASSWORD, eventually
 from tests.path.dashboard import Dashboard, dashboard
 from tests.path.independent_unit import Unit
-from tests.postgresql import emptied_database, needs_postgresql
+from tests.postgresql import fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
 UNITS = 2
@@ -37,7 +37,7 @@ PICTURE = (
 
 def test_a_site_stores_everything_in_postgresql(tmp_path: Path) -> None:
     units = [Unit(number, commanded=1000, actual=1000, analog_in=40) for number in range(1, UNITS + 1)]
-    with emptied_database() as store:
+    with fresh_database() as store:
         first, second = tmp_path / "first", tmp_path / "second"
         first.mkdir()
         second.mkdir()
