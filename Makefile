@@ -7,6 +7,7 @@ BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium-headless-shell
 PROXIES := $(VENV)/proxies/.unpacked
+POSTGRESQL := $(VENV)/.postgresql
 NODE_TOOLS := node_modules/.package-lock.json
 COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
@@ -72,7 +73,7 @@ check: development
 	node_modules/.bin/tsc
 	node_modules/.bin/tsc --project types/worker
 
-development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM) $(PROXIES)
+development: setup $(VENV)/.development $(NODE_TOOLS) $(CHROMIUM) $(PROXIES) $(POSTGRESQL)
 
 # The locks are exact and carry a hash for every file. requirements.lock is what runs, and hatchling. What runs
 # is tested with the tools beside it, so it takes the versions that they leave. npm touches the stamp of $(NODE_TOOLS)
@@ -124,4 +125,15 @@ $(PROXIES): $(VENV)/.python
 	@cd $(@D) && for name in nginx caddy; do \
 		apt-get download -qq $$name 2>/dev/null && dpkg-deb -x $$name_*.deb . && rm $$name_*.deb || echo "$$name cannot be downloaded" >&2; \
 	done
+	@touch $@
+
+# PostgreSQL for the tests of the store, which start their own. Nothing else is started: no cluster is made. Where it
+# cannot be had, those tests are skipped.
+$(POSTGRESQL): $(VENV)/.python
+	@ls /usr/lib/postgresql/*/bin/postgres >/dev/null 2>&1 || { \
+		mkdir -p /etc/postgresql-common && \
+		echo "create_main_cluster = false" >/etc/postgresql-common/createcluster.conf && \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive UCF_FORCE_CONFFOLD=1 \
+			apt-get install --yes --no-install-recommends postgresql; \
+	} || echo "PostgreSQL cannot be installed; as root, apt-get install postgresql. Its tests are skipped." >&2
 	@touch $@

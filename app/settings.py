@@ -203,6 +203,11 @@ class Settings(StrictModel):
         return self.audit.anchor or data.parent / f"{data.name}{ANCHOR_SUFFIX}"
 
     @property
+    def store_name(self) -> str:
+        """Names the main store in messages."""
+        return self.store.shown or str(self.server.store)
+
+    @property
     def key_files(self) -> tuple[Path, ...]:
         """Where the keys of the audit log are or, in this order, may be made. Where none is configured, the
         place beside the configuration comes first; a service may be unable to write there, and in the end to

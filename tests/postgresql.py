@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -33,6 +33,9 @@ SCHEMAS = {
 }
 TEMPLATE = "lineside_template"
 USER = "lineside"
+GUARDED = "guarded"
+"""A user who needs the password `PASSWORD`."""
+PASSWORD = "correct horse battery"
 START_S = 60.0
 OPTIONS = {
     "fsync": "off",
@@ -115,19 +118,60 @@ def url_of(database: str) -> str:
     return f"postgresql://{USER}@/{database}?host={socket_folder()}"
 
 
+_free: list[StoreSettings] = []
+spoiled: set[str] = set()
+"""URLs of databases whose tables a test has changed."""
+
+
 @contextmanager
 def fresh_database(*, empty: bool = False) -> Iterator[StoreSettings]:
-    """A database with the tables of every store, or ``empty``."""
+    """A database with the tables of every store, none of which has a row, or one without any table."""
+    if empty:
+        yield _new_database("template0")
+        return
+    store = _free.pop() if _free else _new_database(TEMPLATE)
+    try:
+        yield store
+    finally:
+        _empty(store)
+        if store.url not in spoiled:
+            _free.append(store)
+
+
+def _new_database(model: str) -> StoreSettings:
+    """It goes when PostgreSQL ends."""
     import psycopg
 
     name = f"test_{os.getpid()}_{next(_numbers)}"
     with psycopg.connect(url_of("postgres"), autocommit=True) as server:
-        model = "template0" if empty else TEMPLATE
         server.execute(f'CREATE DATABASE "{name}" TEMPLATE {model} STRATEGY file_copy'.encode())
-        try:
-            yield StoreSettings(url=url_of(name))
-        finally:
-            server.execute(f'DROP DATABASE "{name}" WITH (FORCE)'.encode())
+    return StoreSettings(url=url_of(name))
+
+
+def _empty(store: StoreSettings) -> None:
+    """Remove every row; also of tables whose rules refuse that."""
+    import psycopg
+
+    with psycopg.connect(store.url, autocommit=True) as server:
+        server.execute(_EMPTY.encode())
+
+
+_EMPTY = """
+DO $body$
+DECLARE each record;
+BEGIN
+    PERFORM pg_terminate_backend(pid, 5000) FROM pg_stat_activity
+    WHERE datname = current_database() AND pid <> pg_backend_pid();
+    SET LOCAL session_replication_role = replica;
+    FOR each IN SELECT oid::regclass AS name, relkind AS kind FROM pg_class
+        WHERE relkind IN ('r', 'S') AND relname <> 'migrations'
+        AND relnamespace IN ('main'::regnamespace, 'history'::regnamespace, 'pictures'::regnamespace)
+    LOOP
+        IF each.kind = 'r' THEN EXECUTE format('DELETE FROM %s', each.name);
+        ELSE PERFORM setval(each.name, 1, false); END IF;
+    END LOOP;
+END $body$
+"""
 
 
 @contextmanager
@@ -135,12 +179,8 @@ def fresh_store(schema: str = "main") -> Iterator[Database]:
     """An empty store of a site."""
     from app.database.postgresql.database import PostgresqlDatabase
 
-    with fresh_database() as store:
-        database = PostgresqlDatabase(store, schema, SCHEMAS[schema])
-        try:
-            yield database
-        finally:
-            database.close()
+    with fresh_database() as store, closing(PostgresqlDatabase(store, schema, SCHEMAS[schema])) as database:
+        yield database
 
 
 def serve(folder: Path) -> None:
@@ -154,19 +194,10 @@ def serve(folder: Path) -> None:
     if user:
         shutil.chown(data, user)
         shutil.chown(folder, user)
-    initialize = [
-        str(programs / "initdb"),
-        "-D",
-        str(data),
-        "-U",
-        USER,
-        "-A",
-        "trust",
-        "-E",
-        "UTF8",
-        "--locale=C",
-    ]
-    subprocess.run([*initialize, "--no-sync", "--no-instructions"], check=True, user=user, cwd="/")
+    initialize = f"{programs}/initdb -U {USER} -A trust -E UTF8 --locale=C --no-sync --no-instructions -D"
+    subprocess.run([*initialize.split(), data], check=True, user=user, cwd="/")
+    rules = data / "pg_hba.conf"
+    rules.write_text(f"local all {GUARDED} scram-sha-256\n{rules.read_text()}")
     options = [word for name, value in OPTIONS.items() for word in ("-c", f"{name}={value}")]
     server = subprocess.Popen([programs / "postgres", "-D", data, "-k", folder, *options], user=user, cwd="/")
     try:
@@ -196,6 +227,8 @@ def _make_template(folder: Path) -> None:
             if time.monotonic() > end:
                 raise
             time.sleep(0.02)
+    with psycopg.connect(host.format("postgres"), autocommit=True) as server:
+        server.execute(f"CREATE ROLE {GUARDED} LOGIN SUPERUSER PASSWORD '{PASSWORD}'".encode())
     for schema, steps in SCHEMAS.items():
         PostgresqlDatabase(StoreSettings(url=host.format(TEMPLATE)), schema, steps).close()
 

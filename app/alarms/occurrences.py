@@ -13,7 +13,9 @@ from bus.instants import UnixTime
 
 MAX_OCCURRENCES = 500
 _ACTIVE = ("unack_active", "ack_active")
-_LAST = "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY at DESC LIMIT 1000)"
+_LAST = (
+    "SELECT MAX(id) FROM (SELECT id FROM alarm_journal WHERE at < ? ORDER BY at DESC LIMIT 1000) AS newest"
+)
 """The newest transition before a time. Transitions of several buses are in order but for moments."""
 
 

@@ -29,17 +29,19 @@ MAX_FREQUENT = 10
 _ANNUNCIATED = "after = 'unack_active' AND before <> 'unack_active'"
 _IN_SPAN = f"{_ANNUNCIATED} AND at >= :start AND at < :end"
 _OBSERVED = "SELECT starts, ends FROM alarm_observed WHERE ends > :start AND starts < :end"
-_WINDOWS = f"SELECT CAST(at / {WINDOW_S} AS INTEGER), COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
+# SQLite cuts off what PostgreSQL rounds: both round a decimal number in the same way.
+_WINDOW = f"CAST(round(CAST(at / {WINDOW_S} - 0.5 AS NUMERIC)) AS INTEGER)"
+_WINDOWS = f"SELECT {_WINDOW}, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _PRIORITIES = f"SELECT priority, COUNT(*) FROM alarm_journal WHERE {_IN_SPAN} GROUP BY 1"
 _FREQUENT = (
-    "SELECT alarm, code, name, bus, unit, COUNT(*) AS times FROM alarm_journal"
+    "SELECT alarm, max(code), max(name), max(bus), max(unit), COUNT(*) AS times FROM alarm_journal"
     f" WHERE {_IN_SPAN} GROUP BY alarm ORDER BY times DESC, alarm LIMIT {MAX_FREQUENT}"
 )
 # Entries are in order by their ids. The time between two is not known where the clock was set back meanwhile.
 _CHATTERING = (
     "SELECT COUNT(DISTINCT alarm) FROM (SELECT alarm, at, LAG(at) OVER former AS second,"
     f" LAG(at, 2) OVER former AS first FROM alarm_journal WHERE {_IN_SPAN}"
-    " WINDOW former AS (PARTITION BY alarm ORDER BY id))"
+    " WINDOW former AS (PARTITION BY alarm ORDER BY id)) AS rises"
     f" WHERE first <= second AND second <= at AND at - first <= {CHATTERS_S}"
 )
 _FLEETING = (
@@ -55,7 +57,7 @@ _ACKNOWLEDGED = (
 )
 _MEDIAN = (
     f"SELECT AVG(after_s) FROM (SELECT after_s, ROW_NUMBER() OVER (ORDER BY after_s) AS place,"
-    f" COUNT(*) OVER () AS every FROM ({_ACKNOWLEDGED}) WHERE after_s >= 0)"
+    f" COUNT(*) OVER () AS every FROM ({_ACKNOWLEDGED}) AS seen WHERE after_s >= 0) AS ordered"
     " WHERE place IN ((every + 1) / 2, (every + 2) / 2)"
 )
 

@@ -16,6 +16,7 @@ from app.alarms.rules.states import AlarmState, AlarmTrigger
 from app.audit.log import Also
 from app.conditions.priority import AlarmPriority
 from app.database import Database, StoreConnection, StoreRow
+from app.database.engine import upsert
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -106,6 +107,8 @@ class StoredAlarm:
 
 _FACTS = ("alarm", *_STORED_FACTS, *_OF_ALARM)
 _COLUMNS = tuple(field.name for field in fields(JournalEntry) if field.name != "id")
+_ADD = f"INSERT INTO alarm_journal ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
+_REPLACE = upsert("alarm_facts", _FACTS[:1], _FACTS[1:])
 _values_of, _facts_of, _marks_of = attrgetter(*_COLUMNS), attrgetter(*_STORED_FACTS), attrgetter(*_OF_ALARM)
 
 
@@ -129,7 +132,7 @@ class AlarmStore:
 
     async def write_observed(self, place: str, span: ObservedSpan) -> None:
         """The alarms of a bus, or of the site, were observed so long."""
-        statement = "INSERT OR REPLACE INTO alarm_observed (place, starts, ends) VALUES (?, ?, ?)"
+        statement = upsert("alarm_observed", ("place", "starts"), ("ends",))
         await self._database.write(lambda connection: connection.execute(statement, (place, *span)))
 
     async def read_costly(self, work: Callable[[StoreConnection], T]) -> T:
@@ -156,18 +159,14 @@ def journal_writing(entries: Sequence[JournalEntry], alarms: Iterable[Alarm]) ->
     facts = [(alarm.definition.key, *_facts_of(alarm.facts), *_marks_of(alarm)) for alarm in alarms]
 
     def write(connection: StoreConnection) -> None:
-        connection.executemany(_insert("INSERT INTO alarm_journal", _COLUMNS), journal)
-        connection.executemany(_insert("INSERT OR REPLACE INTO alarm_facts", _FACTS), facts)
+        connection.executemany(_ADD, journal)
+        connection.executemany(_REPLACE, facts)
 
     return write
 
 
-def _insert(into: str, columns: Sequence[str]) -> str:
-    return f"{into} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
-
-
 def _load(connection: StoreConnection, key: str | None = None) -> dict[str, StoredAlarm]:
-    query = f"SELECT {', '.join(_FACTS)} FROM alarm_facts WHERE :key IS NULL OR alarm = :key"
+    query = f"SELECT {', '.join(_FACTS)} FROM alarm_facts WHERE alarm = :key OR :key IS NULL"
     return {row["alarm"]: _stored(row) for row in connection.execute(query, {"key": key})}
 
 

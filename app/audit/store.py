@@ -61,6 +61,7 @@ class Filter:
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
         """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
         messages = f"{event}.messages"
+        number = None if self.number is None else str(self.number)
         given = {
             f"{event}.id < ?": self.before,
             f"{event}.id > ?": self.after,
@@ -73,7 +74,7 @@ class Filter:
             f"{event}.old_raw = ?": self.old_raw,
             f"{event}.new_raw = ?": self.new_raw,
             f"{json_member(messages, 'what.code')} = ?": self.code,
-            f"{json_member(messages, 'what.params.number')} = ?": self.number,
+            f"{json_member(messages, 'what.params.number')} = ?": number,
         }
         parts = [f"AND {condition}" for condition, value in given.items() if value is not None]
         values: list[Any] = [value for value in given.values() if value is not None]
@@ -128,7 +129,7 @@ def kinds(connection: StoreConnection) -> list[str]:
     query = (
         "WITH RECURSIVE k(kind) AS (SELECT min(kind) FROM events WHERE about IS NULL UNION ALL "
         "SELECT (SELECT min(kind) FROM events WHERE about IS NULL AND kind > k.kind) FROM k "
-        "WHERE kind NOTNULL) SELECT kind FROM k WHERE kind NOTNULL"
+        "WHERE kind IS NOT NULL) SELECT kind FROM k WHERE kind IS NOT NULL"
     )
     return [row["kind"] for row in connection.execute(query)]
 

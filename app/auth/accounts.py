@@ -12,11 +12,15 @@ from app.auth import acts, rules, store, strength
 from app.auth.passwords import hash_secret
 from app.auth.store import Token, User
 from app.database import Database, StoreConnection
+from app.database.engine import lock
 from app.errors import ConstraintError, Problem
 from app.web.access import AccountSubscriber, Person, Role, account_of, name_of
 from bus.errors import CallerError
 from bus.instants import Clock, unix_now
 from bus.messages import Message, ParamValue, term
+
+ACCOUNTS = "accounts"
+"""Locked by a change that depends on all of them."""
 
 
 @dataclass(eq=False, repr=False)
@@ -166,8 +170,12 @@ class Accounts:
         await self._write_new(add, Message.of("user_exists", name=user.name))
 
     async def _write_new(self, add: Callable[[StoreConnection], None], exists: Message) -> None:
+        def alone(connection: StoreConnection) -> None:
+            lock(connection, ACCOUNTS)
+            add(connection)
+
         try:
-            await self._database.write(add)
+            await self._database.write(alone)
         except ConstraintError:
             raise CallerError(exists) from None
 
@@ -181,6 +189,7 @@ class Accounts:
 
     async def _change(self, name: str, change: Callable[[StoreConnection], bool]) -> None:
         def guarded(connection: StoreConnection) -> None:
+            lock(connection, ACCOUNTS)
             before = store.admins_left(connection)
             if not change(connection):
                 raise CallerError(Message.of("no_such_user", name=name[:80]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from app.database import StoreConnection, StoreRow
+from app.database.engine import upsert
 from app.web.access import Role
 from bus.instants import UnixTime
 
@@ -168,7 +169,7 @@ def remove_user(connection: StoreConnection, name: str) -> bool:
 
 def admins_left(connection: StoreConnection) -> int:
     """How many admins can sign in."""
-    query = "SELECT count(*) FROM users WHERE role = 'admin' AND NOT disabled"
+    query = "SELECT count(*) FROM users WHERE role = 'admin' AND disabled = 0"
     return int(connection.execute(query).fetchone()[0])
 
 
@@ -200,7 +201,7 @@ def are_places(connection: StoreConnection, name: str, browser: str, network: st
 
 def note_places(connection: StoreConnection, name: str, places: Iterable[str], now: UnixTime) -> None:
     """A user has signed in from these; the newest of each user are kept."""
-    note = "INSERT INTO known_places VALUES (?, ?, ?) ON CONFLICT DO UPDATE SET seen_at = excluded.seen_at"
+    note = upsert("known_places", ("name", "place"), ("seen_at",))
     connection.executemany(note, [(name, place, now) for place in places])
     forget = (
         "DELETE FROM known_places WHERE name = ?1 AND place NOT IN "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -18,8 +17,7 @@ from app.audit.walk import AuditVerification, ChainVerification
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config, check_store
 from app.cli.site_log import record, site_log
-from app.database.connection import open_for_reading
-from app.database.words import in_words
+from app.database.opening import examining_main, main_presence
 from app.errors import StoreError
 from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
@@ -58,11 +56,11 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification, Anchors]:
     """Verify the files as they are: nothing is migrated, nothing is written."""
     check_store(settings)
-    store = settings.server.store
-    if not store.exists():
-        raise StoreError(Message.of("store_missing", path=str(store)))
-    with in_words(store), closing(open_for_reading(store)) as connection:
-        ring = _ring(settings.key_files, store, heads_of(connection))
+    file = None if settings.store.url else settings.server.store
+    if main_presence(settings.store, settings.server.store) in ("missing", "vacant"):
+        raise StoreError(Message.of("store_missing", path=settings.store_name))
+    with examining_main(settings.store, settings.server.store) as connection:
+        ring = _ring(settings.key_files, file, heads_of(connection))
         anchors = _anchors(settings, anchor, ring)
         beside_key = read_key_anchor(find_key_file(settings.key_files), ring)
         verdict = prove(connection, ring, joined_heads(anchors, beside_key))
@@ -89,7 +87,7 @@ def _anchors(settings: Settings, named: Path | None, ring: KeyRing) -> Anchors:
     return refuse_forged(path, read_anchor_file(path, ring))
 
 
-def _ring(paths: Sequence[Path], store: Path, heads: Mapping[str, Head]) -> KeyRing:
+def _ring(paths: Sequence[Path], store: Path | None, heads: Mapping[str, Head]) -> KeyRing:
     path = find_key_file(paths)
     ring = read_key_file(path, owners_of(store)) if path else None
     if ring is None and newest_of(heads.values()).key:

@@ -21,6 +21,7 @@ from app.cli.backup_archive import MANIFEST, STORES
 from app.cli.ending import report
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
+from app.database.opening import require_files
 from app.database.private import make_file, write_file
 from app.database.words import in_words
 from app.errors import StoreError
@@ -34,7 +35,9 @@ def backup_store(
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""
-    names = write_backup(load(config).server.data, file)
+    settings = load(config)
+    require_files(settings.store, "pg_dump")
+    names = write_backup(settings.server.data, file)
     report(Message.of("stores_backed_up", file=str(file), names=[*names]))
 
 

@@ -80,7 +80,7 @@ def findings(settings: Settings) -> Iterator[Finding]:
     yield _address(settings.server)
     yield from _encryption(settings.server)
     yield _data(settings.server.data)
-    yield _key(settings.key_files, settings.server.store)
+    yield _key(settings.key_files, None if settings.store.url else settings.server.store)
     yield _anchor(settings.anchor_file, is_configured=settings.audit.anchor is not None)
     if not settings.bus:
         yield fault("check_no_bus")
@@ -177,12 +177,12 @@ def _url_fault(bus: BusSettings) -> Message | None:
     return None
 
 
-def _key(paths: Sequence[Path], store: Path) -> Finding:
+def _key(paths: Sequence[Path], store: Path | None) -> Finding:
     found = find_key_file(paths)
     if found is None:
         return _new_key(paths)
     try:
-        read_key_file(found, owners_of(store) if is_visible(store) else frozenset({os.geteuid(), 0}))
+        read_key_file(found, owners_of(store if store is not None and is_visible(store) else None))
     except KeyFileError as error:
         return fault("check_key_refused", reason=error.message)
     return Finding(Message.of("check_key", file=str(found)))

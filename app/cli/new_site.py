@@ -9,8 +9,7 @@ from app.audit.keys import find_key_file
 from app.cli.serve import check_store
 from app.cli.site_log import open_log, record
 from app.database.copies import put_aside
-from app.database.opening import open_database
-from app.database.presence import presence_of
+from app.database.opening import main_presence, open_database
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings
@@ -26,7 +25,7 @@ def begin_new_site(settings: Settings) -> None:
         # It may be on a medium that is written once, and would contradict the new log at each start.
         raise StoreError(Message.of("anchor_of_former_site", path=str(settings.audit.anchor)))
     store, key = settings.server.store, find_key_file(settings.key_files)
-    presence = presence_of(store)
+    presence = main_presence(settings.store, store)
     with in_words(store):
         if presence == "damaged":
             put_aside(store)

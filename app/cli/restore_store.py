@@ -29,6 +29,7 @@ from app.database import SqliteDatabase, StoreConnection
 from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
 from app.database.migrating import is_store
+from app.database.opening import require_files
 from app.database.private import make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
@@ -46,6 +47,7 @@ def restore_store(
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
     settings = load(config)
+    require_files(settings.store, "pg_restore")
     server = settings.server
     if not yes:
         typer.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)

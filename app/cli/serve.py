@@ -9,7 +9,8 @@ import typer
 
 from app.audit.keys import find_key_file
 from app.cli.listening import listen
-from app.database.presence import presence_of, refusal_to_start
+from app.database.opening import main_presence
+from app.database.presence import refusal_to_start
 from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message
@@ -41,7 +42,7 @@ def serve(
 def check_store(settings: Settings, *, new: bool = False) -> None:
     """Raises StoreError where the main store is missing, empty or damaged and no first start explains that;
     with ``new`` where one is there."""
-    store = settings.server.store
-    refusal = refusal_to_start(store, presence_of(store), find_key_file(settings.key_files), new=new)
+    presence = main_presence(settings.store, settings.server.store)
+    refusal = refusal_to_start(settings.store_name, presence, find_key_file(settings.key_files), new=new)
     if refusal is not None:
         raise StoreError(refusal)

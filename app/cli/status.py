@@ -40,9 +40,11 @@ def status(
     serves = is_serving(url, own)
     buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
     if as_json:
-        typer.echo(json.dumps({"serving": serves, "url": url, "buses": buses, "degraded": degraded}))
+        shown = {"serving": serves, "url": url, "store": settings.store_name, "buses": buses}
+        typer.echo(json.dumps({**shown, "degraded": degraded}))
     elif serves:
         report(Message.of("dashboard_serves", site=settings.site.name, url=url))
+        report(Message.of("dashboard_store", path=settings.store_name))
         for bus in buses or ():
             report(_line(bus))
         for fault in degraded or ():

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from app.audit.keys import find_key_file
 from app.cli.findings import Finding, existing_part, fault, is_read_only, is_visible
+from app.database.opening import main_presence
 from app.database.presence import examining, presence_of, refusal_to_start
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
@@ -27,10 +28,13 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
     folder, main = settings.server.data, settings.server.store
     existing = existing_part(folder)
     yield from _disk(existing)
+    if settings.store.url:
+        yield _database(settings)
+        return
     try:
         stores = sorted({main, *folder.glob("*.db")}) if existing == folder else [main]
         key = find_key_file(settings.key_files)
-        refusal = refusal_to_start(main, presence_of(main), key, new=False)
+        refusal = refusal_to_start(str(main), presence_of(main), key, new=False)
     except (StoreError, OSError) as error:
         yield fault("check_store_refused", reason=_reason(error))
         return
@@ -39,6 +43,18 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
     for store in stores:
         if is_visible(store) and not (refusal is not None and store == main):
             yield _store(store)
+
+
+def _database(settings: Settings) -> Finding:
+    try:
+        presence = main_presence(settings.store, settings.server.store)
+    except StoreError as error:
+        return fault("check_store_refused", reason=error.message)
+    key = find_key_file(settings.key_files)
+    refusal = refusal_to_start(settings.store_name, presence, key, new=False)
+    if refusal is not None:
+        return fault("check_store_refused", reason=refusal)
+    return Finding(Message.of("check_database", path=settings.store_name))
 
 
 def _disk(folder: Path) -> Iterator[Finding]:

@@ -25,8 +25,8 @@ def snapshot(connection: StoreConnection) -> Iterator[None]:
 
 
 def json_member(column: str, path: str) -> str:
-    """SQL for what a column of JSON has at a path, such as ``what.code``; NULL where it is no JSON."""
-    return f"CASE WHEN json_valid({column}) THEN json_extract({column}, '$.{path}') END"
+    """SQL for the text at a path of a column of JSON, such as ``what.code``; NULL where it is no JSON."""
+    return f"CASE WHEN json_valid({column}) THEN CAST(json_extract({column}, '$.{path}') AS TEXT) END"
 
 
 def upsert(table: str, key: Sequence[str], values: Sequence[str]) -> str:

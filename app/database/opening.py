@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from app.database.connection import SqliteDatabase, Synchronous
+from app.database.connection import SqliteDatabase, Synchronous, open_for_reading
 from app.database.database import Database
 from app.database.migration import MIGRATIONS
+from app.database.presence import Presence, presence_of
 from app.database.reserve import Reserve
 from app.database.settings import StoreSettings
+from app.database.store_connection import StoreConnection
+from app.database.words import in_words
 from app.errors import StoreError
 from bus.messages import Message
 
 MAIN = "main"
-"""The name of the main store where it is a schema."""
+"""The schema of the main store."""
 
 
 def open_database(
@@ -36,7 +41,37 @@ def open_database(
     return PostgresqlDatabase(store, schema, migrations)
 
 
+def main_presence(store: StoreSettings, file: Path) -> Presence:
+    """Whether the main store is there, by a first look; nothing is created. Raises StoreError."""
+    if not store.url:
+        return presence_of(file)
+    require_driver()
+    from app.database.postgresql.examination import has_site
+
+    return "sound" if has_site(store, MAIN) else "vacant"
+
+
+@contextmanager
+def examining_main(store: StoreSettings, file: Path) -> Iterator[StoreConnection]:
+    """Read the main store as it is; nothing is brought up to date. Raises StoreError in words."""
+    if not store.url:
+        with in_words(file), closing(open_for_reading(file)) as connection:
+            yield connection
+        return
+    require_driver()
+    from app.database.postgresql.examination import examining
+
+    with examining(store, MAIN) as examined:
+        yield examined
+
+
 def require_driver() -> None:
     """Raises StoreError where the driver of PostgreSQL is not installed."""
     if find_spec("psycopg") is None:
         raise StoreError(Message("store_lacks_driver"))
+
+
+def require_files(store: StoreSettings, instead: str) -> None:
+    """Raises StoreError where the stores are no files; ``instead``: the program of PostgreSQL to use."""
+    if store.url:
+        raise StoreError(Message.of("store_is_no_file", program=instead))

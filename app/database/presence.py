@@ -15,22 +15,22 @@ from app.database.words import in_words
 from app.errors import DamagedStoreError
 from bus.messages import Message
 
-Presence = Literal["sound", "missing", "empty", "damaged"]
+Presence = Literal["sound", "missing", "empty", "damaged", "vacant"]
+"""``vacant``: a database in which no site lives."""
 
 
-def refusal_to_start(store: Path, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
+def refusal_to_start(store: str, presence: Presence, key: Path | None, *, new: bool) -> Message | None:
     """Why a server does not start on a store; None where it may. ``key``: the key file of its audit log where
     there is one, which is made together with the store. ``new``: a new site is what is wanted. Pure."""
     match presence:
         case "sound":
-            return Message.of("store_not_new", path=str(store)) if new else None
+            return Message.of("store_not_new", path=store) if new else None
         case "damaged":
-            return None if new else Message.of("store_damaged_at_start", path=str(store))
-        case "missing" | "empty":
+            return None if new else Message.of("store_damaged_at_start", path=store)
+        case "missing" | "empty" | "vacant":
             if new or key is None:
                 return None
-            code = "store_missing_at_start" if presence == "missing" else "store_empty_at_start"
-            return Message.of(code, path=str(store), key=str(key))
+            return Message.of(f"store_{presence}_at_start", path=store, key=str(key))
 
 
 def presence_of(store: Path) -> Presence:

@@ -7,13 +7,14 @@ from typing import Annotated
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from pydantic import Field, field_serializer, field_validator
+from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
 from bus.settings import StrictModel
 
 SCHEMES = ("postgresql", "postgres")
 SECRETS = ("password", "sslpassword")
-"""Parameters of a URL that are shown to nobody."""
+"""Parameters of a URL that are never shown."""
 
 
 class StoreSettings(StrictModel):
@@ -38,12 +39,10 @@ class StoreSettings(StrictModel):
     @field_validator("url")
     @classmethod
     def _url_is_of_postgresql(cls, url: str) -> str:
-        try:
-            parts = urlsplit(url)
-        except ValueError:
-            raise ValueError(Message("setting_store_url")) from None
-        if url and (parts.scheme not in SCHEMES or not parts.path.strip("/") or parts.fragment):
-            raise ValueError(Message("setting_store_url"))
+        if url and not _is_of_postgresql(url):
+            # This kind of error is shown without the value.
+            message = Message("setting_store_url")
+            raise PydanticCustomError("store_url", "no database", {"message": message, "at": ()})
         return url
 
     @field_serializer("url")
@@ -53,6 +52,14 @@ class StoreSettings(StrictModel):
 
 IN_FILES = StoreSettings()
 """SQLite in the data folder."""
+
+
+def _is_of_postgresql(url: str) -> bool:
+    try:
+        parts = urlsplit(url)
+    except ValueError:
+        return False
+    return parts.scheme in SCHEMES and bool(parts.path.strip("/")) and not parts.fragment
 
 
 def without_secrets(url: str) -> str:

@@ -111,7 +111,8 @@ def occurrence(connection: StoreConnection, alarm_id: str) -> JournalEntry:
     """The last transition of an occurrence of an alarm. Raises Problem 404."""
     alarm, _, number = alarm_id.rpartition(".")
     query = f"SELECT {_ENTRY} FROM alarm_journal WHERE alarm = ? AND occurrence = ? ORDER BY id DESC LIMIT 1"
-    row = connection.execute(query, (alarm, number)).fetchone()
+    is_number = number.isascii() and number.isdigit() and len(number) < 19
+    row = connection.execute(query, (alarm, int(number))).fetchone() if is_number else None
     if row is None:
         raise Problem(404, "unknown_alarm", Message.of("alarm_unknown", id=alarm_id))
     return JournalEntry(*row)

@@ -40,14 +40,15 @@ class NotificationDelivery:
 _DELIVERY = tuple(field.name for field in fields(NotificationDelivery) if field.name != "items")
 _ITEM = tuple(field.name for field in fields(OutboxItem))
 _VALUES = ":key, :kind, :created_at, :notice, :alarm, :occurrence"
-_INTO = f"INSERT OR IGNORE INTO notification_item ({_VALUES.replace(':', '')}, endpoint)"
+_INTO = f"INSERT INTO notification_item ({_VALUES.replace(':', '')}, endpoint)"
 _NOTIFIED = "FROM notification_item WHERE alarm = :alarm AND occurrence = :occurrence AND kind = 'alarm'"
 _OF_ENDPOINT = f"{_NOTIFIED} AND endpoint = :endpoint"
-ADD = f"{_INTO} VALUES ({_VALUES}, :endpoint)"
+_NEW = "ON CONFLICT DO NOTHING"
+ADD = f"{_INTO} VALUES ({_VALUES}, :endpoint) {_NEW}"
 """Items that are not there yet."""
-ADD_NEW = f"{_INTO} SELECT {_VALUES}, :endpoint WHERE NOT EXISTS (SELECT 1 {_OF_ENDPOINT})"
+ADD_NEW = f"{_INTO} SELECT {_VALUES}, :endpoint WHERE NOT EXISTS (SELECT 1 {_OF_ENDPOINT}) {_NEW}"
 """Items for addresses that were not notified of their occurrence yet."""
-ADD_TO_NOTIFIED = f"{_INTO} SELECT {_VALUES}, endpoint {_NOTIFIED} GROUP BY endpoint ORDER BY min(id)"
+ADD_TO_NOTIFIED = f"{_INTO} SELECT {_VALUES}, endpoint {_NOTIFIED} GROUP BY endpoint ORDER BY min(id) {_NEW}"
 """Items for each address that was notified of their occurrence."""
 
 
@@ -65,7 +66,8 @@ class NotificationOutbox:
     async def interrupted(self, endpoints: Iterable[str], now: UnixTime, gone: Message) -> None:
         """At start: what was being sent is tried again, and what is for no address that is configured is
         canceled."""
-        known = list(endpoints)
+        # None is empty; a list of none is no SQL.
+        known = ["", *endpoints]
         marks = ", ".join("?" * len(known))
 
         def write(connection: StoreConnection) -> None:
@@ -104,9 +106,9 @@ class NotificationOutbox:
 
         def read(connection: StoreConnection) -> EndpointLoad:
             waiting = connection.execute(
-                "SELECT id, created_at, substr(key, 1, ?) = ? AS stood FROM notification_item "
+                "SELECT id, created_at, key LIKE ? AS stood FROM notification_item "
                 "WHERE delivery IS NULL AND endpoint = ? ORDER BY stood, id LIMIT ?",
-                (len(STANDING), STANDING, endpoint, MAX_ITEMS),
+                (f"{STANDING}%", endpoint, MAX_ITEMS),
             ).fetchall()
             items = [(id, at) for id, at, stood in waiting if not (stood and collects)]
             standing = [(id, at) for id, at, stood in waiting if stood and collects]

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from app.alarms.store import JournalEntry
 from app.database import Database, StoreConnection
+from app.database.engine import upsert
 from app.notification.notice import OutboxItem
 from app.notification.outbox import ADD, ADD_NEW, ADD_TO_NOTIFIED, MAX_AGE_S, put
 from app.notification.rules.notices import Episode, QuietSpan, opened_by
@@ -109,7 +110,7 @@ class NotificationStore:
         marks = ", ".join("?" * (len(_EPISODE) + 1))
 
         def write(connection: StoreConnection) -> None:
-            connection.execute("INSERT OR REPLACE INTO notification_cursor VALUES (?, ?)", (source, cursor))
+            connection.execute(upsert("notification_cursor", ("source",), ("entry",)), (source, cursor))
             connection.execute("DELETE FROM notification_episode WHERE source = ?", (source,))
             connection.executemany(
                 f"INSERT INTO notification_episode ({', '.join(_EPISODE)}, source) VALUES ({marks})", rows
@@ -133,7 +134,9 @@ class NotificationStore:
         fresh = secrets.token_bytes(32)
 
         def write(connection: StoreConnection) -> bytes:
-            connection.execute("INSERT OR IGNORE INTO notification_key (id, key) VALUES (1, ?)", (fresh,))
+            connection.execute(
+                "INSERT INTO notification_key (id, key) VALUES (1, ?) ON CONFLICT DO NOTHING", (fresh,)
+            )
             row = connection.execute("SELECT key FROM notification_key").fetchone()
             return bytes(row["key"])
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from app.database import StoreConnection
+from app.database.engine import lock, upsert
 from app.database.queries import Tables, reading, writing
 from app.recipes.rules import Recipe, RecipeSetpoint
 from bus.instants import UnixTime
@@ -26,6 +27,7 @@ class RecipeStore(Tables):
     @writing
     def save(self, connection: StoreConnection, recipe: Recipe) -> Recipe:
         """Store a new version (one above the highest of that name); returns it with id and version."""
+        lock(connection, "recipe")
         (version,) = connection.execute(
             "SELECT coalesce(max(version), 0) + 1 FROM recipe WHERE bus = ? AND name = ?",
             (recipe.bus, recipe.name),
@@ -50,7 +52,7 @@ class RecipeStore(Tables):
     def newest(self, connection: StoreConnection, bus: str | None = None) -> list[Recipe]:
         """The newest version of every recipe in use, by name."""
         found = connection.execute(
-            "SELECT id FROM recipe AS mine WHERE retired = 0 AND (:bus IS NULL OR bus = :bus) AND version ="
+            "SELECT id FROM recipe AS mine WHERE retired = 0 AND (bus = :bus OR :bus IS NULL) AND version ="
             " (SELECT max(version) FROM recipe AS other WHERE other.bus = mine.bus"
             " AND other.name = mine.name) ORDER BY bus, name",
             {"bus": bus},
@@ -61,7 +63,8 @@ class RecipeStore(Tables):
     def is_full(self, connection: StoreConnection, bus: str, name: str, most: int) -> bool:
         """Whether one of this name would be more than so many in use."""
         count, is_there = connection.execute(
-            "SELECT count(DISTINCT name), ifnull(max(name = ?), 0) FROM recipe WHERE bus = ? AND retired = 0",
+            "SELECT count(DISTINCT name), coalesce(max(CASE WHEN name = ? THEN 1 END), 0)"
+            " FROM recipe WHERE bus = ? AND retired = 0",
             (name, bus),
         ).fetchone()
         return count >= most and not is_there
@@ -85,7 +88,7 @@ class RecipeStore(Tables):
     ) -> None:
         """Record that a recipe was loaded and verified. ``at``: seconds since the epoch."""
         connection.execute(
-            "INSERT OR REPLACE INTO loaded_recipe (bus, recipe_id, who, loaded_at) VALUES (?, ?, ?, ?)",
+            upsert("loaded_recipe", ("bus",), ("recipe_id", "who", "loaded_at")),
             (bus, recipe_id, who, at),
         )
 

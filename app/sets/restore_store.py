@@ -8,6 +8,7 @@ from dataclasses import replace
 import msgspec
 
 from app.database import StoreConnection
+from app.database.engine import upsert
 from app.database.queries import Tables, reading
 from app.sets.model import UnitRows
 from app.sets.order import Write
@@ -17,6 +18,7 @@ from bus.catalogue.parameters import PARAMETERS
 NOT_KEPT = -1
 """Stands for a secret (#21), which is kept in parameter sets alone: no raw value is negative."""
 MAX_OF_UNIT = 20
+_SAVE = upsert("restore", ("id",), ("bus", "unit", "planned_at", "state", "content"))
 _DECODER = msgspec.json.Decoder(Restore)
 
 
@@ -27,8 +29,7 @@ class RestoreStore(Tables):
         """Store its present state in place of the earlier one, without secrets."""
         one, content = restore, msgspec.json.encode(_without_secrets(restore)).decode()
         row = (one.id, one.bus, one.unit, one.planned_at, one.state, content)
-        insert = "INSERT OR REPLACE INTO restore VALUES (?, ?, ?, ?, ?, ?)"
-        await self.database.write(lambda connection: connection.execute(insert, row))
+        await self.database.write(lambda connection: connection.execute(_SAVE, row))
 
     @reading
     def load(self, connection: StoreConnection, restore_id: str) -> Restore | None:

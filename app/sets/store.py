@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from app.database import StoreConnection
+from app.database.engine import upsert
 from app.database.queries import Tables, reading, writing
 from app.sets.model import ParameterRow, ParameterSet, ParameterSetSummary, SetOrigin, UnitRows
 from bus.instants import UnixTime
 
+MAX_SETS = 2**62
+"""No limit."""
 _HEAD = "bus, name, comment, taken_at, who, origin"
 
 
@@ -60,16 +63,16 @@ class SetStore(Tables):
         unit: int | None = None,
         *,
         before: int | None = None,
-        limit: int = -1,
+        limit: int = MAX_SETS,
     ) -> list[ParameterSetSummary]:
         """Newest first, filtered by bus or unit; at most so many, of those stored before one."""
         found = connection.execute(
             f"SELECT id, {_HEAD},"
             " (SELECT group_concat(unit) FROM parameter_set_unit WHERE set_id = id),"
             " (SELECT group_concat(unit) FROM golden_set WHERE set_id = id)"
-            " FROM parameter_set WHERE (:bus IS NULL OR bus = :bus) AND (:unit IS NULL OR EXISTS"
-            " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit))"
-            " AND (:before IS NULL OR id < :before) ORDER BY id DESC LIMIT :limit",
+            " FROM parameter_set WHERE (bus = :bus OR :bus IS NULL) AND (EXISTS"
+            " (SELECT 1 FROM parameter_set_unit WHERE set_id = id AND unit = :unit) OR :unit IS NULL)"
+            " AND (id < :before OR :before IS NULL) ORDER BY id DESC LIMIT :limit",
             {"bus": bus, "unit": unit, "before": before, "limit": limit},
         )
         return [
@@ -85,8 +88,7 @@ class SetStore(Tables):
     ) -> None:
         """From now on this set is what the unit ought to be. ``now``: seconds since the epoch."""
         connection.execute(
-            "INSERT OR REPLACE INTO golden_set (bus, unit, set_id, marked_by, marked_at)"
-            " VALUES (?, ?, ?, ?, ?)",
+            upsert("golden_set", ("bus", "unit"), ("set_id", "marked_by", "marked_at")),
             (bus, unit, set_id, who, now),
         )
 
@@ -113,7 +115,7 @@ class SetStore(Tables):
         since the epoch)."""
         found = connection.execute(
             "SELECT 1 FROM parameter_set JOIN parameter_set_unit ON id = set_id"
-            " WHERE bus = ?1 AND unit = ?2 AND taken_at >= ?3 AND origin = ifnull(?4, origin) LIMIT 1",
+            " WHERE bus = ?1 AND unit = ?2 AND taken_at >= ?3 AND origin = coalesce(?4, origin) LIMIT 1",
             (bus, unit, since, origin),
         )
         return found.fetchone() is not None

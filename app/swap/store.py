@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from app.database import StoreConnection
+from app.database.engine import upsert
 from app.database.messages import messages_of, stored_messages
 from app.database.queries import Tables, writing
 from app.sets.restore_record import Restore
 from app.swap.record import Swap, SwapSource
 
+_VALUES = ("who", "began_at", "set_id", "set_unit", "is_new", "proven", "restore_id", "seen")
 FindRestore = Callable[[str], Awaitable[Restore | None]]
 
 
@@ -31,7 +33,7 @@ class SwapStore(Tables):
             swap.restore.id if swap.restore else None,
             stored_messages(swap.seen),
         )
-        connection.execute(f"INSERT OR REPLACE INTO swap VALUES ({', '.join('?' * len(row))})", row)
+        connection.execute(upsert("swap", ("bus", "unit"), _VALUES), row)
 
     @writing
     def remove(self, connection: StoreConnection, swap: Swap) -> None:

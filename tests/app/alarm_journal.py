@@ -8,8 +8,9 @@ from pathlib import Path
 
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.store import AlarmStore
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from bus.instants import UnixTime
+from tests.stores import open_store
 
 T = 1_790_000_400.0
 """The start of a window of ten minutes."""
@@ -57,5 +58,5 @@ class Journal:
 @contextmanager
 def alarm_journal(folder: Path) -> Iterator[Journal]:
     """An empty one, in a new store."""
-    with closing(SqliteDatabase(folder / "store.db")) as database:
+    with closing(open_store(folder / "store.db")) as database:
         yield Journal(database)

@@ -21,6 +21,7 @@ from app.settings import ServerSettings, Settings, Site
 from app.web.access import PEOPLE_ROLES, Role
 from bus.settings import BusSettings, UnitLabels, UnitSettings
 from tests.administrator import BY
+from tests.stores import store_settings
 
 PASSWORD = "correct horse battery"
 HOST = "plant.example"
@@ -32,7 +33,10 @@ def settings_in(folder: Path, **site: Any) -> Settings:
     units = (unwind, UnitSettings(id=2, name="Nip"))
     bus = BusSettings(name="dry-end", port="/dev/null", unit=units)
     return Settings(
-        site=Site(**{"name": "Mill 7", **site}), server=ServerSettings(data=folder / "data"), bus=(bus,)
+        site=Site(**{"name": "Mill 7", **site}),
+        server=ServerSettings(data=folder / "data"),
+        store=store_settings(folder / "data"),
+        bus=(bus,),
     )
 
 

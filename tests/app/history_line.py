@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from app.database import SqliteDatabase
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import DiskReserve
@@ -18,6 +17,7 @@ from app.history.settings import HistorySettings
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
+from tests.stores import open_store
 
 BUS = BusSettings(name="dry-end", port="/dev/null", unit=(UnitSettings(id=1, name="Unwind"),))
 NOON = 1_795_262_400.0
@@ -46,7 +46,7 @@ class Shelf:
     """A store and its tail, written by the test itself."""
 
     def __init__(self, path: Path) -> None:
-        self.database = SqliteDatabase(path, MIGRATIONS, synchronous="NORMAL")
+        self.database = open_store(path, MIGRATIONS)
         self.tail = Tail()
         self.start_again()
 

@@ -29,7 +29,6 @@ from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
-from app.database import SqliteDatabase
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.socket import router as feed_router
@@ -72,6 +71,7 @@ from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoRecipes
 from tests.app.screens import translator
+from tests.stores import open_store
 
 REMOTE, HEALTHY = 0b0100_0000, 0b0000_0010
 PARAMETERS = {1: 1750, 2: 20000, 3: 1, 8: 0, 22: 0, 23: 500, 28: 2, 29: 100, 30: 2000, 12: 20}
@@ -214,7 +214,7 @@ class Stage:
     def __init__(
         self, folder: Path, settings: BusSettings, *, control: bool = False, missed_ticks: int = 1000
     ) -> None:
-        self.database = SqliteDatabase(folder / "lineside.db")
+        self.database = open_store(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()

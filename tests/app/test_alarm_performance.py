@@ -12,6 +12,9 @@ from app.alarms.rules.observed import LONGEST_GAP_S, ObservedSpan, observed_unti
 from app.alarms.rules.performance import AlarmCounts, figures, flooded
 from bus.instants import UnixTime
 from tests.app.alarm_journal import Journal, T, alarm_journal
+from tests.stores import both_engines
+
+pytestmark = both_engines
 
 
 def values(performance: AlarmPerformance) -> dict[str, float | None]:

@@ -30,7 +30,6 @@ from app.audit.log import EventLog
 from app.audit.settings import Audit
 from app.audit.store import Filter
 from app.auth.accounts import Accounts
-from app.database import SqliteDatabase
 from app.database.connection import open_for_reading
 from app.main import create_app
 from app.messages import Languages
@@ -39,6 +38,7 @@ from app.web.formats import Formats
 from bus.messages import Message
 from tests.administrator import BY
 from tests.app.complete_app import settings_in
+from tests.stores import open_store
 
 RING = KeyRing((b"k" * 32,))
 
@@ -47,7 +47,7 @@ class Scene:
     """A log and its anchor."""
 
     def __init__(self, folder: Path) -> None:
-        self.database = SqliteDatabase(folder / "lineside.db")
+        self.database = open_store(folder / "lineside.db")
         self.events = EventLog(self.database)
         self.path = folder / "anchor"
         self.anchoring = self.started()

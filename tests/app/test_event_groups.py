@@ -23,6 +23,7 @@ from bus.messages import number as decimal
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
 from tests.app.stage import PlayedWorker, Stage, responding
+from tests.stores import both_engines
 
 
 @pytest.fixture
@@ -59,6 +60,7 @@ async def rows(house: House, limit: int = 100, **wanted: Any) -> tuple[list[Even
     return await groups.page(house.services[EventLog], Filter(kind="command", **wanted), limit)
 
 
+@both_engines
 async def test_a_change_is_one_row_with_its_units_in_order(house: House) -> None:
     single = await intend(house.services[EventLog], **intent(2))
     group = await change(house, 3, failed=2)
@@ -91,6 +93,7 @@ async def test_a_part_found_without_its_change_is_a_separate_row(house: House) -
     assert [row.event["unit"] for row in found] == [3, 2, 1]
 
 
+@both_engines
 async def test_pages_have_complete_changes_and_nothing_twice(house: House) -> None:
     numbers = [await change(house, 3) for _ in range(5)]
     seen: list[int] = []

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from app.audit.log import EventLog
 from app.cli import cli
+from app.database import Database, StoreConnection
 from app.database.migration import MIGRATIONS
 from app.errors import Problem
 from app.handover.service import Handover
@@ -26,6 +27,7 @@ from app.web.access import Person, Role
 from bus.instants import UnixTime
 from tests.app.complete_app import PASSWORD, House, complete_app
 from tests.app.played_line import BUS, played_line
+from tests.stores import both_engines, store_table, without_trigger
 
 API = "/api/v1/shifts"
 
@@ -61,6 +63,7 @@ def code(response: httpx.Response) -> tuple[int, str]:
     return response.status_code, response.json()["code"]
 
 
+@both_engines
 async def test_two_people_sign_one_after_the_other_and_the_audit_log_names_the_sheet(house: House) -> None:
     ann, bob = await house.signed_in(Role.OPERATOR, "ann"), await house.signed_in(Role.OPERATOR, "bob")
     await note(ann, "Felt changed")
@@ -91,6 +94,7 @@ async def test_a_second_signing_is_refused_with_who_signed_and_when(house: House
     assert len(await house.events("shift")) == 1
 
 
+@both_engines
 async def test_of_two_who_sign_at_once_one_wins_and_the_other_reads_who(house: House) -> None:
     people = [await house.signed_in(Role.OPERATOR, name) for name in ("ann", "bob", "cid", "dan")]
     results = await asyncio.gather(*(sign(each, part="leaving") for each in people))
@@ -219,6 +223,7 @@ async def test_a_sheet_that_was_altered_in_the_store_is_reported_and_not_signed(
     assert "Do not rely on it" in (await bob.get(f"/shifts/{await last(bob)}")).text
 
 
+@both_engines
 @pytest.mark.parametrize("lost", ["both", "coming", "sheet"])
 async def test_signatures_that_are_gone_from_the_store_are_found_by_the_log(
     house: House, tmp_path: Path, lost: str
@@ -227,16 +232,19 @@ async def test_signatures_that_are_gone_from_the_store_are_found_by_the_log(
     await sign(ann)
     await sign(bob)
     assert (await sheet(ann))["missing_signatures"] == []
-    (tmp_path / "data.toml").write_text('[server]\ndata = "data"\n')
+    (tmp_path / "data.toml").write_text(f'[server]\ndata = "data"\n{store_table(tmp_path / "data")}')
     verify = ["audit", "verify", "--config", str(tmp_path / "data.toml")]
     assert (await asyncio.to_thread(CliRunner().invoke, cli, verify)).exit_code == 0
     which = "WHERE part = 'coming'" if lost == "coming" else ""
-    with sqlite3.connect(tmp_path / "data" / "lineside.db") as store:
-        store.execute("DROP TRIGGER shift_signature_stays")
-        store.execute("DROP TRIGGER shift_sheet_stays")
+
+    def lose(store: StoreConnection) -> None:
+        store.execute(without_trigger("shift_signature_stays", "shift_signature"))
+        store.execute(without_trigger("shift_sheet_stays", "shift_sheet"))
         store.execute(f"DELETE FROM shift_signature {which}")
         if lost == "sheet":
             store.execute("DELETE FROM shift_sheet")
+
+    await house.services[Database].write(lose)
     names = ["bob"] if lost == "coming" else ["ann", "bob"]
     found = await sheet(ann)
     assert [each["who"] for each in found["missing_signatures"]] == names

@@ -20,7 +20,6 @@ from pyarrow import parquet
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.audit.log import EventLog
-from app.database import SqliteDatabase
 from app.history.api.routes import router
 from app.history.export import rows as export_rows
 from app.history.intake.recorder import Recorder
@@ -38,6 +37,7 @@ from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.contract import UnitLink
 from tests.app.history_line import BUS, NOON, parameter, polls, until
+from tests.stores import open_store
 
 
 class AsViewer:
@@ -65,7 +65,7 @@ async def history(tmp_path: Path) -> AsyncIterator[History]:
 
 @pytest.fixture
 async def client(history: History, tmp_path: Path) -> AsyncIterator[httpx.AsyncClient]:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     events = EventLog(database, clock=lambda: NOON + 5)
     await events.record(kind="mode", what="mode", bus="dry-end", unit=1, old="LOCAL", new="REMOTE")
     await events.record(kind="mode", what="mode", bus="dry-end", unit=2, old="LOCAL", new="REMOTE")

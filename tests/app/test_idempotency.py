@@ -19,6 +19,9 @@ from app.web.access import Person, Role
 from bus.contract import Action, Command, Result, SetLine, SetSpeed, UnitOutcome, WriteParameter
 from bus.messages import Message, term
 from tests.app.stage import PlayedWorker, Stage, responding, result_of
+from tests.stores import both_engines
+
+pytestmark = both_engines
 
 ANNA = Person("anna", Role.ENGINEER, "token")
 COMMAND = SetSpeed(unit=1, raw=5)
@@ -220,7 +223,7 @@ async def test_nothing_of_a_secret_is_stored(stage: Stage) -> None:
 async def test_a_result_that_cannot_be_read_is_unverified(stage: Stage, worker: PlayedWorker) -> None:
     worker.play = responding("verified")
     await stage.commands.send(ANNA, COMMAND, id="mine")
-    await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = x'7b'"))
+    await stage.database.write(lambda c: c.execute("UPDATE idempotency SET result = ?", (b"{",)))
     again = await restarted(stage).send(ANNA, COMMAND, id="mine")
     assert (again.outcome, again.message) == ("unverified", idempotency.UNREADABLE)
     assert len(worker.commands) == 1

@@ -30,7 +30,7 @@ STORE, KEY = Path("/data/lineside.db"), Path("/etc/lineside.audit.key")
 def test_a_site_that_was_there_is_not_replaced(
     presence: Presence, key: Path | None, code: str | None
 ) -> None:
-    refusal = refusal_to_start(STORE, presence, key, new=False)
+    refusal = refusal_to_start(str(STORE), presence, key, new=False)
     assert (refusal and refusal.code) == code
     assert refusal is None or "lineside serve --new" in str(refusal)
 
@@ -43,7 +43,7 @@ def test_a_site_that_was_there_is_not_replaced(
 def test_a_new_site_is_begun_where_none_can_be_used(
     presence: Presence, code: str | None, key: Path | None
 ) -> None:
-    refusal = refusal_to_start(STORE, presence, key, new=True)
+    refusal = refusal_to_start(str(STORE), presence, key, new=True)
     assert (refusal and refusal.code) == code
 
 

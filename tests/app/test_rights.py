@@ -21,10 +21,11 @@ from app.auth.rights import (
     why_withdrawn,
 )
 from app.auth.store import Token, User
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.errors import Problem, StoreError
 from app.web.access import Person, Role
 from bus.messages import Message
+from tests.stores import open_store
 
 ANN = Person("ann", Role.ENGINEER, "session", credential="a")
 PROGRAM = Person("ann", Role.ENGINEER, "token", credential="a")
@@ -92,7 +93,7 @@ class Scene:
 
 @pytest.fixture
 async def scene(tmp_path: Path) -> AsyncIterator[Scene]:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     yield Scene(database)
     database.close()
 

@@ -11,9 +11,11 @@ from app.audit.log import EventLog
 from app.auth import rules
 from app.auth.accounts import Accounts
 from app.auth.rights import Rights
-from app.database import SqliteDatabase
 from app.web.access import Person, Role
 from tests.administrator import BY
+from tests.stores import both_engines, open_store
+
+pytestmark = both_engines
 
 PASSWORD = "correct horse"
 
@@ -23,7 +25,7 @@ class House:
 
     def __init__(self, path: Path) -> None:
         self.now = 1_000_000.0
-        self.stores = [SqliteDatabase(path), SqliteDatabase(path, checkpoints=False)]
+        self.stores = [open_store(path), open_store(path, checkpoints=False)]
         self.here, self.elsewhere = (
             Accounts(each, EventLog(each), lambda: self.now, buses=("dry-end",)) for each in self.stores
         )

@@ -14,11 +14,11 @@ from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
 from app.commands.service import command_service
-from app.database import SqliteDatabase
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Command, Update
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
+from tests.stores import both_engines, open_store
 
 
 @pytest.fixture
@@ -133,6 +133,7 @@ async def test_limits_that_make_no_sense_are_refused(stage: Stage, body: dict[st
     assert stage.guards.limits.of(1) == NO_LIMITS
 
 
+@both_engines
 async def test_a_block_is_refused_shown_recorded_and_lifted(stage: Stage) -> None:
     worker = await obeying(stage)
     notified: list[int] = []
@@ -164,8 +165,9 @@ async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
     assert (await stage.http().get("/api/v1/events?kind=block")).json()["events"] == []
 
 
+@both_engines
 async def test_limits_and_blocks_survive_a_restart(tmp_path: Path) -> None:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     limits, block = (
         Limits(lowest=1, highest=2, largest_step=3, per_minute=4),
         CommandBlock("why", "anna", 5.0),

@@ -17,11 +17,14 @@ from app.auth.rights import Rights
 from app.auth.settings import Sessions
 from app.auth.signin import SignedIn, SignIn, WrongSecretError
 from app.auth.throttle import FIRST_WAIT_S, FREE, OF_NAME, OF_NAME_EVERY_S
-from app.database import Database, SqliteDatabase
+from app.database import Database
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.errors import CallerError
 from tests.administrator import BY
+from tests.stores import both_engines, only_sqlite, open_store
+
+pytestmark = both_engines
 
 PASSWORD = "correct horse"
 PIN = "471193"
@@ -67,7 +70,7 @@ class House:
 
 @pytest.fixture
 async def house(tmp_path: Path) -> AsyncIterator[House]:
-    database = SqliteDatabase(tmp_path / "lineside.db")
+    database = open_store(tmp_path / "lineside.db")
     house = House(database)
     yield house
     database.close()
@@ -81,6 +84,7 @@ async def test_the_right_password_opens_a_session(house: House) -> None:
     assert await house.log_of("login") == [("ann", "a")]
 
 
+@only_sqlite
 async def test_neither_password_nor_cookie_nor_token_is_stored(house: House) -> None:
     await house.add()
     cookie = await house.enter()

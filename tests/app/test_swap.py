@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import pytest
 
-from app.database import SqliteDatabase
 from app.errors import Problem
 from app.live.state.bus_live import LiveState
 from app.sets.model import ParameterSet, ParameterSetSummary, UnitRows
@@ -30,6 +29,7 @@ from bus.messages import Message, term
 from bus.settings import BusSettings
 from tests.app.played_commands import ANNA, Noted
 from tests.app.screens import line
+from tests.stores import both_engines, open_store
 
 
 def state(at_target: ProbeFinding, at_factory: ProbeFinding = "silent", **more: object) -> SwapState:
@@ -76,7 +76,7 @@ class Scene:
 
     def __init__(self, folder: Path) -> None:
         self.events = Noted()
-        self.database = SqliteDatabase(folder / "store.db")
+        self.database = open_store(folder / "store.db")
         self.store = SwapStore(self.database)
         self.restores: dict[str, Restore] = {}
         self.swaps = self.another()
@@ -106,6 +106,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
     made.database.close()
 
 
+@both_engines
 async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
     swap, events = await scene.begin(), scene.events
     for seen in (
@@ -161,6 +162,7 @@ async def test_a_restore_from_before_the_swap_verifies_nothing_about_it(scene: S
     assert (swap.restore, swap.proven) == (None, False)
 
 
+@both_engines
 async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     swap, restore = await scene.begin(), a_restore(state="different")
     await scene.swaps.look(swap, lambda: shown(state("silent")))

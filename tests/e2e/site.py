@@ -123,9 +123,7 @@ def people() -> tuple[Path, dict[str, str]]:
     atexit.register(shutil.rmtree, folder)
     config = folder / "lineside.toml"
     config.write_text('[server]\ndata = "./data"\n')
-    # Playwright runs an event loop in the thread of the test.
-    with ThreadPoolExecutor(1) as thread:
-        tokens = thread.submit(with_accounts, config, _add_all_roles).result()
+    tokens = add_people(config)
     templates = Templates(
         templates_dir(), Assets(static_dir()), SiteSettings(), kept_in=folder / "data" / "compiled"
     )
@@ -135,6 +133,13 @@ def people() -> tuple[Path, dict[str, str]]:
     for language in templates.languages:
         language.term("Line")
     return folder / "data", tokens
+
+
+def add_people(config: Path) -> dict[str, str]:
+    """Add one user and one token for each role to the store of a site; the tokens."""
+    # Playwright runs an event loop in the thread of the test.
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(with_accounts, config, _add_all_roles).result()
 
 
 async def _add_all_roles(accounts: Accounts) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +12,10 @@ from typing import Any
 
 import httpx
 
+from app.database.settings import IN_FILES, StoreSettings
 from tests import fork_server
 from tests.e2e.limits import CALL_S
-from tests.e2e.site import end, eventually, people, wait_until_it_serves
+from tests.e2e.site import add_people, end, eventually, people, wait_until_it_serves
 from tests.free_port import free_port
 from tests.path.independent_unit import Cable, Unit, plugged
 
@@ -82,8 +83,11 @@ def dashboard(
     site_toml: str = "",
     bus_toml: str = "",
     cable_of: type[Cable] = Cable,
+    store: StoreSettings = IN_FILES,
+    tokens: Mapping[str, str] | None = None,
 ) -> Iterator[Dashboard]:
-    """Serve these units; every one has been read, with its parameters, when this begins."""
+    """Serve these units; every one has been read, with its parameters, when this begins. ``tokens``: those of
+    the site that is in the database of ``store`` already."""
     url = f"http://127.0.0.1:{free_port()}"
     with (
         plugged(folder / "tty", units, cable_of) as cable,
@@ -92,9 +96,14 @@ def dashboard(
         made = Dashboard(folder, url, cable, client)
         config = folder / "lineside.toml"
         config.write_text(_configuration(made, site_toml, bus_toml), encoding="utf-8")
-        store, tokens = people()
-        shutil.copytree(store, folder / "data")
-        made.tokens.update(tokens)
+        if store.url:
+            with config.open("a", encoding="utf-8") as file:
+                file.write(f"[store]\nurl = '{store.url}'\n")
+            made.tokens.update(tokens or add_people(config))
+        else:
+            data, new = people()
+            shutil.copytree(data, folder / "data")
+            made.tokens.update(new)
         with (folder / "serve.log").open("ab") as log:
             server = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
             try:

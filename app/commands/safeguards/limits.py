@@ -11,6 +11,7 @@ from dataclasses import astuple, dataclass
 from typing import Any
 
 from app.database import Database, StoreConnection
+from app.database.engine import upsert
 from app.web.access import account_shown
 from bus.instants import UnixTime
 from bus.messages import Message, listed, term
@@ -142,6 +143,5 @@ def _rows(store: StoreConnection, table: str, bus: str | None = None) -> list[Ro
 
 
 def _replace(store: StoreConnection, table: str, rows: Iterable[Row]) -> None:
-    columns = _COLUMNS[table]
-    marks = ", ".join("?" for _ in columns.split(","))
-    store.executemany(f"INSERT OR REPLACE INTO {table} ({columns}) VALUES ({marks})", rows)
+    columns = _COLUMNS[table].split(", ")
+    store.executemany(upsert(table, columns[:2], columns[2:]), rows)

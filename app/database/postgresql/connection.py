@@ -49,6 +49,11 @@ class PostgresqlConnection:
         return cursor
 
 
+def name_of(store: StoreSettings, schema: str) -> str:
+    """Names a store in messages."""
+    return f"{store.shown} ({schema})"
+
+
 def connection_string(store: StoreSettings) -> str:
     """All that libpq needs, also what is secret. Raises StoreError where a password file cannot be read."""
     given: dict[str, Any] = psycopg.conninfo.conninfo_to_dict(store.url)

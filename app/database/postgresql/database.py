@@ -11,7 +11,7 @@ import psycopg
 
 from app.database.database import COSTLY_S, Database, Listener, Work
 from app.database.migration import MIGRATIONS
-from app.database.postgresql.connection import PostgresqlConnection, connect
+from app.database.postgresql.connection import PostgresqlConnection, connect, name_of
 from app.database.postgresql.listening import Listening
 from app.database.postgresql.migrating import bring_up_to_date
 from app.database.postgresql.rows import NamedRow
@@ -31,7 +31,7 @@ class PostgresqlDatabase(Database):
         self._store = store
         self._schema = schema
         self.file = None
-        name = f"{store.shown} ({schema})"
+        name = name_of(store, schema)
         with in_words(name):
             driver = connect(store, schema)
             try:
@@ -88,15 +88,9 @@ class PostgresqlDatabase(Database):
 
 
 def is_usable(driver: Driver) -> bool:
-    """Whether a connection that was idle is not known to be lost. Asks nothing of the server."""
-    if driver.closed:
-        return False
-    try:
-        if select([driver.fileno()], [], [], 0)[0]:
-            driver.pgconn.consume_input()
-    except (psycopg.Error, OSError, ValueError):
-        return False
-    return not driver.pgconn.status
+    """Whether a connection that was idle is not known to be lost. Nothing is sent to the server."""
+    # The server sends nothing without a request but that it ends the connection.
+    return not driver.closed and not select([driver.fileno()], [], [], 0)[0]
 
 
 def transact(driver: Driver, work: Work[T], name: str) -> T:

@@ -23,11 +23,12 @@ class NamedRow(tuple[Any, ...]):
 
 
 @lru_cache(1024)
-def _kind_of(names: tuple[str, ...]) -> type[NamedRow]:
-    places = {name: place for place, name in enumerate(names)}
+def _kind_of(names: tuple[bytes | None, ...]) -> type[NamedRow]:
+    places = {(name or b"").decode(): place for place, name in enumerate(names)}
     return type("NamedRow", (NamedRow,), {"__slots__": (), "places": places})
 
 
 def named_row(cursor: Cursor[Any]) -> Callable[[Sequence[Any]], NamedRow]:
     """A row factory of psycopg."""
-    return _kind_of(tuple(column.name for column in cursor.description or ()))
+    found = cursor.pgresult
+    return NamedRow if found is None else _kind_of(tuple(map(found.fname, range(found.nfields))))

@@ -24,6 +24,9 @@ CREATE OR REPLACE FUNCTION json_extract(content text, path text) RETURNS text
 LANGUAGE sql IMMUTABLE PARALLEL SAFE AS $body$
 SELECT content::json #>> string_to_array(substr(path, 3), '.')
 $body$;
+CREATE OR REPLACE FUNCTION joined_by_comma(before text, number bigint) RETURNS text
+LANGUAGE sql IMMUTABLE PARALLEL SAFE AS $body$ SELECT concat_ws(',', before, number) $body$;
+CREATE OR REPLACE AGGREGATE group_concat(bigint) (SFUNC = joined_by_comma, STYPE = text);
 """
 """What the SQL of features names: functions that SQLite has. A member of JSON comes as text."""
 _TYPES = {
@@ -75,7 +78,7 @@ def _table(sql: str) -> Iterator[str]:
     assert name is not None
     yield translated(_typed(_END.sub(")", sql))).sql
     for column in re.findall(r"^\s*(\w+)\s+BLOB\b", sql, re.MULTILINE):
-        # What is stored is packed already.
+        # The content is packed already.
         yield f"ALTER TABLE {name[1]} ALTER COLUMN {column} SET STORAGE EXTERNAL"
 
 
@@ -102,7 +105,8 @@ def _trigger(sql: str) -> Iterator[str]:
 def split(script: str) -> Iterable[str]:
     """The statements of a step."""
     statement = ""
-    for part in script.split(";"):
+    *parts, _ = script.split(";")
+    for part in parts:
         statement += f"{part};"
         if sqlite3.complete_statement(statement):
             yield statement.strip()

@@ -10,7 +10,7 @@ from typing import Any
 
 MAX_STATEMENTS = 2048
 RESERVED = frozenset({"only"})
-"""Names of columns that PostgreSQL takes for words of its own."""
+"""Names of columns that are words of PostgreSQL."""
 _TOKEN = re.compile(
     r"(?P<text>'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\")"
     r"|(?P<comment>--[^\n]*)"
@@ -21,7 +21,7 @@ _TOKEN = re.compile(
     r"|(?P<word>[A-Za-z_]\w*)",
     re.IGNORECASE,
 )
-_WORDS = {"LIKE": "ILIKE", "NOTNULL": "IS NOT NULL", "IFNULL": "coalesce"}
+_WORDS = {"LIKE": "ILIKE"}
 """ILIKE ignores the case of ASCII letters in a column of collation "C", as LIKE of SQLite does."""
 
 

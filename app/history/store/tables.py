@@ -199,7 +199,7 @@ def note_replaced(connection: StoreConnection, file: str, now: int) -> None:
 
 def replaced_since(connection: StoreConnection, since: int) -> tuple[int, str] | None:
     """When this store was begun in place of a damaged one, and the name of that file; times in µs."""
-    query = "SELECT found, data FROM damaged WHERE tier = 'store' AND found >= ? AND data NOTNULL"
+    query = "SELECT found, data FROM damaged WHERE tier = 'store' AND found >= ? AND data IS NOT NULL"
     row = connection.execute(query, (since,)).fetchone()
     return None if row is None else (row[0], row[1].decode())
 
@@ -213,8 +213,8 @@ def bits_around(connection: StoreConnection, unit: int, start: int, end: int) ->
     """Intervals that touch a span, and the neighbour on either side."""
     rows = connection.execute(
         "SELECT at, until, word FROM bits WHERE unit = :unit"
-        " AND at >= ifnull((SELECT max(at) FROM bits WHERE unit = :unit AND at < :start), :start)"
-        " AND at <= ifnull((SELECT min(at) FROM bits WHERE unit = :unit AND at >= :end), :end) ORDER BY at",
+        " AND at >= coalesce((SELECT max(at) FROM bits WHERE unit = :unit AND at < :start), :start)"
+        " AND at <= coalesce((SELECT min(at) FROM bits WHERE unit = :unit AND at >= :end), :end) ORDER BY at",
         {"unit": unit, "start": start, "end": end},
     )
     return [Interval(*row) for row in rows]
