@@ -112,6 +112,20 @@ class HomeStore:
 
         return await self._database.write(take)
 
+    async def renumber(self, bus: str, instance: str, epoch: int, above: int) -> int:
+        """Raise the epoch of a lease that this process holds to one above ``above``, which a worker has seen.
+        Returns it, or 0 where it is not held."""
+
+        def renumber(connection: StoreConnection) -> int:
+            engine.lock(connection, LOCK)
+            changed = connection.execute(
+                "UPDATE home SET epoch = ? WHERE bus = ? AND instance = ? AND epoch = ? AND released = ''",
+                (above + 1, bus, instance, epoch),
+            )
+            return above + 1 if changed.rowcount else 0
+
+        return await self._database.write(renumber)
+
     async def release(self, bus: str, instance: str, epoch: int) -> None:
         """Give a lease up: its port is closed, and another server may take it at once."""
 

@@ -39,7 +39,7 @@ async def working(line: LineServer) -> AsyncIterator[FakeApp]:
     bus = BusSettings(name="b", port=line.port.name, unit=units)
     leave = asyncio.Event()
     async with FakeApp() as app:
-        worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+        worker = asyncio.create_task(run_worker(bus, [app.url], TOKEN, leave=leave))
         await app.until(lambda: app.readings(1) and app.readings(2))
         yield app
         leave.set()

@@ -71,7 +71,7 @@ class FakeReceiver:
 @asynccontextmanager
 async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, FakeReceiver]]:
     outbox, receiver = Outbox(), FakeReceiver()
-    uplink = Uplink(app.url, token, outbox, receiver, ClockOffset(), time.time)
+    uplink = Uplink([app.url], token, outbox, receiver, ClockOffset(), time.time)
     running = asyncio.create_task(uplink.run())
     try:
         yield outbox, receiver
@@ -156,7 +156,7 @@ async def test_a_wrong_token_is_named() -> None:
 async def test_a_refused_token_is_tried_again_seldom_and_logged_once() -> None:
     with capture_logs() as logs:
         async with FakeApp() as app:
-            uplink = Uplink(app.url, "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            uplink = Uplink([app.url], "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
             assert [await uplink._attempt() for _ in range(5)] == [True] * 5
     assert len(logs) == 1
 
@@ -207,7 +207,7 @@ async def _logged(logs: list[MutableMapping[str, Any]]) -> None:
 
 async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker() -> None:
     receiver = FakeReceiver()
-    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), receiver, ClockOffset(), time.time)
+    uplink = Uplink(["http://a..b:8000"], TOKEN, Outbox(), receiver, ClockOffset(), time.time)
     with capture_logs() as logs:
         linking = asyncio.create_task(uplink.run())
         async with asyncio.timeout(60):

@@ -84,7 +84,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
         outbox.put([reading])
     config = configured(tmp_path, number)
     token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
-    uplink = Uplink(url, token, outbox, line, ClockOffset(), time.time)
+    uplink = Uplink([url], token, outbox, line, ClockOffset(), time.time)
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:

@@ -84,8 +84,12 @@ class HomeKeeper:
         """Be the home of buses. Raises StartError where this server alone has the store and a part of a bus
         cannot start."""
         run = self._leased if self._homes.is_shared else self._alone
-        async with run():
-            yield
+        renumbering = asyncio.create_task(self._renumber_without_end())
+        try:
+            async with run():
+                yield
+        finally:
+            renumbering.cancel()
 
     def wake(self) -> None:
         """Look at the store at once."""
@@ -94,8 +98,9 @@ class HomeKeeper:
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         beat = await self._store.take_all(self._homes.server, self.instance, self._homes.url, self._terms)
-        for bus, row in beat.rows.items():
-            self._homes.hold(bus, Lease(row.epoch, self._monotonic()))
+        self._leases = {bus: Lease(row.epoch, self._monotonic()) for bus, row in beat.rows.items()}
+        for bus, lease in self._leases.items():
+            self._homes.hold(bus, lease)
         self._homes.note_rows(beat.rows)
         async with AsyncExitStack() as stack:
             for life in self._lives.values():
@@ -173,6 +178,31 @@ class HomeKeeper:
             task = asyncio.create_task(self._record("lost", bus, lease.epoch, "", why))
             self._lives[bus].records.add(task)
             task.add_done_callback(self._lives[bus].records.discard)
+
+    # --- the epoch -----------------------------------------------------------------------------
+
+    async def _renumber_without_end(self) -> None:
+        """Raise the epoch where a worker has seen a higher one than this home has."""
+        homes = self._homes
+        while True:
+            await homes.is_outnumbered.wait()
+            homes.is_outnumbered.clear()
+            for bus, seen in tuple(homes.outnumbered.items()):
+                del homes.outnumbered[bus]
+                try:
+                    await self._renumber(bus, seen)
+                except StoreError as error:
+                    log.warning("epoch not raised", bus=bus, why=str(error))
+
+    async def _renumber(self, bus: str, seen: int) -> None:
+        lease = self._leases.get(bus)
+        if lease is None or lease.epoch > seen:
+            return
+        epoch = await self._store.renumber(bus, self.instance, lease.epoch, seen)
+        if epoch and self._leases.get(bus, lease).epoch == lease.epoch and self._homes.is_here(bus):
+            self._leases[bus] = renumbered = Lease(epoch, self._leases.get(bus, lease).confirmed)
+            self._homes.hold(bus, renumbered)
+            log.warning("epoch raised above that of the worker", bus=bus, seen=seen, epoch=epoch)
 
     # --- looking at the store ------------------------------------------------------------------
 
