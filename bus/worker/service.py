@@ -230,8 +230,8 @@ async def run_worker(
     leased: bool = False,
 ) -> None:
     """Poll ``bus`` and report to its home, one of the addresses ``apps``, until ``leave`` is set (by default
-    indefinitely). ``tls``: the files of addresses that begin with https; by default this machine's authorities.
-    ``leased``: the port is used only while the app confirms that it is the home of the bus.
+    indefinitely). ``tls``: the files of addresses that begin with https; by default this machine's
+    authorities. ``leased``: the port is used only while the app confirms that it is the home of the bus.
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """

@@ -139,11 +139,11 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
     workers_ended = threading.Event()
 
     class Workers:
-        def __init__(self, *_: object) -> None: ...
+        def __init__(self, *_: object, **__: object) -> None: ...
 
-        def start(self) -> None: ...
+        def start_all(self) -> None: ...
 
-        async def stop(self) -> None:
+        async def stop_all(self) -> None:
             happened.append("workers ended")
             workers_ended.set()
 

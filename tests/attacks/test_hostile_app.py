@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosedOK
 
 from bus.contract import (
     AppMessage,
@@ -98,12 +99,9 @@ class Flood:
     def __init__(self, message: AppMessage, count: int) -> None:
         self._data, self._left = encode(message), count
 
-    def __aiter__(self) -> Flood:
-        return self
-
-    async def __anext__(self) -> bytes:
+    async def recv(self) -> bytes:
         if not self._left:
-            raise StopAsyncIteration
+            raise ConnectionClosedOK(None, None)
         self._left -= 1
         return self._data
 

@@ -27,8 +27,10 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.line.port_lease import NO_LEASE
+from bus.worker.addresses import feed_url
 from bus.worker.outbox import Outbox
-from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
+from bus.worker.uplink import GOING_AWAY, Uplink, _about_status
 from tests.bus.fake_app import TOKEN, FakeApp
 
 
@@ -37,10 +39,16 @@ class FakeReceiver:
 
     def __init__(self) -> None:
         self.requests: list[object] = []
+        self.lease = NO_LEASE
+        self.epoch = 0
         self.news = asyncio.Event()
 
     def hello(self) -> Hello:
         return Hello(CONTRACT_VERSION, "b", "worker-1", 0.0, "test", "/dev/none", time.time())
+
+    def welcomed(self, epoch: int) -> bool:
+        self.epoch, is_former = max(self.epoch, epoch), epoch < self.epoch
+        return not is_former
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(seq, time.time(), BusLink(0.0, "closed"), [])
