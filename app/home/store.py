@@ -45,14 +45,6 @@ class HomeStore:
 
         return await self._database.write(renew)
 
-    async def rows(self) -> Beat:
-        """All rows, and the time of the store."""
-        return await self._database.read(_beat)
-
-    def rows_now(self) -> Beat:
-        """The same on this thread, for the command line."""
-        return self._database.read_now(_beat)
-
     async def take_all(self, server: str, instance: str, url: str, buses: Iterable[str]) -> Beat:
         """Make the only server of this store the home of each bus, with the next epoch."""
 
@@ -138,22 +130,24 @@ class HomeStore:
 
         await self._database.write(release)
 
-    def wish_now(self, bus: str, server: str, *, who: str, reason: str) -> bool:
-        """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
-        def wish(connection: StoreConnection) -> bool:
-            engine.lock(connection, LOCK)
-            ends = engine.clock(connection) + MAX_WISH_S
-            changed = connection.execute(
-                "UPDATE home SET wished_by = ?, wished_for = ?, wish_ends = ?, reason = ? WHERE bus = ?",
-                (who, server, ends, reason, bus),
-            )
-            return changed.rowcount > 0
+def wish_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
+    """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
-        return self._database.write_now(wish)
+    def wish(connection: StoreConnection) -> bool:
+        engine.lock(connection, LOCK)
+        ends = engine.clock(connection) + MAX_WISH_S
+        changed = connection.execute(
+            "UPDATE home SET wished_by = ?, wished_for = ?, wish_ends = ?, reason = ? WHERE bus = ?",
+            (who, server, ends, reason, bus),
+        )
+        return changed.rowcount > 0
+
+    return database.write_now(wish)
 
 
-def _beat(connection: StoreConnection) -> Beat:
+def read_homes(connection: StoreConnection) -> Beat:
+    """All rows, and the time of the store."""
     return Beat(engine.clock(connection), _rows(connection))
 
 
