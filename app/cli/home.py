@@ -114,7 +114,7 @@ def _person() -> str:
 def _known(settings: Settings) -> Beat:
     """The rows; none where there is no store yet."""
     if not settings.store.url and not settings.server.store.exists():
-        return Beat(unix_now(), {})
+        return Beat(unix_now(), {}, {})
     with closing(open_database(settings.store, settings.server.store)) as database:
         return database.read_now(read_homes)
 

@@ -11,6 +11,7 @@ import structlog
 
 from app.home.lease import HomeRow, Lease
 from bus.instants import MonotonicClock, UnixTime, monotonic_now
+from bus.messages import Message
 
 MAX_EPOCHS_MISSED = 1_000_000
 """So many more a worker can have seen than a store that was restored; more was made up."""
@@ -80,6 +81,8 @@ class Homes:
         self._homes: dict[str, Home] = {}
         self._held: dict[str, Lease] = {}
         self._subscribers: list[HomeSubscriber] = []
+        self.faults: tuple[Message, ...] = ()
+        """What a person must put right, as of the last look at the store; every page shows it."""
         self.outnumbered: dict[str, int] = {}
         """The highest epoch that a worker has seen of a bus, where it is above that of its home here."""
         self.is_outnumbered = asyncio.Event()

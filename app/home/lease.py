@@ -39,6 +39,7 @@ class HomeRow(NamedTuple):
     instance: str
     epoch: int
     until: UnixTime
+    renewals: int
     url: str
     taken_at: UnixTime
     reason: str
@@ -74,12 +75,14 @@ class Sighting:
     since: Monotonic
     changes: int = 0
     """How often it was seen to change, the first look among them."""
+    highest: int = 0
+    """The highest epoch that the bus ever had: a row that came and went between two looks shows there."""
 
-    def again(self, row: HomeRow | None, now: Monotonic) -> Sighting:
+    def again(self, row: HomeRow | None, now: Monotonic, highest: int = 0) -> Sighting:
         """The row was read; the read ended at ``now``."""
-        if self.changes and _mark(row) == _mark(self.row):
-            return Sighting(row, self.since, self.changes)
-        return Sighting(row, now, self.changes + 1)
+        if self.changes and (_mark(row), highest) == (_mark(self.row), self.highest):
+            return Sighting(row, self.since, self.changes, highest)
+        return Sighting(row, now, self.changes + 1, highest)
 
 
 UNSEEN = Sighting(None, Monotonic(math.inf))
@@ -89,7 +92,9 @@ NEW = Sighting(None, Monotonic(-math.inf), changes=1)
 
 def _mark(row: HomeRow | None) -> tuple[object, ...] | None:
     """What a holder changes. A wish or another text is no sign of life."""
-    return None if row is None else (row.holder, row.instance, row.epoch, row.until, row.released)
+    return (
+        None if row is None else (row.holder, row.instance, row.epoch, row.until, row.renewals, row.released)
+    )
 
 
 def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: UnixTime) -> Verdict:

@@ -13,6 +13,7 @@ from bus.instants import MonotonicClock, UnixTime
 LOCK = "home"
 NO_TIME = UnixTime(0.0)
 _COLUMNS = ", ".join(HomeRow._fields)
+_UPSERT_EPOCH = engine.upsert("home_epoch", ("bus",), ("epoch",))
 _UPSERT = engine.upsert("home", HomeRow._fields[:1], HomeRow._fields[1:])
 
 
@@ -21,6 +22,8 @@ class Beat(NamedTuple):
 
     now: UnixTime
     rows: Mapping[str, HomeRow]
+    highest: Mapping[str, int]
+    """The highest epoch that each bus ever had."""
 
 
 class HomeStore:
@@ -37,11 +40,11 @@ class HomeStore:
             engine.lock(connection, LOCK)
             now = engine.clock(connection)
             connection.executemany(
-                "UPDATE home SET until = ?, url = ? WHERE bus = ? AND epoch = ? AND holder = ?"
-                " AND instance = ? AND released = ''",
+                "UPDATE home SET until = ?, url = ?, renewals = renewals + 1"
+                " WHERE bus = ? AND epoch = ? AND holder = ? AND instance = ? AND released = ''",
                 [(now + LEASE_S, url, bus, epoch, server, instance) for bus, epoch in epochs.items()],
             )
-            return Beat(now, _rows(connection))
+            return Beat(now, _rows(connection), _highest(connection))
 
         return await self._database.write(renew)
 
@@ -49,14 +52,15 @@ class HomeStore:
         """Make the only server of this store the home of each bus, with the next epoch."""
 
         def take(connection: StoreConnection) -> Beat:
-            now, rows = engine.clock(connection), _rows(connection)
+            now, rows, highest = engine.clock(connection), _rows(connection), _highest(connection)
             taken = {
                 bus: HomeRow(
                     bus,
                     server,
                     instance,
-                    _epoch_of(rows.get(bus)) + 1,
+                    max(_epoch_of(rows.get(bus)), highest.get(bus, 0)) + 1,
                     NO_TIME,
+                    0,
                     url,
                     now,
                     reason="",
@@ -68,7 +72,8 @@ class HomeStore:
                 for bus in buses
             }
             connection.executemany(_UPSERT, list(taken.values()))
-            return Beat(now, taken)
+            connection.executemany(_UPSERT_EPOCH, [(row.bus, row.epoch) for row in taken.values()])
+            return Beat(now, taken, {row.bus: row.epoch for row in taken.values()})
 
         return await self._database.write(take)
 
@@ -81,16 +86,19 @@ class HomeStore:
         def take(connection: StoreConnection) -> HomeRow | Verdict:
             engine.lock(connection, LOCK)
             now, row = engine.clock(connection), _rows(connection).get(bus)
+            highest = _highest(connection).get(bus, 0)
             # A row that was changed since the last look is of this moment.
-            found = verdict(sighting.again(row, self._monotonic()), claimant, self._monotonic(), now)
+            seen = sighting.again(row, self._monotonic(), highest)
+            found = verdict(seen, claimant, self._monotonic(), now)
             if found != "may_take":
                 return found
             taken = HomeRow(
                 bus=bus,
                 holder=claimant.server,
                 instance=claimant.instance,
-                epoch=max(epoch_above, _epoch_of(row)) + 1,
+                epoch=max(epoch_above, highest, _epoch_of(row)) + 1,
                 until=now + LEASE_S,
+                renewals=0 if row is None else row.renewals + 1,
                 url=url,
                 taken_at=now,
                 reason=row.reason if row is not None and row.wish(now) else reason,
@@ -100,6 +108,7 @@ class HomeStore:
                 wish_ends=NO_TIME,
             )
             connection.execute(_UPSERT, taken)
+            connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
             return taken
 
         return await self._database.write(take)
@@ -114,7 +123,10 @@ class HomeStore:
                 "UPDATE home SET epoch = ? WHERE bus = ? AND instance = ? AND epoch = ? AND released = ''",
                 (above + 1, bus, instance, epoch),
             )
-            return above + 1 if changed.rowcount else 0
+            if not changed.rowcount:
+                return 0
+            connection.execute(_UPSERT_EPOCH, (bus, above + 1))
+            return above + 1
 
         return await self._database.write(renumber)
 
@@ -148,13 +160,17 @@ def wish_home(database: Database, bus: str, server: str, *, who: str, reason: st
 
 def read_homes(connection: StoreConnection) -> Beat:
     """All rows, and the time of the store."""
-    return Beat(engine.clock(connection), _rows(connection))
+    return Beat(engine.clock(connection), _rows(connection), _highest(connection))
 
 
 def _rows(connection: StoreConnection) -> dict[str, HomeRow]:
     found = connection.execute(f"SELECT {_COLUMNS} FROM home")
     rows = (HomeRow(*row) for row in found)
     return {row.bus: row for row in rows}
+
+
+def _highest(connection: StoreConnection) -> dict[str, int]:
+    return {row[0]: row[1] for row in connection.execute("SELECT bus, epoch FROM home_epoch")}
 
 
 def _epoch_of(row: HomeRow | None) -> int:

@@ -313,4 +313,5 @@ class LineLoop:
     def figures(self) -> BusFigures:
         now = self.clock.now()
         at = self.clock.epoch(now)
-        return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        return msgspec.structs.replace(figures, has_second_master=self.link.second_master.is_present(now))

@@ -176,6 +176,8 @@ class BusWorker:
             return "not_sent", Message("too_many_commands")
         if not self.line.link.open:
             return "bus_closed", self.line.state.refusal
+        if action.writes and not action.stops and self.line.link.second_master.is_present(self.clock.now()):
+            return "not_sent", Message("second_master_writes")
         if time_left_s < 0 and action.writes:
             return "not_sent", Message.of("arrived_late", seconds=round(-time_left_s, 1))
         return None

@@ -76,7 +76,6 @@ class HomeKeeper:
         """What is renewed: also what is being given up, until its port is closed."""
         self._wake = asyncio.Event()
         self._all_released = asyncio.Event()
-        self._logged: set[str] = set()
         self._away = ""
 
     @asynccontextmanager
@@ -254,7 +253,7 @@ class HomeKeeper:
         self._homes.note_rows(beat.rows)
         for bus in self._terms:
             row = beat.rows.get(bus)
-            self._sightings[bus] = self._sightings[bus].again(row, now)
+            self._sightings[bus] = self._sightings[bus].again(row, now, beat.highest.get(bus, 0))
             lease = self._leases.get(bus)
             if lease is None or lease.epoch != epochs.get(bus):
                 continue
@@ -285,15 +284,16 @@ class HomeKeeper:
     # --- taking --------------------------------------------------------------------------------
 
     async def _take_free(self, beat: Beat) -> None:
+        found: dict[str, Verdict] = {}
         for bus, terms in self._terms.items():
             if bus in self._leases or self._lives[bus].is_on:
                 continue
             sighting = self._sightings[bus]
             claimant = Claimant(self._homes.server, self.instance, *terms)
-            found = verdict(sighting, claimant, self._monotonic(), beat.now)
-            self._tell(bus, found, beat.rows.get(bus))
-            if found == "may_take":
+            found[bus] = verdict(sighting, claimant, self._monotonic(), beat.now)
+            if found[bus] == "may_take":
                 await self._take(bus, sighting, claimant)
+        self._note_faults(found, beat)
 
     async def _take(self, bus: str, sighting: Sighting, claimant: Claimant) -> None:
         began, former = self._monotonic(), self._homes.of(bus)
@@ -314,7 +314,7 @@ class HomeKeeper:
         if not isinstance(taken, HomeRow):
             return
         lease = self._leases[bus] = Lease(taken.epoch, began)
-        self._sightings[bus] = self._sightings[bus].again(taken, self._monotonic())
+        self._sightings[bus] = self._sightings[bus].again(taken, self._monotonic(), taken.epoch)
         self._homes.hold(bus, lease)
         self._lives[bus].hold()
         log.info("home taken", bus=bus or "site", epoch=taken.epoch, why=taken.reason)
@@ -330,19 +330,25 @@ class HomeKeeper:
         except StoreError as error:
             log.warning("event of a home not recorded", what=str(event), why=str(error))
 
-    def _tell(self, bus: str, found: Verdict, row: HomeRow | None) -> None:
-        """Log once what a person must put right."""
-        if row is None or found not in ("held_by_namesake", "unusable"):
-            return
-        if found == "held_by_namesake":
-            if self._sightings[bus].changes <= 1:
-                return
-            text = Message.of("home_namesake", server=row.holder, buses=bus or "site", url=row.url)
-        else:
-            text = Message.of("home_row_unusable", bus=bus or "site", epoch=row.epoch)
-        if str(text) not in self._logged:
-            self._logged.add(str(text))
-            log.error("home", why=str(text))
+    def _note_faults(self, found: Mapping[str, Verdict], beat: Beat) -> None:
+        """What a person must put right: it is logged once, and shown on every page."""
+        server, rows = self._homes.server, beat.rows
+        twins = [bus for bus, each in found.items() if each == "held_by_namesake" and self._lives_on(bus)]
+        faults = []
+        if twins:
+            buses, url = ", ".join(bus or "site" for bus in twins), rows[twins[0]].url
+            faults.append(Message.of("home_namesake", server=server, buses=buses, url=url))
+        for bus, each in found.items():
+            if each == "unusable":
+                faults.append(Message.of("home_row_unusable", bus=bus or "site", epoch=rows[bus].epoch))
+        for fault in faults:
+            if fault not in self._homes.faults:
+                log.error("home", why=str(fault))
+        self._homes.faults = tuple(faults)
+
+    def _lives_on(self, bus: str) -> bool:
+        """Whether the row was renewed since this process looks: else it is of its own former run."""
+        return self._sightings[bus].changes > 1
 
 
 def _reason(row: HomeRow | None) -> Message:

@@ -24,6 +24,7 @@ from bus.line.port.port import OpenPort, PartlySent
 from bus.line.port_lease import NO_LEASE, NOT_CONFIRMED, PortLease
 from bus.line.roster import Roster
 from bus.line.statistics.counters import WireCounts
+from bus.line.statistics.second_master import SecondMaster
 from bus.line.statistics.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
@@ -65,6 +66,7 @@ class Link:
         self._trace = trace
         self._roster = roster
         self.counts = WireCounts()
+        self.second_master = SecondMaster()
         self._port: OpenPort | None = None
         self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
@@ -196,6 +198,8 @@ class Link:
 
     def _count(self, ended: CurrentExchange) -> None:
         exchange = ended.exchange
+        if ended.unexpected and exchange.reply is not None:
+            self.second_master.heard(ended.ended)
         self.counts.busy_s += self._least_s(exchange)
         if exchange.reply is not None:
             self._last_response = exchange.frame
@@ -263,10 +267,10 @@ class Link:
             self._take_response(now)
             self._note(now, "in", event.frame.wire, exchange)
         else:
-            self._take_stray_frame(event, exchange.request.unit)
+            self._take_stray_frame(event, exchange.request.unit, now)
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
-    def _take_stray_frame(self, event: StrayFrame, addressed: int) -> None:
+    def _take_stray_frame(self, event: StrayFrame, addressed: int, now: Monotonic) -> None:
         """Count a good frame that is not the response of ``addressed``."""
         match event:
             case Echo():
@@ -279,6 +283,8 @@ class Link:
                 self._count_late(event.unit)
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
+                if self._current is None and isinstance(event, Foreign):
+                    self.second_master.heard(now)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
 
