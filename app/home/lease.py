@@ -78,6 +78,11 @@ class Sighting:
     highest: int = 0
     """The highest epoch that the bus ever had: a row that came and went between two looks shows there."""
 
+    @property
+    def is_first(self) -> bool:
+        """No server has ever had the bus."""
+        return self.changes > 0 and self.highest == 0 and self.row is None
+
     def again(self, row: HomeRow | None, now: Monotonic, highest: int = 0) -> Sighting:
         """The row was read; the read ended at ``now``."""
         if self.changes and (_mark(row), highest) == (_mark(self.row), self.highest):
@@ -86,8 +91,6 @@ class Sighting:
 
 
 UNSEEN = Sighting(None, Monotonic(math.inf))
-NEW = Sighting(None, Monotonic(-math.inf), changes=1)
-"""Of a store that was made by this process: no other can have held a bus in it."""
 
 
 def _mark(row: HomeRow | None) -> tuple[object, ...] | None:
@@ -103,7 +106,8 @@ def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: U
     if not claimant.permitted:
         return "not_permitted"
     if row is None:
-        return "may_take" if now - sighting.since >= LEASE_S else "held"
+        is_free = sighting.is_first or now - sighting.since >= LEASE_S
+        return "may_take" if is_free else "held"
     if not 0 <= row.epoch < MAX_EPOCH:
         return "unusable"
     wish = row.wish(store_now)

@@ -15,7 +15,6 @@ from app.errors import StoreError
 from app.home.homes import Homes
 from app.home.keeping.life import HomeLife, Ports
 from app.home.lease import (
-    NEW,
     RENEW_S,
     UNSEEN,
     Claimant,
@@ -50,7 +49,7 @@ class HomeTerms(NamedTuple):
 
 
 class HomeKeeper:
-    """Runs the lifespan of each bus whose home is here. ``is_new``: this process has made the store."""
+    """Runs the lifespan of each bus whose home is here."""
 
     def __init__(
         self,
@@ -61,7 +60,6 @@ class HomeKeeper:
         lifetimes: Mapping[str, Lifetime],
         ports: Ports,
         *,
-        is_new: bool = False,
         monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self._homes = homes
@@ -70,7 +68,7 @@ class HomeKeeper:
         self._terms = terms
         self._monotonic = monotonic
         self.instance = secrets.token_hex(8)
-        self._sightings = dict.fromkeys(terms, NEW if is_new else UNSEEN)
+        self._sightings = dict.fromkeys(terms, UNSEEN)
         self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
         self._leases: dict[str, Lease] = {}
         """What is renewed: also what is being given up, until its port is closed."""
@@ -108,10 +106,13 @@ class HomeKeeper:
 
     @asynccontextmanager
     async def _leased(self) -> AsyncIterator[None]:
+        lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
+        await self.beat()
         works = (self._beat_without_end, self._watch)
         tasks = [asyncio.create_task(work()) for work in works]
-        lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
         try:
+            # What is free at the start is loaded before anything is served.
+            await asyncio.gather(*(self._lives[bus].settled.wait() for bus in tuple(self._leases)))
             yield
         finally:
             # The leases are renewed until their ports are closed, but none is taken.
