@@ -44,7 +44,7 @@ class Services(Registry):
         self.lifespans_at_home = {bus: Lifespan() for bus in (SITE, *self.buses)}
 
     def at_home(self, bus: str = SITE) -> Lifespan:
-        """What runs for a bus, or for the whole site, while its home is this server: loaded each time, since
+        """What runs for a bus, or for the site, while its home is this server: loaded each time, since
         another server may have had it meanwhile."""
         return self.lifespans_at_home[bus]
 

@@ -16,14 +16,14 @@ from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
 from app.database.opening import open_database
 from app.home.lease import HomeRow
-from app.home.store import Beat, read_homes, wish_home
+from app.home.store import Beat, read_homes, request_home
 from app.settings import Settings, load
 from bus.errors import CallerError, LinesideError
 from bus.instants import unix_now
 from bus.messages import Message
 
 MAX_TAKE_S = 20.0
-"""A lease lapses within 6 s, its holder hands over within 4, and the taker looks every second."""
+"""A lease lapses within 6 s, its holder gives it up within 4, and the taker looks every second."""
 LOOK_S = 0.2
 
 home = typer.Typer(
@@ -34,7 +34,7 @@ home = typer.Typer(
 
 
 class HomeNotTakenError(LinesideError):
-    """The home of a bus did not come to this server."""
+    """The home of a bus was not taken by this server."""
 
 
 @home.callback()
@@ -62,7 +62,7 @@ def take(
     reason: Annotated[str, typer.Option(help="Why; it is in the event.")],
     config: Config = LINESIDE_TOML,
 ) -> None:
-    """Make this server the home of a bus. A holder that runs hands it over; where the bus has a local port,
+    """Make this server the home of a bus. A holder that runs gives it up; where the bus has a local port,
     first make sure that a holder that does not respond is off or its cable is unplugged."""
     settings = load(config)
     _check(settings, bus, reason)
@@ -86,12 +86,12 @@ def _check(settings: Settings, bus: str, reason: str) -> None:
 
 
 def _take(settings: Settings, database: Database, bus: str, reason: str) -> int:
-    """Ask the servers for it, and wait; its epoch here."""
+    """Request it of the servers, and wait; its epoch here."""
     server, before = settings.server.id, database.read_now(read_homes)
     row = before.rows.get(bus)
     if row is not None and _is_held(row, before) and row.holder == server:
         return row.epoch
-    if row is None or not wish_home(database, bus, server, who=_person(), reason=reason):
+    if row is None or not request_home(database, bus, server, who=_person(), reason=reason):
         raise HomeNotTakenError(Message.of("home_never_held", bus=bus))
     end = time.monotonic() + MAX_TAKE_S
     while time.monotonic() < end:
@@ -149,7 +149,9 @@ def _shown(bus: str, beat: Beat, *, is_shared: bool) -> dict[str, Any]:
 def _line(each: dict[str, Any]) -> Message:
     if each["server"] is None:
         return Message.of("home_line_none", bus=each["bus"])
-    told = {name: each[name] for name in ("bus", "server", "url", "epoch")}
+    values = {name: each[name] for name in ("bus", "server", "url", "epoch")}
     if each["until"] is None:
-        return Message("home_line_alone", told)
-    return Message("home_line_held" if each["held"] else "home_line_lapsed", {**told, "until": each["until"]})
+        return Message("home_line_alone", values)
+    return Message(
+        "home_line_held" if each["held"] else "home_line_lapsed", {**values, "until": each["until"]}
+    )

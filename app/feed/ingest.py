@@ -38,7 +38,7 @@ from bus.instants import Clock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message
 
 MAX_LEASE_S = 60.0
-"""What a worker is told at most, also where its server has no lease."""
+"""What a worker is granted at most, also where its server has no lease."""
 
 
 @dataclass(slots=True)
@@ -90,7 +90,7 @@ class Ingest:
                 await self._take_batch(batch)
             case LeaseRequest():
                 left_s = max(0.0, min(self.lease_left_s(), MAX_LEASE_S))
-                await self._connection.send(LeaseLeft(message.asked_at, left_s))
+                await self._connection.send(LeaseLeft(message.requested_at, left_s))
             case Hello():
                 raise MalformedMessageError("Hello is sent once, at the beginning")
         await self._hold_back(self._quota.pause_s(message, len(data), monotonic_now()))

@@ -66,7 +66,7 @@ class BusHome:
 
 
 class Homes:
-    """The home of each bus; the bus ``""`` is what one server does for the whole site.
+    """The home of each bus; the bus ``""`` is what one server does for the site.
 
     ``is_shared`` False: this server alone uses the store and is the home of everything, without a lease.
     """

@@ -17,13 +17,13 @@ from bus.contract import MAX_EPOCH
 from bus.instants import Monotonic, UnixTime
 
 SITE = ""
-"""In the place of a bus: what one server does for the whole site."""
+"""In the place of a bus: what one server does for the site."""
 LEASE_S = 5.0
 """A home that is not renewed for so long is lost."""
 RENEW_S = 1.0
 MARGIN_S = 1.0
 """A holder gives up so much earlier: for the bytes on their way and for clocks that differ in rate."""
-MAX_WISH_S = 30.0
+MAX_REQUEST_S = 30.0
 """For how long a bus is kept for the server that a person chose."""
 
 Verdict = Literal["may_take", "not_permitted", "held", "held_by_namesake", "promised", "local", "unusable"]
@@ -31,8 +31,8 @@ Verdict = Literal["may_take", "not_permitted", "held", "held_by_namesake", "prom
 
 class HomeRow(NamedTuple):
     """A row of the table ``home``. ``instance``: the process of the holder; ``released``: the same once the
-    holder has given the bus up. The wish is that of a person: which server is to take it, until ``wish_ends``
-    on the store's clock."""
+    holder has given the bus up. The request is that of a person: which server is to take it, until
+    ``request_ends`` on the store's clock."""
 
     bus: str
     holder: str
@@ -44,17 +44,17 @@ class HomeRow(NamedTuple):
     taken_at: UnixTime
     reason: str
     released: str
-    wished_by: str
-    wished_for: str
-    wish_ends: UnixTime
+    requested_by: str
+    requested_for: str
+    request_ends: UnixTime
 
     @property
     def is_released(self) -> bool:
         return bool(self.released) and self.released == self.instance
 
-    def wish(self, now: UnixTime) -> str:
+    def request(self, now: UnixTime) -> str:
         """The server that a person wants the bus at; empty: none."""
-        return self.wished_for if now < self.wish_ends <= now + MAX_WISH_S else ""
+        return self.requested_for if now < self.request_ends <= now + MAX_REQUEST_S else ""
 
 
 class Claimant(NamedTuple):
@@ -94,7 +94,7 @@ UNSEEN = Sighting(None, Monotonic(math.inf))
 
 
 def _mark(row: HomeRow | None) -> tuple[object, ...] | None:
-    """What a holder changes. A wish or another text is no sign of life."""
+    """What a holder changes. A request or another text is no sign of life."""
     return (
         None if row is None else (row.holder, row.instance, row.epoch, row.until, row.renewals, row.released)
     )
@@ -110,12 +110,12 @@ def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: U
         return "may_take" if is_free else "held"
     if not 0 <= row.epoch < MAX_EPOCH:
         return "unusable"
-    wish = row.wish(store_now)
-    if wish not in ("", claimant.server):
+    request = row.request(store_now)
+    if request not in ("", claimant.server):
         return "promised"
     if not row.is_released and not _is_over(row, sighting, now, store_now):
         return "held_by_namesake" if row.holder == claimant.server else "held"
-    if wish or claimant.automatic or row.holder == claimant.server:
+    if request or claimant.automatic or row.holder == claimant.server:
         return "may_take"
     return "local"
 

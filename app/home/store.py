@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from app.database import Database, StoreConnection, engine
-from app.home.lease import LEASE_S, MAX_WISH_S, Claimant, HomeRow, Sighting, Verdict, verdict
+from app.home.lease import LEASE_S, MAX_REQUEST_S, Claimant, HomeRow, Sighting, Verdict, verdict
 from bus.contract import MAX_EPOCH
 from bus.instants import MonotonicClock, UnixTime
 
@@ -34,7 +34,7 @@ class HomeStore:
         self._monotonic = monotonic
 
     async def beat(self, server: str, instance: str, url: str, epochs: Mapping[str, int]) -> Beat:
-        """Renew what this process holds, by bus and epoch, where the row says so too; then read all rows."""
+        """Renew what this process holds, by bus and epoch, where the row agrees; then read all rows."""
 
         def renew(connection: StoreConnection) -> Beat:
             engine.lock(connection, LOCK)
@@ -65,9 +65,9 @@ class HomeStore:
                     now,
                     reason="",
                     released="",
-                    wished_by="",
-                    wished_for="",
-                    wish_ends=NO_TIME,
+                    requested_by="",
+                    requested_for="",
+                    request_ends=NO_TIME,
                 )
                 for bus in buses
             }
@@ -101,11 +101,11 @@ class HomeStore:
                 renewals=0 if row is None else row.renewals + 1,
                 url=url,
                 taken_at=now,
-                reason=row.reason if row is not None and row.wish(now) else reason,
+                reason=row.reason if row is not None and row.request(now) else reason,
                 released="",
-                wished_by=row.wished_by if row is not None and row.wish(now) else "",
-                wished_for="",
-                wish_ends=NO_TIME,
+                requested_by=row.requested_by if row is not None and row.request(now) else "",
+                requested_for="",
+                request_ends=NO_TIME,
             )
             connection.execute(_UPSERT, taken)
             connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
@@ -143,19 +143,19 @@ class HomeStore:
         await self._database.write(release)
 
 
-def wish_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
+def request_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
     """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
-    def wish(connection: StoreConnection) -> bool:
+    def request(connection: StoreConnection) -> bool:
         engine.lock(connection, LOCK)
-        ends = engine.clock(connection) + MAX_WISH_S
+        ends = engine.clock(connection) + MAX_REQUEST_S
         changed = connection.execute(
-            "UPDATE home SET wished_by = ?, wished_for = ?, wish_ends = ?, reason = ? WHERE bus = ?",
+            "UPDATE home SET requested_by = ?, requested_for = ?, request_ends = ?, reason = ? WHERE bus = ?",
             (who, server, ends, reason, bus),
         )
         return changed.rowcount > 0
 
-    return database.write_now(wish)
+    return database.write_now(request)
 
 
 def read_homes(connection: StoreConnection) -> Beat:

@@ -59,10 +59,10 @@ class Batch(TaggedStruct, frozen=True, tag="batch"):
 
 
 class LeaseRequest(TaggedStruct, frozen=True, tag="lease_request"):
-    """How long may the port be used? ``asked_at``: on the worker's own clock, and only for the worker: a
+    """How long may the port be used? ``requested_at``: on the worker's own clock, and only for the worker: a
     response that was held up on its way counts from there."""
 
-    asked_at: MonotonicSeconds
+    requested_at: MonotonicSeconds
 
 
 WorkerMessage = Hello | Snapshot | Batch | LeaseRequest
@@ -104,9 +104,9 @@ class Welcome(TaggedStruct, frozen=True, tag="welcome"):
 
 
 class LeaseLeft(TaggedStruct, frozen=True, tag="lease_left"):
-    """The app's response to LeaseRequest: the port may be used for ``left_s`` from ``asked_at`` on."""
+    """The app's response to LeaseRequest: the port may be used for ``left_s`` from ``requested_at`` on."""
 
-    asked_at: MonotonicSeconds
+    requested_at: MonotonicSeconds
     left_s: DurationSeconds
 
 

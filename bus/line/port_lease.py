@@ -1,8 +1,8 @@
 """Until when this process may use its port. Pure: the clock is passed in.
 
-A worker whose server has the home of its bus on a lease loses its port with that: its server may stand still,
-or have no database, and another server takes the bus. The time counts from when the worker asked, on a clock
-that counts on while the machine sleeps; a response that was held up extends nothing.
+A worker whose server has the home of its bus on a lease loses its port with that: its server may stand
+still, or have no database, and another server takes the bus. The time counts from the request of the worker,
+on a clock that counts on while the machine sleeps; a response that was held up extends nothing.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class PortLease:
         """For how many seconds it may; 0 or less: it may not."""
         return self._until - self.clock() if self.is_needed else math.inf
 
-    def extend(self, asked_at: Monotonic, left_s: float) -> None:
-        """The server confirmed, for ``left_s`` from when it was asked; or, with 0, ended it."""
+    def extend(self, requested_at: Monotonic, left_s: float) -> None:
+        """The server confirmed, for ``left_s`` from the request; or, with 0, ended it."""
         if self.is_needed:
-            self._until = asked_at + left_s if left_s > 0 else Monotonic(-math.inf)
+            self._until = requested_at + left_s if left_s > 0 else Monotonic(-math.inf)
 
 
 NO_LEASE = PortLease()

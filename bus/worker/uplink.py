@@ -53,7 +53,7 @@ HURRY_S = 5.0
 REFUSED_PAUSE_S = 5.0
 NEXT_PAUSE_S = 1.0
 """The same where there is another app, which may be the home of the bus by now."""
-SILENT_S = 4.0
+STALLED_S = 4.0
 """An app sends its time every second. One that sends nothing for so long may have lost its homes."""
 LEASE_REQUEST_S = 0.5
 MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
@@ -140,17 +140,17 @@ class Uplink:
         """When the app accepted the connection; None where it did not."""
         self._home = ""
         """The address that the app gave for the home of the bus, where it is not that itself."""
-        self._is_silent = False
+        self._is_stalled = False
         """The app sent nothing for too long, and another may have its place."""
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
-            self._accepted_at, self._home, self._is_silent = None, "", False
+            self._accepted_at, self._home, self._is_stalled = None, "", False
             refused = await self._attempt()
             is_home = False
-            if self._addresses.are_several and (refused or self._accepted_at is None or self._is_silent):
+            if self._addresses.are_several and (refused or self._accepted_at is None or self._is_stalled):
                 is_home = self._addresses.leave(self._home)
             self._outbox.disconnected()
             self._handler.watch(Watch(units=[]))
@@ -223,10 +223,10 @@ class Uplink:
                     await sending
 
     async def _confirm_lease(self, socket: ClientConnection) -> None:
-        """Ask how long the port may be used, where it is on a lease."""
+        """Request for how long the port may be used, where it is on a lease."""
         lease = self._handler.lease
         while lease.is_needed:
-            await socket.send(encode(LeaseRequest(asked_at=float(lease.clock()))))
+            await socket.send(encode(LeaseRequest(requested_at=float(lease.clock()))))
             await asyncio.sleep(LEASE_REQUEST_S)
 
     def _linked(self) -> None:
@@ -267,14 +267,14 @@ class Uplink:
             await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
 
     async def _messages(self, socket: ClientConnection) -> AsyncIterator[str | bytes]:
-        """What the app sends, to its end; also the end of one that says nothing while there are others."""
+        """What the app sends, to its end; also the end of one that sends nothing while there are others."""
         with suppress(ConnectionClosedOK):
             while True:
-                async with asyncio.timeout(SILENT_S if self._addresses.are_several else None) as patience:
+                async with asyncio.timeout(STALLED_S if self._addresses.are_several else None) as patience:
                     try:
                         data = await socket.recv()
                     finally:
-                        self._is_silent = patience.expired()
+                        self._is_stalled = patience.expired()
                 yield data
 
     def _take(self, message: AppMessage) -> None:
@@ -291,8 +291,8 @@ class Uplink:
                 self._handler.cancel(command_id)
             case Watch():
                 self._handler.watch(message)
-            case LeaseLeft(asked_at=asked_at, left_s=left_s):
-                self._handler.lease.extend(Monotonic(asked_at), left_s)
+            case LeaseLeft(requested_at=requested_at, left_s=left_s):
+                self._handler.lease.extend(Monotonic(requested_at), left_s)
             case WantSnapshot():
                 self._snapshot_wanted = True
                 self._outbox.filled.set()

@@ -19,13 +19,13 @@ from app.home.homes import Homes
 from app.home.keeping import keeper as keeping
 from app.home.keeping.keeper import HomeKeeper, HomeTerms
 from app.home.lease import SITE
-from app.home.store import HomeStore, wish_home
+from app.home.store import HomeStore, request_home
 from bus.instants import monotonic_now
 from bus.messages import Message
 
 BUS, PATIENCE_S = "dry-end", 30.0
 FACTOR = 0.1
-"""All times of a lease are a tenth, so that nobody waits; what happens is waited for, never when."""
+"""All times of a lease are a tenth, for a short test; conditions are waited for, never times."""
 
 
 @pytest.fixture(autouse=True)
@@ -186,7 +186,7 @@ async def test_a_person_has_it_handed_over_by_a_holder_that_lives(start: Start) 
     a, _ = await start("a", automatic=False)
     await until(lambda: "port of dry-end opened" in a.happened)
     b, _ = await start("b", automatic=False)
-    assert wish_home(b.database, BUS, "b", who="anna", reason="the cable is at b now")
+    assert request_home(b.database, BUS, "b", who="anna", reason="the cable is at b now")
     await until(lambda: b.homes.is_here(BUS))
     assert a.of_bus()[-2:] == ["port of dry-end closed", "bus ended"]
     await until(lambda: any(each["bus"] == BUS for each in b.events.recorded))
@@ -202,7 +202,7 @@ async def test_it_is_handed_over_only_once_the_port_is_closed(start: Start) -> N
     await until(lambda: "port of dry-end opened" in a.happened)
     b, _ = await start("b")
     a.slow_port.clear()
-    wish_home(b.database, BUS, "b", who="anna", reason="maintenance")
+    request_home(b.database, BUS, "b", who="anna", reason="maintenance")
     await until(lambda: not a.homes.is_here(BUS))
     for _ in range(5):
         await b.keeper.beat()
@@ -260,7 +260,7 @@ async def test_one_that_cannot_start_it_gives_it_up(start: Start, tmp_path: Path
     b, _ = await start("b", permitted=True)
     await until(lambda: b.homes.is_here(BUS))
     async with a.keeper.running():
-        wish_home(b.database, BUS, "a", who="anna", reason="maintenance")
+        request_home(b.database, BUS, "a", who="anna", reason="maintenance")
         await until(lambda: not b.homes.is_here(BUS))
         await until(lambda: b.homes.is_here(BUS))
     a.database.close()

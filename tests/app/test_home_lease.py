@@ -37,9 +37,9 @@ def row(**changes: object) -> HomeRow:
         "taken_at": 50.0,
         "reason": "",
         "released": "",
-        "wished_by": "",
-        "wished_for": "",
-        "wish_ends": 0.0,
+        "requested_by": "",
+        "requested_for": "",
+        "request_ends": 0.0,
     }
     return HomeRow(**{**held, **changes})  # type: ignore[arg-type]
 
@@ -63,10 +63,10 @@ SEEN_LONG = 100.0
         (row(), B._replace(permitted=False), 60.0, 200.0, "not_permitted"),
         (row(released="a1"), B, 0.0, 101.0, "may_take"),
         (row(released="a1"), B_MANUAL, 60.0, 200.0, "local"),
-        (row(wished_for="b", wish_ends=130.0), B_MANUAL, 5.0, 106.0, "may_take"),
-        (row(wished_for="b", wish_ends=130.0), B_MANUAL, 1.0, 101.0, "held"),
-        (row(wished_for="c", wish_ends=130.0), B, 60.0, 106.0, "promised"),
-        (row(wished_for="c", wish_ends=105.0), B, 60.0, 106.0, "may_take"),
+        (row(requested_for="b", request_ends=130.0), B_MANUAL, 5.0, 106.0, "may_take"),
+        (row(requested_for="b", request_ends=130.0), B_MANUAL, 1.0, 101.0, "held"),
+        (row(requested_for="c", request_ends=130.0), B, 60.0, 106.0, "promised"),
+        (row(requested_for="c", request_ends=105.0), B, 60.0, 106.0, "may_take"),
         (None, B, 5.0, 0.0, "may_take"),
         (None, B, 1.0, 0.0, "held"),  # it was deleted by hand: its epoch remains
         # Edited by hand: an until of a year, and one of an hour ago while the holder lives.
@@ -96,9 +96,9 @@ def test_a_renewal_that_takes_long_counts_from_when_it_was_begun() -> None:
     assert lease.renewed(Monotonic(11.0)) == lease, "an older one that is confirmed later extends nothing"
 
 
-def test_a_wish_and_a_reason_are_no_sign_of_life() -> None:
+def test_a_request_and_a_reason_are_no_sign_of_life() -> None:
     seen = Sighting(row(), Monotonic(1.0), 1)
-    assert seen.again(row(reason="x", wished_for="b", url="http://c"), Monotonic(9.0)).since == 1.0
+    assert seen.again(row(reason="x", requested_for="b", url="http://c"), Monotonic(9.0)).since == 1.0
     for change in ({"until": 106.0}, {"epoch": 4}, {"holder": "b"}, {"instance": "x"}, {"released": "a1"}):
         assert seen.again(row(**change), Monotonic(9.0)).since == 9.0
     assert seen.again(None, Monotonic(9.0)).since == 9.0

@@ -14,9 +14,9 @@ CREATE TABLE home (
     -- The instance, once it has given the bus up.
     released TEXT NOT NULL,
     -- What a person asked for: which server is to take the bus, and until when that holds.
-    wished_by TEXT NOT NULL,
-    wished_for TEXT NOT NULL,
-    wish_ends REAL NOT NULL
+    requested_by TEXT NOT NULL,
+    requested_for TEXT NOT NULL,
+    request_ends REAL NOT NULL
 );
 -- The highest epoch of each bus. It outlives a row that is deleted by hand, and shows that it was there.
 CREATE TABLE home_epoch (

@@ -37,12 +37,12 @@ MAX_END_S = 3.0
 
 log = structlog.get_logger()
 
-Lifetime = Callable[[], AbstractAsyncContextManager[None]]
+HomeLifetime = Callable[[], AbstractAsyncContextManager[None]]
 
 
 class HomeTerms(NamedTuple):
-    """What the configuration says of a bus. ``permitted``: this server may be its home; ``automatic``: it is
-    taken over without a person, and therefore given up where the lease cannot be renewed."""
+    """What the configuration states of a bus. ``permitted``: this server may be its home; ``automatic``: it
+    is taken over without a person, and therefore given up where the lease cannot be renewed."""
 
     permitted: bool
     automatic: bool
@@ -57,7 +57,7 @@ class HomeKeeper:
         store: HomeStore,
         events: EventLog,
         terms: Mapping[str, HomeTerms],
-        lifetimes: Mapping[str, Lifetime],
+        lifetimes: Mapping[str, HomeLifetime],
         ports: Ports,
         *,
         monotonic: MonotonicClock = monotonic_now,
@@ -71,7 +71,7 @@ class HomeKeeper:
         self._sightings = dict.fromkeys(terms, UNSEEN)
         self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
         self._leases: dict[str, Lease] = {}
-        """What is renewed: also what is being given up, until its port is closed."""
+        """Those that are renewed: also those being given up, until its port is closed."""
         self._wake = asyncio.Event()
         self._all_released = asyncio.Event()
         self._away = ""
@@ -111,7 +111,7 @@ class HomeKeeper:
         works = (self._beat_without_end, self._watch)
         tasks = [asyncio.create_task(work()) for work in works]
         try:
-            # What is free at the start is loaded before anything is served.
+            # The buses that are free at the start are loaded before anything is served.
             await asyncio.gather(*(self._lives[bus].settled.wait() for bus in tuple(self._leases)))
             yield
         finally:
@@ -175,7 +175,9 @@ class HomeKeeper:
         self._give_up(bus)
         if lease is not None:
             log.error("home lost", bus=bus or "site", epoch=lease.epoch, why=str(why))
-            task = asyncio.create_task(self._record("lost", bus, lease.epoch, "", why))
+            task = asyncio.create_task(
+                self._record("event_home_lost" if bus else "event_home_site_lost", bus, lease.epoch, "", why)
+            )
             self._lives[bus].records.add(task)
             task.add_done_callback(self._lives[bus].records.discard)
 
@@ -262,7 +264,7 @@ class HomeKeeper:
                 self._lose(bus, Message("home_reason_changed"))
                 continue
             self._renewed(bus, lease.renewed(began))
-            if row.wish(beat.now) not in ("", self._homes.server):
+            if row.request(beat.now) not in ("", self._homes.server):
                 self._give_up(bus)
 
     def _is_mine(self, row: HomeRow, lease: Lease) -> bool:
@@ -321,10 +323,10 @@ class HomeKeeper:
         log.info("home taken", bus=bus or "site", epoch=taken.epoch, why=taken.reason)
         by_person = taken.reason != str(reason)
         why = taken.reason if by_person else reason
-        await self._record("taken", bus, taken.epoch, taken.wished_by if by_person else "", why)
+        code = "event_home_taken" if bus else "event_home_site_taken"
+        await self._record(code, bus, taken.epoch, taken.requested_by if by_person else "", why)
 
-    async def _record(self, what: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
-        code = f"event_home_{what}" if bus else f"event_home_site_{what}"
+    async def _record(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
         event = Message.of(code, server=self._homes.server, epoch=epoch)
         try:
             await self._events.record(kind="home", who=who, bus=bus or None, what=event, message=why)
@@ -348,7 +350,7 @@ class HomeKeeper:
         self._homes.faults = tuple(faults)
 
     def _lives_on(self, bus: str) -> bool:
-        """Whether the row was renewed since this process looks: else it is of its own former run."""
+        """Whether the row was renewed since this process looks: else it is of its former run."""
         return self._sightings[bus].changes > 1
 
 

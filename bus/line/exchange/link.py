@@ -199,7 +199,7 @@ class Link:
     def _count(self, ended: CurrentExchange) -> None:
         exchange = ended.exchange
         if ended.unexpected and exchange.reply is not None:
-            self.second_master.heard(ended.ended)
+            self.second_master.note(ended.ended)
         self.counts.busy_s += self._least_s(exchange)
         if exchange.reply is not None:
             self._last_response = exchange.frame
@@ -284,7 +284,7 @@ class Link:
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
                 if self._current is None and isinstance(event, Foreign):
-                    self.second_master.heard(now)
+                    self.second_master.note(now)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
 

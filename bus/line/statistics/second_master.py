@@ -1,9 +1,9 @@
 """Whether another host sends on the same wire. Pure.
 
-A host does not hear another one's requests, only what the units respond to them: frames that come beside the
-response to its own request, or while it awaits none. A unit with a wrong address is not that: it responds in
-the place of the one that was requested. Two hosts that write would set each other's speeds, so this one stops
-writing, but for what stops a unit.
+A host does not receive the requests of another, only what the units respond to them: frames that come
+beside the response to its own request, or while it awaits none. A unit with a wrong address is not that: it
+responds in the place of the one that was requested. Two hosts that write would set each other's speeds, so
+this one stops writing, but for what stops a unit.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections import deque
 
 from bus.instants import Monotonic
 
-MIN_HEARD = 3
+MIN_RESPONSES = 3
 """Fewer are chance."""
 WITHIN_S = 2.0
 CLEAR_AFTER_S = 10.0
@@ -20,16 +20,16 @@ CLEAR_AFTER_S = 10.0
 
 
 class SecondMaster:
-    """``heard`` each unrequested response; ``is_present`` while nothing is to be written."""
+    """``note`` each unrequested response; ``is_present`` while nothing is to be written."""
 
     def __init__(self) -> None:
-        self._heard: deque[Monotonic] = deque(maxlen=MIN_HEARD)
+        self._noted: deque[Monotonic] = deque(maxlen=MIN_RESPONSES)
         self._until: Monotonic | None = None
 
-    def heard(self, now: Monotonic) -> None:
+    def note(self, now: Monotonic) -> None:
         """A unit responded to what this host did not request."""
-        self._heard.append(now)
-        is_frequent = len(self._heard) == MIN_HEARD and now - self._heard[0] <= WITHIN_S
+        self._noted.append(now)
+        is_frequent = len(self._noted) == MIN_RESPONSES and now - self._noted[0] <= WITHIN_S
         if is_frequent or self.is_present(now):
             self._until = now + CLEAR_AFTER_S
 
