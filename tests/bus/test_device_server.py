@@ -103,7 +103,7 @@ async def test_one_that_lost_its_power_is_noticed_by_what_it_does_not_confirm(li
     port.close()
 
 
-IN_USE = 'in use by another client: the device server says "Port already in use"'
+IN_USE = 'in use by another client: the device server reports "Port already in use"'
 
 
 @pytest.mark.parametrize(
