@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from app.database import Database, StoreConnection, engine
@@ -11,6 +11,8 @@ from bus.contract import MAX_EPOCH
 from bus.instants import MonotonicClock, UnixTime
 
 LOCK = "home"
+CHANNEL = "home"
+"""Notified of a bus that was released or requested, and is to be looked at at once."""
 NO_TIME = UnixTime(0.0)
 _COLUMNS = ", ".join(HomeRow._fields)
 _UPSERT_EPOCH = engine.upsert("home_epoch", ("bus",), ("epoch",))
@@ -32,6 +34,10 @@ class HomeStore:
     def __init__(self, database: Database, monotonic: MonotonicClock) -> None:
         self._database = database
         self._monotonic = monotonic
+
+    def listen(self, callback: Callable[[], None]) -> None:
+        """Call ``callback`` on this event loop where a bus was released or requested by any server."""
+        self._database.listen(CHANNEL, lambda _: callback())
 
     async def beat(self, server: str, instance: str, url: str, epochs: Mapping[str, int]) -> Beat:
         """Renew what this process holds, by bus and epoch, where the row agrees; then read all rows."""
@@ -139,6 +145,7 @@ class HomeStore:
                 "UPDATE home SET released = instance WHERE bus = ? AND instance = ? AND epoch = ?",
                 (bus, instance, epoch),
             )
+            engine.notify(connection, CHANNEL, bus or "site")
 
         await self._database.write(release)
 
@@ -153,6 +160,8 @@ def request_home(database: Database, bus: str, server: str, *, who: str, reason:
             "UPDATE home SET requested_by = ?, requested_for = ?, request_ends = ?, reason = ? WHERE bus = ?",
             (who, server, ends, reason, bus),
         )
+        if changed.rowcount:
+            engine.notify(connection, CHANNEL, bus)
         return changed.rowcount > 0
 
     return database.write_now(request)

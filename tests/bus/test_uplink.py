@@ -223,3 +223,40 @@ async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker()
         assert not linking.done()
         linking.cancel()
     assert "no dashboard at ws://a..b:8000/feed" in logs[0]["why"]
+
+
+async def test_a_worker_goes_to_the_home_that_is_among_its_apps() -> None:
+    async with FakeApp() as a, FakeApp() as b:
+        a.refuses, a.home = "not here", b.url
+        outbox, receiver = Outbox(), FakeReceiver()
+        uplink = Uplink(
+            [a.url, "http://127.0.0.1:9", b.url], TOKEN, outbox, receiver, ClockOffset(), time.time
+        )
+        running = asyncio.create_task(uplink.run())
+        await b.until(b.snapshots)
+        assert len(a.messages) == 1, "it was not tried again"
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_worker_follows_no_address_that_it_was_not_started_with() -> None:
+    """An attacker's server could else collect tokens by naming itself."""
+    with capture_logs() as logs:
+        async with FakeApp() as a, FakeApp() as stranger:
+            a.refuses, a.home = "not here", stranger.url
+            uplink = Uplink([a.url], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            for _ in range(3):
+                assert await uplink._attempt()
+            assert stranger.messages == []
+    assert f"its home is {stranger.url}" in logs[0]["why"]
+
+
+async def test_a_former_home_is_refused_by_the_worker() -> None:
+    with capture_logs() as logs:
+        async with FakeApp() as app:
+            receiver = FakeReceiver()
+            receiver.epoch, app.epoch = 9, 8
+            uplink = Uplink([app.url], TOKEN, Outbox(), receiver, ClockOffset(), time.time)
+            assert await uplink._attempt()
+            assert app.snapshots() == []
+    assert "it was the home of the bus before (epoch 8)" in logs[0]["why"]

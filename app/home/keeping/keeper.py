@@ -88,10 +88,6 @@ class HomeKeeper:
         finally:
             renumbering.cancel()
 
-    def wake(self) -> None:
-        """Look at the store at once."""
-        self._wake.set()
-
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         beat = await self._store.take_all(self._homes.server, self.instance, self._homes.url, self._terms)
@@ -107,6 +103,7 @@ class HomeKeeper:
     @asynccontextmanager
     async def _leased(self) -> AsyncIterator[None]:
         lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
+        self._store.listen(self._wake.set)
         await self.beat()
         works = (self._beat_without_end, self._watch)
         tasks = [asyncio.create_task(work()) for work in works]
