@@ -114,7 +114,8 @@ def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: U
     if request not in ("", claimant.server):
         return "promised"
     if not row.is_released and not _is_over(row, sighting, now, store_now):
-        return "held_by_namesake" if row.holder == claimant.server else "held"
+        is_namesake = row.holder == claimant.server and row.instance != claimant.instance
+        return "held_by_namesake" if is_namesake else "held"
     if request or claimant.automatic or row.holder == claimant.server:
         return "may_take"
     return "local"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from dataclasses import dataclass
 
 from msgspec.structs import replace
 
 from bus.contract import Command, LeaseLeft, LeaseRequest, SetSpeed, Welcome
+from bus.instants import unix_now
 from tests.app.stage import Stage, hello, until
 
 
@@ -53,7 +53,7 @@ async def test_a_worker_is_sent_to_the_home_of_its_bus(stage: Stage) -> None:
 async def test_the_home_gives_its_epoch_with_the_welcome_and_each_command(stage: Stage) -> None:
     at(stage, PlayedHome())
     worker = await stage.worker()
-    sending = asyncio.create_task(stage.channel.send(Command("a", time.time() + 2, SetSpeed(1, 5))))
+    sending = asyncio.create_task(stage.channel.send(Command("a", unix_now() + 2, SetSpeed(1, 5))))
     command = await worker.receive(Command)
     assert isinstance(command, Command)
     assert command.epoch == 5
@@ -65,7 +65,7 @@ async def test_a_server_that_is_not_the_home_sends_no_command(stage: Stage) -> N
     home = at(stage, PlayedHome())
     worker = await stage.worker()
     home.is_here = False
-    result = await stage.channel.send(Command("a", time.time() + 2, SetSpeed(1, 5)))
+    result = await stage.channel.send(Command("a", unix_now() + 2, SetSpeed(1, 5)))
     assert (result.outcome, str(result.message)) == (
         "not_sent",
         "this server is not the home of the bus now; nothing was sent",
@@ -94,7 +94,7 @@ async def test_what_is_open_when_the_home_is_lost_is_unverified_and_the_worker_l
     at(stage, PlayedHome())
     async with stage.feed.at_home():
         worker = await stage.worker()
-        sending = asyncio.create_task(stage.channel.send(Command("a", time.time() + 20, SetSpeed(1, 5))))
+        sending = asyncio.create_task(stage.channel.send(Command("a", unix_now() + 20, SetSpeed(1, 5))))
         await worker.receive(Command)
     result = await sending
     assert result.outcome == "unverified"

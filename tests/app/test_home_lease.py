@@ -57,6 +57,7 @@ SEEN_LONG = 100.0
         (row(), B, 4.9, 105.0, "held"),
         (row(), B, 60.0, 104.9, "held"),
         (row(), A, 1.0, 101.0, "held_by_namesake"),
+        (row(), Claimant("a", "a1"), 1.0, 101.0, "held"),
         (row(), A, 5.0, 106.0, "may_take"),
         (row(), B_MANUAL, 60.0, 200.0, "local"),
         (row(), A._replace(automatic=False), 60.0, 200.0, "may_take"),
@@ -98,10 +99,19 @@ def test_a_renewal_that_takes_long_counts_from_when_it_was_begun() -> None:
 
 def test_a_request_and_a_reason_are_no_sign_of_life() -> None:
     seen = Sighting(row(), Monotonic(1.0), 1)
-    assert seen.again(row(reason="x", requested_for="b", url="http://c"), Monotonic(9.0)).since == 1.0
-    for change in ({"until": 106.0}, {"epoch": 4}, {"holder": "b"}, {"instance": "x"}, {"released": "a1"}):
-        assert seen.again(row(**change), Monotonic(9.0)).since == 9.0
-    assert seen.again(None, Monotonic(9.0)).since == 9.0
+    assert seen.again(row(reason="x", requested_for="b", url="http://c"), Monotonic(9.0)).since == Monotonic(
+        1.0
+    )
+    for change in (
+        {"until": 106.0},
+        {"renewals": 8},
+        {"epoch": 4},
+        {"holder": "b"},
+        {"instance": "x"},
+        {"released": "a1"},
+    ):
+        assert seen.again(row(**change), Monotonic(9.0)).since == Monotonic(9.0)
+    assert seen.again(None, Monotonic(9.0)).since == Monotonic(9.0)
 
 
 # --- the second model ---------------------------------------------------------------------------------
@@ -116,9 +126,9 @@ class Process:
     sighting: Sighting = UNSEEN
     lease: Lease | None = None
     frozen_until: float = 0.0
-    began: float | None = None
+    began: Monotonic | None = None
     """When it began a renewal that the store has not carried out yet."""
-    stored: float | None = None
+    stored: Monotonic | None = None
     """The same, once the store has; the process has not learned of it."""
     read: tuple[HomeRow | None, int] = (None, 0)
     is_reading: bool = False
@@ -182,7 +192,7 @@ class World:
     def carry_out(self, process: Process) -> None:
         lease, stored = process.lease, self.row
         if lease is not None and stored is not None and self.is_of(stored, process, lease):
-            until, renewals = UnixTime(self.store_now + LEASE_S), stored.renewals + 1
+            until, renewals = self.store_now + LEASE_S, stored.renewals + 1
             self.row = stored._replace(until=until, renewals=renewals)
         process.read = self.row, max(self.epochs, default=0)
         process.stored, process.began = process.began, None
@@ -197,7 +207,7 @@ class World:
             if read is None or not self.is_of(read, process, process.lease):
                 process.lease = None
             else:
-                process.lease = process.lease.renewed(Monotonic(began))
+                process.lease = process.lease.renewed(began)
             return
         begun = process.clock(self.true)
         seen = process.sighting.again(self.row, begun, max(self.epochs, default=0))
@@ -226,7 +236,7 @@ class World:
         change = self.chance.choice(("until", "gone", "holder", "epoch", "instance"))
         values = {"until": UnixTime(self.chance.choice((0.0, 9e9))), "holder": "b", "epoch": 1}
         values["instance"] = self.chance.choice(("", "b1", "x"))
-        self.row = None if change == "gone" else self.row._replace(**{change: values[change]})
+        self.row = None if change == "gone" else self.row._replace(**{change: values[change]})  # type: ignore[arg-type]
 
     def judge(self) -> None:
         """At most one process may write."""

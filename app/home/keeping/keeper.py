@@ -48,6 +48,14 @@ class HomeTerms(NamedTuple):
     automatic: bool
 
 
+class _Renewal(NamedTuple):
+    """One that the store is carrying out; ``epochs``: what is renewed, by bus."""
+
+    began: Monotonic
+    epochs: Mapping[str, int]
+    task: asyncio.Task[Beat]
+
+
 class HomeKeeper:
     """Runs the lifespan of each bus whose home is here."""
 
@@ -72,6 +80,9 @@ class HomeKeeper:
         self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
         self._leases: dict[str, Lease] = {}
         """Those that are renewed: also those being given up, until its port is closed."""
+        self._under_way: _Renewal | None = None
+        self._records: set[asyncio.Task[None]] = set()
+        """Events that are being written."""
         self._wake = asyncio.Event()
         self._all_released = asyncio.Event()
         self._away = ""
@@ -122,6 +133,9 @@ class HomeKeeper:
             for task in (*tasks, *lives):
                 task.cancel()
             await asyncio.gather(*tasks, *lives, return_exceptions=True)
+            left = {*self._records, *(() if self._under_way is None else (self._under_way.task,))}
+            if left:
+                await asyncio.wait(left, timeout=BEAT_WITHIN_S)
 
     async def _released(self) -> None:
         """Wait until every home is given up, or for `MAX_END_S`."""
@@ -172,11 +186,7 @@ class HomeKeeper:
         self._give_up(bus)
         if lease is not None:
             log.error("home lost", bus=bus or "site", epoch=lease.epoch, why=str(why))
-            task = asyncio.create_task(
-                self._record("event_home_lost" if bus else "event_home_site_lost", bus, lease.epoch, "", why)
-            )
-            self._lives[bus].records.add(task)
-            task.add_done_callback(self._lives[bus].records.discard)
+            self._record("event_home_lost" if bus else "event_home_site_lost", bus, lease.epoch, "", why)
 
     # --- the epoch -----------------------------------------------------------------------------
 
@@ -222,13 +232,22 @@ class HomeKeeper:
 
     async def beat(self) -> None:
         """Renew what is held, see the rows of all, and take what may be taken."""
-        began = self._monotonic()
-        epochs = {bus: lease.epoch for bus, lease in self._leases.items()}
+        looked = self._monotonic()
+        if self._under_way is None:
+            held = {bus: lease.epoch for bus, lease in self._leases.items()}
+            renewal = self._store.beat(self._homes.server, self.instance, self._homes.url, held)
+            self._under_way = _Renewal(looked, held, asyncio.create_task(renewal))
+        # One at a time: a store that does not respond must not find many of them when it does.
+        began, epochs, task = self._under_way
+        await asyncio.wait({task}, timeout=BEAT_WITHIN_S)
+        if not task.done():
+            self._store_is_away(looked, "it does not respond")
+            return
+        self._under_way = None
         try:
-            async with asyncio.timeout(BEAT_WITHIN_S):
-                beat = await self._store.beat(self._homes.server, self.instance, self._homes.url, epochs)
-        except (StoreError, TimeoutError) as error:
-            self._store_is_away(began, str(error) or "it does not respond")
+            beat = task.result()
+        except StoreError as error:
+            self._store_is_away(looked, str(error))
             return
         self._away = ""
         self._see(beat, began, epochs)
@@ -321,9 +340,15 @@ class HomeKeeper:
         by_person = taken.reason != str(reason)
         why = taken.reason if by_person else reason
         code = "event_home_taken" if bus else "event_home_site_taken"
-        await self._record(code, bus, taken.epoch, taken.requested_by if by_person else "", why)
+        self._record(code, bus, taken.epoch, taken.requested_by if by_person else "", why)
 
-    async def _record(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
+    def _record(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
+        """Write the event of a home; the renewals do not wait for it."""
+        task = asyncio.create_task(self._write_event(code, bus, epoch, who, why))
+        self._records.add(task)
+        task.add_done_callback(self._records.discard)
+
+    async def _write_event(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
         event = Message.of(code, server=self._homes.server, epoch=epoch)
         try:
             await self._events.record(kind="home", who=who, bus=bus or None, what=event, message=why)

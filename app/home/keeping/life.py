@@ -49,8 +49,6 @@ class HomeLife:
         self.settled = asyncio.Event()
         """Set once its parts run, or could not start."""
         self.is_on = False
-        self.records: set[asyncio.Task[None]] = set()
-        """Events that are being written."""
 
     def hold(self) -> None:
         """The lease was taken: what belongs to the bus begins."""
