@@ -108,7 +108,9 @@ async def start(tmp_path: Path) -> AsyncIterator[Start]:
 
 async def until(true: Callable[[], object]) -> None:
     async with asyncio.timeout(PATIENCE_S):
-        while not true():
+        while True:
+            if true():
+                return
             await asyncio.sleep(0.01)
 
 
