@@ -25,7 +25,7 @@ from tests.e2e.limits import CALL_S
 from tests.e2e.site import command, eventually
 from tests.free_port import free_port
 from tests.path.independent_unit import Unit, cut_frame
-from tests.postgresql import emptied_database, needs_postgresql
+from tests.postgresql import fresh_database, needs_postgresql
 
 PASSWORD = "correct horse battery"
 BAUD = 9600
@@ -152,7 +152,7 @@ port = "socket://127.0.0.1:{device.port}"
 def two_servers(folder: Path) -> Iterator[tuple[Host, Host, DeviceServer]]:
     """The first is the home of the bus when this begins."""
     device = DeviceServer({number: Unit(number, commanded=1000, actual=1000) for number in (1, 2)})
-    with ExitStack() as stack, emptied_database() as store:
+    with ExitStack() as stack, fresh_database() as store:
         stack.callback(device.close)
         hosts: list[Host] = []
         token = ""
