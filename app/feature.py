@@ -22,8 +22,7 @@ class Services(Registry):
     for what every server does, :meth:`at_home` for what one server does for a bus.
 
     ``demo``: requests from this machine are signed in. ``worker_tokens``: by bus, the token with which the
-    server's own worker opens /feed. ``ports``: what runs the workers of buses whose home is here;
-    ``is_shared``: other servers may use the store, too.
+    server's own worker opens /feed. ``ports``: what runs the workers of buses whose home is here.
     """
 
     def __init__(
@@ -33,19 +32,19 @@ class Services(Registry):
         demo: bool,
         worker_tokens: Mapping[str, str],
         ports: Ports = NO_PORTS,
-        is_shared: bool = False,
     ) -> None:
         super().__init__((settings,), {bus.name: () for bus in settings.bus})
         self.settings = settings
         self.demo = demo
         self.worker_tokens = worker_tokens
         self.ports = ports
-        self.is_shared = is_shared
+        self.is_shared = bool(settings.store.url)
+        """Whether other servers may use the store, too."""
         self.lifespan = Lifespan()
         self.lifespans_at_home = {bus: Lifespan() for bus in (SITE, *self.buses)}
 
     def at_home(self, bus: str = SITE) -> Lifespan:
-        """What runs for a bus, or for the whole site, while its home is this server: loaded each time, since
+        """What runs for a bus, or for the site, while its home is this server: loaded each time, since
         another server may have had it meanwhile."""
         return self.lifespans_at_home[bus]
 

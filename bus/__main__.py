@@ -33,16 +33,21 @@ def main(arguments: list[str] | None = None) -> int:
     except ConfigurationError as error:
         return _wrong(error.message)
     structlog.contextvars.bind_contextvars(bus=bus.name)
-    return run(bus, options.app, token, child=options.child)
+    return run(bus, options.app, token, child=options.child, leased=options.leased)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bus", description="One Lineside bus worker.")
     parser.add_argument("--config", type=Path, required=True, help="lineside.toml")
     parser.add_argument("--bus", required=True, help="the name of the [[bus]]")
-    parser.add_argument("--app", required=True, help="the dashboard, for example http://127.0.0.1:8000")
+    parser.add_argument(
+        "--app", required=True, action="append", help="a dashboard, for example http://127.0.0.1:8000"
+    )
     parser.add_argument(
         "--child", action="store_true", help="token from standard input; leave when the parent is gone"
+    )
+    parser.add_argument(
+        "--leased", action="store_true", help="use the port only while the dashboard is the home of the bus"
     )
     return parser
 

@@ -135,7 +135,7 @@ def worker_calls_of_a_reading(calls: Calls) -> None:
         await line.until(lambda: len(line.worker.outbox) > 2)
         before, socket = len(line.worker.outbox), PlayedSocket()
         worker = line.worker
-        uplink = Uplink("ws://app", "", worker.outbox, worker, worker.app_clock, time.time)
+        uplink = Uplink(["ws://app"], "", worker.outbox, worker, worker.app_clock, time.time)
         with calls.watched():
             await line.until(lambda: len(worker.outbox) > before)
             sending = asyncio.create_task(uplink._send(cast(ClientConnection, socket)))

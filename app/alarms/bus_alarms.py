@@ -182,7 +182,8 @@ class BusAlarms:
             if unit.unit in self._monitors:
                 self._monitors[unit.unit].see_figures(unit, now)
         self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
-        self._observe(self._second_master, self._foreign.judged(SECOND_MASTER.holds), now)
+        is_present = figures.has_second_master or self._foreign.judged(SECOND_MASTER.holds)
+        self._observe(self._second_master, is_present, now)
 
     # --- suppression ----------------------------------------------------------------------------------
 

@@ -77,7 +77,8 @@ class LineAlarms:
                 index.pop(definition.key, None)
 
     async def write(self, bus: str | None = None) -> None:
-        """Bring to disk what is not there yet, as far as it can be: of a bus, of the site (``""``), or all."""
+        """Bring to disk what is not there yet, as far as it can be: of a bus, of the site (``""``), or of
+        all."""
         for each in self._lists if bus is None else (self.list_of(bus),):
             for work in (each.write, each.record_observed):
                 with suppress(StoreError):

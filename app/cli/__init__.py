@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "status": ("status", "Show whether the dashboard of a configuration runs."),
     "user": ("accounts", "Manage users: add, list, password, remove."),
     "token": ("accounts", "Manage tokens of programs: create, list, revoke."),
+    "home": ("home", "Show which server is the home of each bus: take."),
     "certificate": ("certificate", "Create and renew certificates of server and workers: create."),
     "audit": ("audit", "Verify the event log: verify, rotate-key."),
     "backup": ("backup", "Write the parameters of a unit or a bus to a file."),

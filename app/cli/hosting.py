@@ -70,33 +70,47 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
 async def _host(
     settings: Settings, config: Path, listening: socket.socket, feed: socket.socket | None, *, demo: bool
 ) -> None:
-    """The workers begin while the dashboard is still being read, and end before it does. ``feed``: where they
-    find it; None: where browsers do."""
+    """The workers begin while the dashboard is still being read, and end before it does; where servers share
+    the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do."""
     address, port = listening.getsockname()[:2]
     url = url_of(address, port, "http" if feed is None else "https")
     feed_url = url_of(*(feed or listening).getsockname()[:2])
     # Not by app.auth, which imports FastAPI: the workers begin before that takes its quarter of a second.
     tokens = {bus.name: secrets.token_urlsafe(32) for bus in settings.bus}
-    workers = WorkerProcesses(config, tokens, feed_url)
+    leased = bool(settings.store.url)
+    workers = WorkerProcesses(config, tokens, feed_url, leased=leased)
     stopping = _stop_requested()
-    workers.start()
+    if not leased:
+        workers.start_all()
     try:
         with loading():
             if (module := await _server_module(stopping)) is None:
                 return
             server = module.Server(
-                settings, demo, tokens, lambda: report(Message.of("dashboard_at", url=url)), feed
+                with_port(settings, port) if leased else settings,
+                demo,
+                tokens,
+                lambda: report(Message.of("dashboard_at", url=url)),
+                feed,
+                workers if leased else None,
             )
         workers.watch(server.worker_responds)
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
     finally:
         stopping.cancel()
-        await workers.stop()
+        await workers.stop_all()
     server.end()
     await serving
     if not server.started:
         raise HostingError(Message("dashboard_not_started"))
+
+
+def with_port(settings: Settings, port: int) -> Settings:
+    """With the port that was taken, where any free one may be."""
+    taken = settings.model_copy(update={"server": settings.server.model_copy(update={"port": port})})
+    taken._file = settings._file
+    return taken
 
 
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:

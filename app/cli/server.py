@@ -14,6 +14,7 @@ from starlette.types import ASGIApp
 
 from app.feature import Services
 from app.feed.workers import Workers
+from app.home.keeping.life import NO_PORTS, Ports
 from app.live.api.line_stream import LineStream
 from app.main import create_app
 from app.server.accepting import accept_connections
@@ -44,11 +45,13 @@ class Server(uvicorn.Server):
         worker_tokens: Mapping[str, str],
         serving: Callable[[], None],
         feed: socket.socket | None = None,
+        ports: Ports | None = None,
     ) -> None:
-        """``feed``: where its own workers connect in clear, beside HTTPS."""
+        """``feed``: where its own workers connect in clear, beside HTTPS; ``ports``: what runs them, where
+        each begins and ends with the home of its bus."""
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
-        app = create_app(settings, demo=demo, worker_tokens=worker_tokens)
+        app = create_app(settings, demo=demo, worker_tokens=worker_tokens, ports=ports or NO_PORTS)
         self.services: Services = app.state.services
         self.worker_responds: Callable[[str], bool] = self.services[Workers].responds
         refusals, errors = self.services[RefusalLog], ErrorLines()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,7 +21,12 @@ WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 def worker(
     bus: Annotated[str, typer.Option(help="Name of the bus in the configuration.")],
-    app: Annotated[str, typer.Option(help="Address of the dashboard, http://host:port.")],
+    app: Annotated[
+        list[str],
+        typer.Option(
+            help="Address of a dashboard that may be the home of the bus, http://host:port; may be repeated."
+        ),
+    ],
     token: TokenOption = "",
     token_file: TokenFile = None,
     config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
@@ -33,8 +39,9 @@ def worker(
     key: Annotated[Path | None, typer.Option(help="Its private key.")] = None,
 ) -> None:
     """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
-    if not app.startswith(("http://", "https://", "ws://", "wss://")):
-        raise CallerError(Message.of("app_url_malformed", url=app))
+    for url in app:
+        if not url.startswith(("http://", "https://", "ws://", "wss://")):
+            raise CallerError(Message.of("app_url_malformed", url=url))
     bearer = bearer_token(token, token_file, WORKER_TOKEN_VARIABLE)
     settings = load_bus(config, bus)
     tls = _tls(app, ca, certificate, key)
@@ -43,11 +50,13 @@ def worker(
     raise typer.Exit(run(settings, app, bearer, tls=tls))
 
 
-def _tls(app: str, ca: Path | None, certificate: Path | None, key: Path | None) -> UplinkTls | None:
+def _tls(
+    apps: Sequence[str], ca: Path | None, certificate: Path | None, key: Path | None
+) -> UplinkTls | None:
     """What secures the link. Raises CallerError for options that do not fit and files that cannot be used."""
-    if not app.startswith(("https://", "wss://")):
+    if not any(url.startswith(("https://", "wss://")) for url in apps):
         if ca or certificate or key:
-            raise CallerError(Message.of("app_url_in_clear", url=app))
+            raise CallerError(Message.of("app_url_in_clear", url=apps[0]))
         return None
     if (certificate is None) != (key is None):
         raise CallerError(Message("certificate_without_key"))

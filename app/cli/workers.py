@@ -27,35 +27,53 @@ GRACE_S = 2.3
 
 class WorkerProcesses:
     """One child for each bus, over the same WebSocket as a worker far away. ``tokens``: by bus, what its
-    child opens the feed with."""
+    child opens the feed with; ``leased``: it uses its port only while this server is the home of the bus."""
 
-    def __init__(self, config: Path, tokens: Mapping[str, str], app_url: str) -> None:
+    def __init__(
+        self, config: Path, tokens: Mapping[str, str], app_url: str, *, leased: bool = False
+    ) -> None:
+        self._leased = leased
         self._config = config
         self._tokens = tokens
         self._app_url = app_url
         self._environment = tied_environment()
         self._processes: dict[str, Process] = {}
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._is_ended = False
         self._responds: Callable[[str], bool] | None = None
 
-    def start(self) -> None:
+    def start_all(self) -> None:
         """Start them all, and keep them."""
         for bus in self._tokens:
+            self.start(bus)
+
+    def start(self, bus: str) -> None:
+        """Start the worker of a bus, and keep it; nothing for the site, which has none."""
+        if bus in self._tokens and bus not in self._tasks and not self._is_ended:
             task = asyncio.create_task(self._keep(bus), name=f"keep worker of {bus}")
             task.add_done_callback(_log_failure)
-            self._tasks.append(task)
+            self._tasks[bus] = task
 
     def watch(self, responds: Callable[[str], bool]) -> None:
         """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
         worker of a bus did since the last call."""
         self._responds = responds
 
-    async def stop(self) -> None:
+    async def stop_all(self) -> None:
         """End them all: by SIGTERM, and by SIGKILL after the grace."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        await asyncio.gather(*(end(process, GRACE_S) for process in self._processes.values()))
+        self._is_ended = True
+        await asyncio.gather(*map(self.stop, tuple(self._tasks)))
+
+    async def stop(self, bus: str) -> None:
+        """End one, in the same way; its port is closed when this returns."""
+        task = self._tasks.pop(bus, None)
+        if task is None:
+            return
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        process = self._processes.pop(bus, None)
+        if process is not None:
+            await end(process, GRACE_S)
 
     async def _keep(self, bus: str) -> None:
         delay = ReconnectDelay(random.random)
@@ -68,7 +86,9 @@ class WorkerProcesses:
 
     async def _run(self, bus: str) -> int:
         """Start one, watch it and wait for its end; return its exit code."""
-        called = ("-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url)
+        called = ["-P", "-m", "bus", "--config", str(self._config), "--bus", bus, "--app", self._app_url]
+        if self._leased:
+            called.append("--leased")
         # In its own process group: Ctrl-C reaches it through the parent.
         process = await asyncio.create_subprocess_exec(
             sys.executable, *called, "--child", stdin=PIPE, env=self._environment, preexec_fn=os.setpgrp

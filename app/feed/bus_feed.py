@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable
+import math
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -14,6 +16,7 @@ from app.feed.holders import Credential, Ending, Holder
 from app.feed.ingest import Ingest, IngestPosition
 from app.feed.late import Coverage
 from app.feed.rates import FeedQuota
+from app.home.homes import BusHome
 from app.live.state.bus_live import NO_WORKER
 from app.pipeline import Pipeline
 from bus.contract import CONTRACT_VERSION, Hello, MalformedMessageError, Welcome
@@ -25,6 +28,7 @@ _log = structlog.get_logger()
 HELD = Message("worker_bus_held")
 TIMED_OUT = Message("worker_silent")
 MALFORMED = Message("worker_malformed")
+NOT_AT_HOME = Message("worker_not_at_home")
 REPLACED = "another worker connected for this bus"
 TICK_S = 1.0
 TIMEOUT_TICKS = 5
@@ -60,6 +64,7 @@ class BusFeed:
 
     _channel: Channel
     _pipeline: Pipeline
+    home: BusHome | None = None
     monotonic: MonotonicClock = monotonic_now
     timeout_ticks: int = TIMEOUT_TICKS
     coverage: Coverage = field(default_factory=Coverage)
@@ -70,8 +75,22 @@ class BusFeed:
     _watches: set[asyncio.Task[None]] = field(default_factory=set)
 
     async def load(self, newest: Awaitable[UnixTime | None]) -> None:
-        """Once at start: up to the newest stored reading, the bus was followed."""
+        """When the home of the bus is taken: up to the newest stored reading, the bus was followed."""
         self.coverage.until = await newest
+        # A worker that was at another home meanwhile numbers its batches by that.
+        self._received, self._holder = IngestPosition(""), None
+
+    @asynccontextmanager
+    async def at_home(self) -> AsyncIterator[None]:
+        """Serve the worker while the home of the bus is here; it is sent away before anything else ends."""
+        try:
+            yield
+        finally:
+            connection = self._connection
+            self._channel.end()
+            if connection is not None:
+                self._release(connection, NO_WORKER, Ending.LOST)
+                await connection.close(str(NOT_AT_HOME))
 
     @property
     def has_own_worker(self) -> bool:
@@ -93,6 +112,10 @@ class BusFeed:
     ) -> None:
         """Serve a worker to its end, or send it away where it is ``refused`` or the bus is another's. Raises
         ConnectionError when it is gone before it was admitted."""
+        if refused is None and (elsewhere := await self._not_at_home(hello)) is not None:
+            home_url = self.home.url if self.home is not None and not self.home.is_here else ""
+            await send_away(connection, elsewhere, unix_now(), home_url)
+            return
         holder = self._holder
         if refused is None and holder is not None:
             is_free = holder.yields_to(hello.worker, credential, self.monotonic())
@@ -108,6 +131,16 @@ class BusFeed:
             await self._serve_holder(hello, connection, former)
         finally:
             self._release(connection, NO_WORKER, Ending.LOST)
+
+    async def _not_at_home(self, hello: Hello) -> Message | None:
+        """Why this server is not the home that a worker looks for."""
+        if self.home is None:
+            return None
+        if not self.home.is_here:
+            return NOT_AT_HOME
+        if hello.epoch > self.home.epoch and not await self.home.outnumber(hello.epoch):
+            return Message.of("worker_saw_higher_epoch", seen=hello.epoch, epoch=self.home.epoch)
+        return None
 
     def _take(
         self, hello: Hello, connection: WorkerConnection, credential: Credential
@@ -130,7 +163,8 @@ class BusFeed:
             await former.close(REPLACED)
         connection.admit()
         try:
-            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now()))
+            epoch = self.home.epoch if self.home is not None else 0
+            await connection.send(Welcome(CONTRACT_VERSION, self._received.seq, unix_now(), epoch=epoch))
             await self._follow(hello, connection)
         except MalformedMessageError as error:
             _log.warning("bus worker sent a malformed message", bus=hello.bus, why=str(error))
@@ -144,7 +178,17 @@ class BusFeed:
 
     async def _follow(self, hello: Hello, connection: WorkerConnection) -> None:
         channel, pipeline, quota = self._channel, self._pipeline, self._quota
-        ingest = Ingest(hello, self._received, channel, pipeline, connection, quota, self.coverage, unix_now)
+        ingest = Ingest(
+            hello,
+            self._received,
+            channel,
+            pipeline,
+            connection,
+            quota,
+            self.coverage,
+            unix_now,
+            lease_left_s=self._lease_left_s,
+        )
         works = (self._receive(ingest, connection), self._tick(ingest))
         tasks = {asyncio.create_task(work) for work in works}
         try:
@@ -155,6 +199,9 @@ class BusFeed:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _lease_left_s(self) -> float:
+        return self.home.left_s if self.home is not None else math.inf
 
     async def _receive(self, ingest: Ingest, connection: WorkerConnection) -> None:
         while self._connection is connection:
@@ -177,7 +224,8 @@ class BusFeed:
             self._pipeline.worker_disconnected(unix_now(), cause)
 
 
-async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime) -> None:
-    """Refuse a worker in English words, which one of another version can read too."""
-    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason)))
+async def send_away(connection: WorkerConnection, reason: Message, now: UnixTime, home_url: str = "") -> None:
+    """Refuse a worker in English words, which one of another version can read too. ``home_url``: where the
+    home of its bus is, if that is another server."""
+    await connection.send(Welcome(CONTRACT_VERSION, 0, now, str(reason), home=home_url))
     await connection.close(str(reason))

@@ -8,6 +8,7 @@ from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.workers import Workers
 from app.history.service import History
+from app.home.homes import BusHome, Homes
 from app.live.change_recorder import ChangeRecorder
 from app.live.state.bus_live import BusLive
 from app.pipeline import Pipeline
@@ -23,8 +24,11 @@ def make(services: Services) -> None:
 def _make_of_bus(services: Services, name: str, bus: Registry) -> None:
     history = services[History]
     pipeline = bus.add(Pipeline(bus[BusLive], history, bus[ChangeRecorder]))
-    feed = bus.add(BusFeed(bus.add(Channel()), pipeline))
-    services.at_home(name).add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
+    home = BusHome(services[Homes], name)
+    feed = bus.add(BusFeed(bus.add(Channel(home)), pipeline, home))
+    at_home = services.at_home(name)
+    at_home.add(f"feed of {name}", start=lambda: feed.load(history.newest(name)))
+    at_home.enclose(feed.at_home)
 
 
 FEATURE = Feature(make, (socket.router,))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
@@ -10,7 +11,11 @@ import structlog
 
 from app.home.lease import HomeRow, Lease
 from bus.instants import MonotonicClock, UnixTime, monotonic_now
+from bus.messages import Message
 
+MAX_EPOCHS_MISSED = 1_000_000
+"""So many more a worker can have seen than a store that was restored; more was made up."""
+OUTNUMBER_WITHIN_S = 3.0
 log = structlog.get_logger()
 
 HomeSubscriber = Callable[[str], None]
@@ -27,8 +32,41 @@ class Home(NamedTuple):
     until: UnixTime = UnixTime(0.0)
 
 
+class BusHome:
+    """The home of one bus, as what belongs to the bus sees it."""
+
+    def __init__(self, homes: Homes, bus: str) -> None:
+        self._homes = homes
+        self._bus = bus
+
+    @property
+    def is_here(self) -> bool:
+        """Whether this server is the home at this moment."""
+        return self._homes.is_here(self._bus)
+
+    @property
+    def epoch(self) -> int:
+        """Its epoch where it is here, else 0."""
+        return self._homes.epoch(self._bus)
+
+    @property
+    def left_s(self) -> float:
+        """For how long it is here without another renewal; infinite without a lease."""
+        return self._homes.left_s(self._bus)
+
+    @property
+    def url(self) -> str:
+        """How the home is reached; empty where none is known."""
+        return self._homes.of(self._bus).url
+
+    async def outnumber(self, epoch: int) -> bool:
+        """A worker has seen ``epoch``, higher than that of this home: the store was restored, or its row was
+        edited. Have a higher one; False where that cannot be."""
+        return await self._homes.outnumber(self._bus, epoch)
+
+
 class Homes:
-    """The home of each bus; the bus ``""`` is what one server does for the whole site.
+    """The home of each bus; the bus ``""`` is what one server does for the site.
 
     ``is_shared`` False: this server alone uses the store and is the home of everything, without a lease.
     """
@@ -43,6 +81,12 @@ class Homes:
         self._homes: dict[str, Home] = {}
         self._held: dict[str, Lease] = {}
         self._subscribers: list[HomeSubscriber] = []
+        self.faults: tuple[Message, ...] = ()
+        """What a person must put right, as of the last look at the store; every page shows it."""
+        self.outnumbered: dict[str, int] = {}
+        """The highest epoch that a worker has seen of a bus, where it is above that of its home here."""
+        self.is_outnumbered = asyncio.Event()
+        self._renumbered = asyncio.Event()
 
     def of(self, bus: str) -> Home:
         """The home of a bus, as the store had it a second ago."""
@@ -71,10 +115,26 @@ class Homes:
         self._subscribers.append(subscriber)
         return lambda: self._subscribers.remove(subscriber)
 
+    async def outnumber(self, bus: str, epoch: int) -> bool:
+        """Have a higher epoch than ``epoch`` at the home of a bus, soon; False where that cannot be: it is
+        not here, or no server can have had so many more."""
+        if not self.is_here(bus) or epoch > self.epoch(bus) + MAX_EPOCHS_MISSED:
+            return False
+        self.outnumbered[bus] = max(epoch, self.outnumbered.get(bus, 0))
+        self.is_outnumbered.set()
+        try:
+            async with asyncio.timeout(OUTNUMBER_WITHIN_S):
+                while self.epoch(bus) <= epoch:
+                    self._renumbered.clear()
+                    await self._renumbered.wait()
+        except TimeoutError:
+            return False
+        return True
+
     # --- what the service notes ----------------------------------------------------------------
 
     def note_rows(self, rows: Mapping[str, HomeRow]) -> None:
-        """The rows of the store were read."""
+        """The rows of the store as they are now."""
         former, until = self._homes, math.inf
         self._homes = {
             bus: Home(bus, row.holder, row.url, row.epoch, row.until if self.is_shared else UnixTime(until))
@@ -88,6 +148,7 @@ class Homes:
         former = self._held.pop(bus, None)
         if held is not None:
             self._held[bus] = held
+        self._renumbered.set()
         if (former and former.epoch) != (held and held.epoch):
             self._publish((bus,))
 

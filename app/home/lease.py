@@ -17,13 +17,13 @@ from bus.contract import MAX_EPOCH
 from bus.instants import Monotonic, UnixTime
 
 SITE = ""
-"""In the place of a bus: what one server does for the whole site."""
+"""In the place of a bus: what one server does for the site."""
 LEASE_S = 5.0
 """A home that is not renewed for so long is lost."""
 RENEW_S = 1.0
 MARGIN_S = 1.0
 """A holder gives up so much earlier: for the bytes on their way and for clocks that differ in rate."""
-MAX_WISH_S = 30.0
+MAX_REQUEST_S = 30.0
 """For how long a bus is kept for the server that a person chose."""
 
 Verdict = Literal["may_take", "not_permitted", "held", "held_by_namesake", "promised", "local", "unusable"]
@@ -31,29 +31,30 @@ Verdict = Literal["may_take", "not_permitted", "held", "held_by_namesake", "prom
 
 class HomeRow(NamedTuple):
     """A row of the table ``home``. ``instance``: the process of the holder; ``released``: the same once the
-    holder has given the bus up. The wish is that of a person: which server is to take it, until ``wish_ends``
-    on the store's clock."""
+    holder has given the bus up. The request is that of a person: which server is to take it, until
+    ``request_ends`` on the store's clock."""
 
     bus: str
     holder: str
     instance: str
     epoch: int
     until: UnixTime
+    renewals: int
     url: str
     taken_at: UnixTime
     reason: str
     released: str
-    wished_by: str
-    wished_for: str
-    wish_ends: UnixTime
+    requested_by: str
+    requested_for: str
+    request_ends: UnixTime
 
     @property
     def is_released(self) -> bool:
         return bool(self.released) and self.released == self.instance
 
-    def wish(self, now: UnixTime) -> str:
+    def request(self, now: UnixTime) -> str:
         """The server that a person wants the bus at; empty: none."""
-        return self.wished_for if now < self.wish_ends <= now + MAX_WISH_S else ""
+        return self.requested_for if now < self.request_ends <= now + MAX_REQUEST_S else ""
 
 
 class Claimant(NamedTuple):
@@ -74,22 +75,29 @@ class Sighting:
     since: Monotonic
     changes: int = 0
     """How often it was seen to change, the first look among them."""
+    highest: int = 0
+    """The highest epoch that the bus ever had: a row that came and went between two looks shows there."""
 
-    def again(self, row: HomeRow | None, now: Monotonic) -> Sighting:
+    @property
+    def is_first(self) -> bool:
+        """No server has ever had the bus."""
+        return self.changes > 0 and self.highest == 0 and self.row is None
+
+    def again(self, row: HomeRow | None, now: Monotonic, highest: int = 0) -> Sighting:
         """The row was read; the read ended at ``now``."""
-        if self.changes and _mark(row) == _mark(self.row):
-            return Sighting(row, self.since, self.changes)
-        return Sighting(row, now, self.changes + 1)
+        if self.changes and (_mark(row), highest) == (_mark(self.row), self.highest):
+            return Sighting(row, self.since, self.changes, highest)
+        return Sighting(row, now, self.changes + 1, highest)
 
 
 UNSEEN = Sighting(None, Monotonic(math.inf))
-NEW = Sighting(None, Monotonic(-math.inf), changes=1)
-"""Of a store that was made by this process: no other can have held a bus in it."""
 
 
 def _mark(row: HomeRow | None) -> tuple[object, ...] | None:
-    """What a holder changes. A wish or another text is no sign of life."""
-    return None if row is None else (row.holder, row.instance, row.epoch, row.until, row.released)
+    """What a holder changes. A request or another text is no sign of life."""
+    return (
+        None if row is None else (row.holder, row.instance, row.epoch, row.until, row.renewals, row.released)
+    )
 
 
 def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: UnixTime) -> Verdict:
@@ -98,15 +106,17 @@ def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: U
     if not claimant.permitted:
         return "not_permitted"
     if row is None:
-        return "may_take" if now - sighting.since >= LEASE_S else "held"
+        is_free = sighting.is_first or now - sighting.since >= LEASE_S
+        return "may_take" if is_free else "held"
     if not 0 <= row.epoch < MAX_EPOCH:
         return "unusable"
-    wish = row.wish(store_now)
-    if wish not in ("", claimant.server):
+    request = row.request(store_now)
+    if request not in ("", claimant.server):
         return "promised"
     if not row.is_released and not _is_over(row, sighting, now, store_now):
-        return "held_by_namesake" if row.holder == claimant.server else "held"
-    if wish or claimant.automatic or row.holder == claimant.server:
+        is_namesake = row.holder == claimant.server and row.instance != claimant.instance
+        return "held_by_namesake" if is_namesake else "held"
+    if request or claimant.automatic or row.holder == claimant.server:
         return "may_take"
     return "local"
 

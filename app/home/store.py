@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from app.database import Database, StoreConnection, engine
-from app.home.lease import LEASE_S, MAX_WISH_S, Claimant, HomeRow, Sighting, Verdict, verdict
+from app.home.lease import LEASE_S, MAX_REQUEST_S, Claimant, HomeRow, Sighting, Verdict, verdict
 from bus.contract import MAX_EPOCH
 from bus.instants import MonotonicClock, UnixTime
 
 LOCK = "home"
+CHANNEL = "home"
+"""Notified of a bus that was released or requested, and is to be looked at at once."""
 NO_TIME = UnixTime(0.0)
 _COLUMNS = ", ".join(HomeRow._fields)
+_UPSERT_EPOCH = engine.upsert("home_epoch", ("bus",), ("epoch",))
 _UPSERT = engine.upsert("home", HomeRow._fields[:1], HomeRow._fields[1:])
 
 
@@ -21,6 +24,8 @@ class Beat(NamedTuple):
 
     now: UnixTime
     rows: Mapping[str, HomeRow]
+    highest: Mapping[str, int]
+    """The highest epoch that each bus ever had."""
 
 
 class HomeStore:
@@ -30,53 +35,51 @@ class HomeStore:
         self._database = database
         self._monotonic = monotonic
 
+    def listen(self, callback: Callable[[], None]) -> None:
+        """Call ``callback`` on this event loop where a bus was released or requested by any server."""
+        self._database.listen(CHANNEL, lambda _: callback())
+
     async def beat(self, server: str, instance: str, url: str, epochs: Mapping[str, int]) -> Beat:
-        """Renew what this process holds, by bus and epoch, where the row says so too; then read all rows."""
+        """Renew what this process holds, by bus and epoch, where the row agrees; then read all rows."""
 
         def renew(connection: StoreConnection) -> Beat:
             engine.lock(connection, LOCK)
             now = engine.clock(connection)
             connection.executemany(
-                "UPDATE home SET until = ?, url = ? WHERE bus = ? AND epoch = ? AND holder = ?"
-                " AND instance = ? AND released = ''",
+                "UPDATE home SET until = ?, url = ?, renewals = renewals + 1"
+                " WHERE bus = ? AND epoch = ? AND holder = ? AND instance = ? AND released = ''",
                 [(now + LEASE_S, url, bus, epoch, server, instance) for bus, epoch in epochs.items()],
             )
-            return Beat(now, _rows(connection))
+            return Beat(now, _rows(connection), _highest(connection))
 
         return await self._database.write(renew)
-
-    async def rows(self) -> Beat:
-        """All rows, and the time of the store."""
-        return await self._database.read(_beat)
-
-    def rows_now(self) -> Beat:
-        """The same on this thread, for the command line."""
-        return self._database.read_now(_beat)
 
     async def take_all(self, server: str, instance: str, url: str, buses: Iterable[str]) -> Beat:
         """Make the only server of this store the home of each bus, with the next epoch."""
 
         def take(connection: StoreConnection) -> Beat:
-            now, rows = engine.clock(connection), _rows(connection)
+            now, rows, highest = engine.clock(connection), _rows(connection), _highest(connection)
             taken = {
                 bus: HomeRow(
                     bus,
                     server,
                     instance,
-                    _epoch_of(rows.get(bus)) + 1,
+                    max(_epoch_of(rows.get(bus)), highest.get(bus, 0)) + 1,
                     NO_TIME,
+                    0,
                     url,
                     now,
                     reason="",
                     released="",
-                    wished_by="",
-                    wished_for="",
-                    wish_ends=NO_TIME,
+                    requested_by="",
+                    requested_for="",
+                    request_ends=NO_TIME,
                 )
                 for bus in buses
             }
             connection.executemany(_UPSERT, list(taken.values()))
-            return Beat(now, taken)
+            connection.executemany(_UPSERT_EPOCH, [(row.bus, row.epoch) for row in taken.values()])
+            return Beat(now, taken, {row.bus: row.epoch for row in taken.values()})
 
         return await self._database.write(take)
 
@@ -89,28 +92,49 @@ class HomeStore:
         def take(connection: StoreConnection) -> HomeRow | Verdict:
             engine.lock(connection, LOCK)
             now, row = engine.clock(connection), _rows(connection).get(bus)
+            highest = _highest(connection).get(bus, 0)
             # A row that was changed since the last look is of this moment.
-            found = verdict(sighting.again(row, self._monotonic()), claimant, self._monotonic(), now)
+            seen = sighting.again(row, self._monotonic(), highest)
+            found = verdict(seen, claimant, self._monotonic(), now)
             if found != "may_take":
                 return found
             taken = HomeRow(
                 bus=bus,
                 holder=claimant.server,
                 instance=claimant.instance,
-                epoch=max(epoch_above, _epoch_of(row)) + 1,
+                epoch=max(epoch_above, highest, _epoch_of(row)) + 1,
                 until=now + LEASE_S,
+                renewals=0 if row is None else row.renewals + 1,
                 url=url,
                 taken_at=now,
-                reason=row.reason if row is not None and row.wish(now) else reason,
+                reason=row.reason if row is not None and row.request(now) else reason,
                 released="",
-                wished_by=row.wished_by if row is not None and row.wish(now) else "",
-                wished_for="",
-                wish_ends=NO_TIME,
+                requested_by=row.requested_by if row is not None and row.request(now) else "",
+                requested_for="",
+                request_ends=NO_TIME,
             )
             connection.execute(_UPSERT, taken)
+            connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
             return taken
 
         return await self._database.write(take)
+
+    async def renumber(self, bus: str, instance: str, epoch: int, above: int) -> int:
+        """Raise the epoch of a lease that this process holds to one above ``above``, which a worker has seen.
+        Returns it, or 0 where it is not held."""
+
+        def renumber(connection: StoreConnection) -> int:
+            engine.lock(connection, LOCK)
+            changed = connection.execute(
+                "UPDATE home SET epoch = ? WHERE bus = ? AND instance = ? AND epoch = ? AND released = ''",
+                (above + 1, bus, instance, epoch),
+            )
+            if not changed.rowcount:
+                return 0
+            connection.execute(_UPSERT_EPOCH, (bus, above + 1))
+            return above + 1
+
+        return await self._database.write(renumber)
 
     async def release(self, bus: str, instance: str, epoch: int) -> None:
         """Give a lease up: its port is closed, and another server may take it at once."""
@@ -121,32 +145,41 @@ class HomeStore:
                 "UPDATE home SET released = instance WHERE bus = ? AND instance = ? AND epoch = ?",
                 (bus, instance, epoch),
             )
+            engine.notify(connection, CHANNEL, bus or "site")
 
         await self._database.write(release)
 
-    def wish_now(self, bus: str, server: str, *, who: str, reason: str) -> bool:
-        """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
-        def wish(connection: StoreConnection) -> bool:
-            engine.lock(connection, LOCK)
-            ends = engine.clock(connection) + MAX_WISH_S
-            changed = connection.execute(
-                "UPDATE home SET wished_by = ?, wished_for = ?, wish_ends = ?, reason = ? WHERE bus = ?",
-                (who, server, ends, reason, bus),
-            )
-            return changed.rowcount > 0
+def request_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
+    """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
-        return self._database.write_now(wish)
+    def request(connection: StoreConnection) -> bool:
+        engine.lock(connection, LOCK)
+        ends = engine.clock(connection) + MAX_REQUEST_S
+        changed = connection.execute(
+            "UPDATE home SET requested_by = ?, requested_for = ?, request_ends = ?, reason = ? WHERE bus = ?",
+            (who, server, ends, reason, bus),
+        )
+        if changed.rowcount:
+            engine.notify(connection, CHANNEL, bus)
+        return changed.rowcount > 0
+
+    return database.write_now(request)
 
 
-def _beat(connection: StoreConnection) -> Beat:
-    return Beat(engine.clock(connection), _rows(connection))
+def read_homes(connection: StoreConnection) -> Beat:
+    """All rows, and the time of the store."""
+    return Beat(engine.clock(connection), _rows(connection), _highest(connection))
 
 
 def _rows(connection: StoreConnection) -> dict[str, HomeRow]:
     found = connection.execute(f"SELECT {_COLUMNS} FROM home")
     rows = (HomeRow(*row) for row in found)
     return {row.bus: row for row in rows}
+
+
+def _highest(connection: StoreConnection) -> dict[str, int]:
+    return {row[0]: row[1] for row in connection.execute("SELECT bus, epoch FROM home_epoch")}
 
 
 def _epoch_of(row: HomeRow | None) -> int:

@@ -20,6 +20,7 @@ def make(services: Services) -> None:
     notification = services.add(
         Notification(services.settings, database, events, failing, languages, services.local_time)
     )
+    services.lifespan.add("outbox", start=notification.listen)
     services.lifespan.add("notification", start=notification.load)
     services.at_home().add("deliveries", notification.dispatcher.follow, start=notification.load)
     for name, bus in services.buses.items():

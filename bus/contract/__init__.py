@@ -42,6 +42,8 @@ from bus.contract.session import ClockSync as ClockSync
 from bus.contract.session import Command as Command
 from bus.contract.session import Delivered as Delivered
 from bus.contract.session import Hello as Hello
+from bus.contract.session import LeaseLeft as LeaseLeft
+from bus.contract.session import LeaseRequest as LeaseRequest
 from bus.contract.session import MalformedMessageError as MalformedMessageError
 from bus.contract.session import ReserveTurn as ReserveTurn
 from bus.contract.session import Snapshot as Snapshot

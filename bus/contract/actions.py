@@ -44,6 +44,11 @@ class BusAction(TaggedStruct, frozen=True):
         """The unit that it addresses alone."""
         return None
 
+    @property
+    def stops(self) -> bool:
+        """Whether it can only bring units to a standstill."""
+        return False
+
 
 class UnitAction(BusAction, frozen=True):
     """Addresses one unit."""
@@ -65,6 +70,10 @@ class SetSpeed(UnitAction, frozen=True, tag="set_speed"):
     raw: Speed
     execute: bool = True
 
+    @property
+    def stops(self) -> bool:
+        return self.raw == 0
+
 
 class ExecuteSpeed(UnitAction, frozen=True, tag="execute_speed"):
     """83h to one unit."""
@@ -82,6 +91,10 @@ class SetLine(BusAction, frozen=True, tag="set_line"):
     @property
     def units(self) -> tuple[int, ...]:
         return tuple(sorted(self.setpoints))
+
+    @property
+    def stops(self) -> bool:
+        return not any(self.setpoints.values())
 
 
 class WriteOutput(UnitAction, frozen=True, tag="write_output"):

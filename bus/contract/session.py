@@ -11,8 +11,11 @@ from bus.contract.actions import Action
 from bus.contract.bounds import (
     MAX_UNITS,
     MAX_UPDATES,
+    DurationSeconds,
+    Epoch,
     Id,
     LongText,
+    MonotonicSeconds,
     ShortText,
     Stamp,
     TaggedStruct,
@@ -32,6 +35,8 @@ class Hello(TaggedStruct, frozen=True, tag="hello"):
     software: ShortText
     port: LongText
     sent_at: Stamp
+    epoch: Epoch = 0
+    """The highest that this worker has seen of the home of its bus; 0: none yet."""
 
 
 class Snapshot(TaggedStruct, frozen=True, tag="snapshot"):
@@ -53,18 +58,27 @@ class Batch(TaggedStruct, frozen=True, tag="batch"):
     live: bool = True
 
 
-WorkerMessage = Hello | Snapshot | Batch
+class LeaseRequest(TaggedStruct, frozen=True, tag="lease_request"):
+    """How long may the port be used? ``requested_at``: on the worker's own clock, and only for the worker: a
+    response that was held up on its way counts from there."""
+
+    requested_at: MonotonicSeconds
+
+
+WorkerMessage = Hello | Snapshot | Batch | LeaseRequest
 
 
 class Command(TaggedStruct, frozen=True, tag="command"):
     """An action with an id and a deadline. ``deadline``: on the app's clock, the last instant at which a
     frame that writes may leave (the worker knows that clock by ``Clock``). A worker carries out an id once; a
-    second request with it returns the same result.
+    second request with it returns the same result. ``epoch``: of the home that sends it; a worker obeys the
+    highest that it has seen, and no other.
     """
 
     id: Id
     deadline: Stamp
     action: Action
+    epoch: Epoch = 0
 
 
 class ReserveTurn(TaggedStruct, frozen=True, tag="reserve"):
@@ -78,12 +92,22 @@ class Cancel(TaggedStruct, frozen=True, tag="cancel"):
 
 
 class Welcome(TaggedStruct, frozen=True, tag="welcome"):
-    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none)."""
+    """The app's response to Hello. ``seq``: the last batch it has of this very worker (0: none). ``epoch``:
+    of the home of the bus, where it is this app; else ``refused``, with the address of the ``home``."""
 
     version: int
     seq: Total
     app_time: Stamp
     refused: LongText = ""
+    epoch: Epoch = 0
+    home: LongText = ""
+
+
+class LeaseLeft(TaggedStruct, frozen=True, tag="lease_left"):
+    """The app's response to LeaseRequest: the port may be used for ``left_s`` from ``requested_at`` on."""
+
+    requested_at: MonotonicSeconds
+    left_s: DurationSeconds
 
 
 class Delivered(TaggedStruct, frozen=True, tag="delivered"):
@@ -110,7 +134,9 @@ class WantSnapshot(TaggedStruct, frozen=True, tag="want_snapshot"):
     """A number was missing: request a complete snapshot."""
 
 
-AppMessage = Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel
+AppMessage = (
+    Welcome | Delivered | ClockSync | Watch | WantSnapshot | ReserveTurn | Command | Cancel | LeaseLeft
+)
 
 M = TypeVar("M")
 

@@ -147,6 +147,8 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     """The unit that seems to respond to every address beside the others, so that each of their responses is
     duplicated and cannot be attributed; 0: none.
     """
+    has_second_master: bool = False
+    """Units respond to what was not requested: another host is on the wire, and nothing is written."""
 
 
 class Frame(TaggedStruct, frozen=True, tag="frame"):

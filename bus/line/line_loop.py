@@ -35,6 +35,7 @@ from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.link import Link
 from bus.line.exchange.send import ExchangeResult
 from bus.line.port.port import OpenPort
+from bus.line.port_lease import NO_LEASE, PortLease
 from bus.line.roster import Roster
 from bus.line.schedule.arbiter import Arbiter, NextRequest
 from bus.line.schedule.baud_search import BaudSearch
@@ -64,7 +65,12 @@ class LineLoop:
     """
 
     def __init__(
-        self, bus: BusSettings, clock: LineClock, report: Callable[[list[Update]], None], seed: int = 0
+        self,
+        bus: BusSettings,
+        clock: LineClock,
+        report: Callable[[list[Update]], None],
+        seed: int = 0,
+        lease: PortLease = NO_LEASE,
     ) -> None:
         self.bus = bus
         self.dialect = bus.dialect
@@ -73,7 +79,8 @@ class LineLoop:
         self.trace = Trace()
         self.roster = Roster((unit.id for unit in bus.unit), clock.epoch(clock.now()))
         self.schedule = PollSchedule(self.roster.configured, self._exchange_s(ReadStatusRequest(1)), seed)
-        self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace)
+        self.lease = lease
+        self.link = Link(self.dialect, bus.baud, bus.turnaround_s, clock, self.roster, self.trace, lease)
         self.state = self._port_is("closed", Message("port_not_opened"))
         self._send_report = report
         self._events: list[Update] = []
@@ -306,4 +313,5 @@ class LineLoop:
     def figures(self) -> BusFigures:
         now = self.clock.now()
         at = self.clock.epoch(now)
-        return self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
+        return msgspec.structs.replace(figures, has_second_master=self.link.second_master.is_present(now))

@@ -12,12 +12,16 @@ from bus.errors import WireError
 from bus.line.line_loop import LineLoop
 from bus.line.port.open_port import open_port
 from bus.line.port.port import EndedWhileOpening, OpenPort, Receiver
+from bus.line.port_lease import NOT_CONFIRMED
 from bus.messages import Message
 from bus.reconnect_delay import STABLE_S, ReconnectDelay, is_worth_logging
 
 RETRY_S = 0.5
 CHECK_S = 0.5
 """A lost port without a report is detected after this time."""
+
+UNCONFIRMED_S = 0.1
+"""Between two looks whether the port may be opened."""
 
 OpenFunction = Callable[[str, int, Receiver], Awaitable[OpenPort]]
 
@@ -55,6 +59,10 @@ class Opener:
         """Open the port once and use it until it is lost; return in how many seconds to open it again."""
         clock = self._line.clock
         began = clock.now()
+        if not self._line.lease.holds():
+            self._log_closed(NOT_CONFIRMED)
+            self._line.still_closed(NOT_CONFIRMED)
+            return UNCONFIRMED_S
         self.opening = opening = _Opening(self, self._line)
         try:
             self._port = await self._open(self._line.bus.port, self._line.baud, opening)
@@ -68,10 +76,13 @@ class Opener:
         opened = clock.now()
         stable = asyncio.get_running_loop().call_later(STABLE_S, self._note_stable)
         checking = asyncio.create_task(self._check(self._port))
+        ending = asyncio.create_task(self._end_unconfirmed()) if self._line.lease.is_needed else None
         try:
             cause = await self._line.run(self._port)
         finally:
             checking.cancel()
+            if ending is not None:
+                ending.cancel()
         stable.cancel()
         self.close()
         pause_s = self._backoff.ended(clock.now() - opened, useful=self._line.link.has_responses)
@@ -94,6 +105,14 @@ class Opener:
                 port.check()
             except WireError as error:
                 self._line.lose_port(error.message)
+
+    async def _end_unconfirmed(self) -> None:
+        """Close the port when its lease runs out, also while nothing is sent."""
+        lease = self._line.lease
+        while lease.holds():
+            left_s = lease.left_s()
+            await asyncio.sleep(left_s)
+        self._line.lose_port(NOT_CONFIRMED)
 
     def _note_stable(self) -> None:
         """An opening that lasts is logged even where the ones before were not worth it."""

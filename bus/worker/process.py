@@ -6,6 +6,7 @@ import asyncio
 import gc
 import os
 import signal
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -24,9 +25,16 @@ PRIORITY = -10
 
 
 def run(
-    bus: BusSettings, app_url: str, token: str, *, child: bool = False, tls: UplinkTls | None = None
+    bus: BusSettings,
+    apps: Sequence[str],
+    token: str,
+    *,
+    child: bool = False,
+    leased: bool = False,
+    tls: UplinkTls | None = None,
 ) -> int:
-    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code."""
+    """Run one worker until SIGTERM or SIGINT, a ``child`` also until its parent is gone; the exit code.
+    ``leased``: its port is used only while the app confirms that it is the home of the bus."""
     configure_log()
     if child:
         tie_to(named_parent() or os.getppid())
@@ -37,13 +45,15 @@ def run(
     gc.collect()
     gc.freeze()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        runner.run(_until_stopped(bus, app_url, token, tls))
+        runner.run(_until_stopped(bus, apps, token, tls, leased=leased))
     return 0
 
 
-async def _until_stopped(bus: BusSettings, app_url: str, token: str, tls: UplinkTls | None) -> None:
+async def _until_stopped(
+    bus: BusSettings, apps: Sequence[str], token: str, tls: UplinkTls | None, *, leased: bool
+) -> None:
     leave = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, leave.set)
-    await run_worker(bus, app_url, token, leave=leave, tls=tls)
+    await run_worker(bus, apps, token, leave=leave, tls=tls, leased=leased)

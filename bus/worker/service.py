@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -34,11 +34,13 @@ from bus.line.commands.catalogue import command_run_of
 from bus.line.line_loop import LineLoop
 from bus.line.opener import Opener, OpenFunction
 from bus.line.port.open_port import open_port
+from bus.line.port_lease import NO_LEASE, PortLease
 from bus.messages import Message, in_english
 from bus.settings import BusSettings
+from bus.worker.addresses import is_encrypted
 from bus.worker.outbox import Outbox
 from bus.worker.trace_reports import TraceReports
-from bus.worker.uplink import Uplink, is_encrypted
+from bus.worker.uplink import Uplink
 
 if TYPE_CHECKING:
     from bus.worker.uplink_tls import UplinkTls
@@ -64,13 +66,18 @@ class BusWorker:
         clock: LineClock | None = None,
         open_function: OpenFunction = open_port,
         seed: int | None = None,
+        lease: PortLease = NO_LEASE,
     ) -> None:
         self.bus = bus
         self.clock = clock or RealClock()
         self.worker = uuid.uuid4().hex
         self.outbox = Outbox()
         self.app_clock = ClockOffset()
-        self.line = LineLoop(bus, self.clock, self._emit, seed if seed is not None else uuid.uuid4().int)
+        self.lease = lease
+        seed = seed if seed is not None else uuid.uuid4().int
+        self.line = LineLoop(bus, self.clock, self._emit, seed, lease)
+        self.epoch = 0
+        """The highest that it has seen of the home of its bus."""
         self._opener = Opener(self.line, open_function)
         self._started_at = self._epoch()
         self._figures = self.line.figures()
@@ -103,7 +110,13 @@ class BusWorker:
             software=f"lineside {version('lineside')}",
             port=self.bus.port,
             sent_at=self._epoch(),
+            epoch=self.epoch,
         )
+
+    def welcomed(self, epoch: int) -> bool:
+        """The app took this worker as the home of this epoch; False where it has seen a higher one."""
+        self.epoch, is_former = max(self.epoch, epoch), epoch < self.epoch
+        return not is_former
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(
@@ -128,6 +141,10 @@ class BusWorker:
         """Carry it out once: a second request with its id returns the same result."""
         if isinstance(command.action, ReadTrace):
             self._traces.read(command.id, command.action)
+            return
+        if not self.welcomed(command.epoch):
+            former = Message.of("command_of_former_home", epoch=command.epoch, highest=self.epoch)
+            self._emit([Result(command.id, self._epoch(), "not_sent", former)])
             return
         if command.id in self._results:
             known = self._results[command.id]
@@ -159,6 +176,8 @@ class BusWorker:
             return "not_sent", Message("too_many_commands")
         if not self.line.link.open:
             return "bus_closed", self.line.state.refusal
+        if action.writes and not action.stops and self.line.link.second_master.is_present(self.clock.now()):
+            return "not_sent", Message("second_master_writes")
         if time_left_s < 0 and action.writes:
             return "not_sent", Message.of("arrived_late", seconds=round(-time_left_s, 1))
         return None
@@ -205,23 +224,25 @@ async def _wait_while(holds: Callable[[], bool], most_s: float) -> None:
 
 async def run_worker(
     bus: BusSettings,
-    app_url: str,
+    apps: Sequence[str],
     token: str,
     *,
     leave: asyncio.Event | None = None,
     tls: UplinkTls | None = None,
+    leased: bool = False,
 ) -> None:
-    """Poll ``bus`` and report to the app at ``app_url`` until ``leave`` is set (by default indefinitely).
-    ``tls``: the files of an address that begins with https; by default this machine's authorities.
+    """Poll ``bus`` and report to its home, one of the addresses ``apps``, until ``leave`` is set (by default
+    indefinitely). ``tls``: the files of addresses that begin with https; by default this machine's
+    authorities. ``leased``: the port is used only while the app confirms that it is the home of the bus.
 
     On leaving, a change in flight is finished or withdrawn first; that takes less than two seconds.
     """
-    worker = BusWorker(bus)
-    if tls is None and is_encrypted(app_url):
+    worker = BusWorker(bus, lease=PortLease(is_needed=leased))
+    if tls is None and any(map(is_encrypted, apps)):
         from bus.worker.uplink_tls import UplinkTls
 
         tls = UplinkTls()
-    uplink = Uplink(app_url, token, worker.outbox, worker, worker.app_clock, worker._epoch, tls)
+    uplink = Uplink(apps, token, worker.outbox, worker, worker.app_clock, worker._epoch, tls)
     tasks = [asyncio.create_task(worker.run()), asyncio.create_task(uplink.run())]
     leaving = asyncio.create_task((leave or asyncio.Event()).wait())
     try:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import random
+from collections.abc import AsyncIterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol, cast
-from urllib.parse import urlsplit, urlunsplit
 
 import msgspec
 import structlog
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import InvalidStatus, WebSocketException
+from websockets.exceptions import ConnectionClosedOK, InvalidStatus, WebSocketException
 from websockets.http11 import Response
 
 from bus.bucket import Bucket
@@ -24,6 +24,8 @@ from bus.contract import (
     Command,
     Delivered,
     Hello,
+    LeaseLeft,
+    LeaseRequest,
     MalformedMessageError,
     ReserveTurn,
     Snapshot,
@@ -36,7 +38,9 @@ from bus.contract import (
 from bus.contract.clock_offset import ClockOffset
 from bus.errors import LinesideError
 from bus.instants import Clock, Monotonic
+from bus.line.port_lease import PortLease
 from bus.reconnect_delay import ReconnectDelay
+from bus.worker.addresses import AppAddresses, is_encrypted
 from bus.worker.outbox import Outbox
 
 if TYPE_CHECKING:  # it imports what a link in clear does not need
@@ -47,6 +51,11 @@ LONGEST_PAUSE_S = 2.0
 HURRY_S = 5.0
 """For this time after the start or a lost link the pause stays short: the app is probably starting."""
 REFUSED_PAUSE_S = 5.0
+NEXT_PAUSE_S = 1.0
+"""The same where there is another app, which may be the home of the bus by now."""
+STALLED_S = 4.0
+"""An app sends its time every second. One that sends nothing for so long may have lost its homes."""
+LEASE_REQUEST_S = 0.5
 MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE = 500.0, 2_000.0
 """Limits what is taken from the app; more waits in the socket, and polling continues."""
 OPEN_TIMEOUT_S = 5.0
@@ -66,6 +75,13 @@ class AppRequests(Protocol):
 
     def hello(self) -> Hello:
         """Return the first message, which names this worker."""
+
+    def welcomed(self, epoch: int) -> bool:
+        """The app took this worker as the home of this epoch; False where it has seen a higher one."""
+
+    @property
+    def lease(self) -> PortLease:
+        """Until when the port may be used."""
 
     def snapshot(self, seq: int) -> Snapshot:
         """Return everything that is known now."""
@@ -88,15 +104,21 @@ class _Problem(msgspec.Struct):
 
 
 class RefusedByAppError(Exception):
-    """The app does not want this worker; the text is the app's."""
+    """The app does not want this worker; the text is the app's. ``home``: the address of the home of the bus,
+    where that is another server."""
+
+    def __init__(self, why: str, home: str = "") -> None:
+        super().__init__(why)
+        self.home = home
 
 
 class Uplink:
-    """``run`` until cancelled. ``tls``: where the address begins with https."""
+    """``run`` until cancelled. ``apps``: the addresses of the servers that may be the home of the bus;
+    ``tls``: of those that begin with https."""
 
     def __init__(
         self,
-        url: str,
+        apps: Sequence[str],
         token: str,
         outbox: Outbox,
         handler: AppRequests,
@@ -105,7 +127,7 @@ class Uplink:
         tls: UplinkTls | None = None,
     ) -> None:
         self._tls = tls
-        self._url = feed_url(url)
+        self._addresses = AppAddresses(apps)
         self._headers = {"Authorization": f"Bearer {token}"}
         self._outbox = outbox
         self._handler = handler
@@ -116,17 +138,26 @@ class Uplink:
         self._backoff = ReconnectDelay(random.random)
         self._accepted_at: float | None = None
         """When the app accepted the connection; None where it did not."""
+        self._home = ""
+        """The address that the app gave for the home of the bus, where it is not that itself."""
+        self._is_stalled = False
+        """The app sent nothing for too long, and another may have its place."""
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
         pause, linked_at = SHORTEST_PAUSE_S, loop.time()
         while True:
-            self._accepted_at = None
+            self._accepted_at, self._home, self._is_stalled = None, "", False
             refused = await self._attempt()
+            is_home = False
+            if self._addresses.are_several and (refused or self._accepted_at is None or self._is_stalled):
+                is_home = self._addresses.leave(self._home)
             self._outbox.disconnected()
             self._handler.watch(Watch(units=[]))
-            if refused:
-                pause = REFUSED_PAUSE_S
+            if is_home:
+                pause = SHORTEST_PAUSE_S
+            elif refused:
+                pause = NEXT_PAUSE_S if self._addresses.are_several else REFUSED_PAUSE_S
             elif self._accepted_at is not None:
                 pause = self._backoff.ended(loop.time() - self._accepted_at) or SHORTEST_PAUSE_S
                 linked_at = loop.time()
@@ -139,24 +170,32 @@ class Uplink:
         try:
             await self._connect_once()
         except RefusedByAppError as error:
-            self._log_unreachable(f"the dashboard refused this worker: {error}")
+            self._home = error.home
+            named = f"; its home is {error.home}" if error.home else ""
+            self._log_unreachable(f"the dashboard refused this worker: {error}{named}")
             return True
         except InvalidStatus as error:
-            self._log_unreachable(f"{self._url}: {_about_status(error.response)}")
+            self._log_unreachable(f"{self._addresses.feed}: {_about_status(error.response)}")
             return error.response.status_code in (401, 403)
         except LinesideError as error:
-            self._log_unreachable(f"no link to {self._url}: {error}")
+            self._log_unreachable(f"no link to {self._addresses.feed}: {error}")
         except (OSError, TimeoutError, UnicodeError, WebSocketException, MalformedMessageError) as error:
-            fault = "" if self._tls is None else self._tls.fault(error)
+            tls = self._tls_of_address
+            fault = "" if tls is None else tls.fault(error)
             why = fault or str(error) or type(error).__name__
-            self._log_unreachable(f"no dashboard at {self._url}: {why}")
+            self._log_unreachable(f"no dashboard at {self._addresses.feed}: {why}")
         return False
 
+    @property
+    def _tls_of_address(self) -> UplinkTls | None:
+        return self._tls if is_encrypted(self._addresses.feed) else None
+
     async def _connect_once(self) -> None:
+        tls = self._tls_of_address
         async with connect(
-            self._url,
-            ssl=None if self._tls is None else self._tls.context(),
-            create_connection=None if self._tls is None else cast(Any, self._tls.connection),
+            self._addresses.feed,
+            ssl=None if tls is None else tls.context(),
+            create_connection=None if tls is None else cast(Any, tls.connection),
             additional_headers=self._headers,
             compression=None,
             open_timeout=OPEN_TIMEOUT_S,
@@ -171,7 +210,8 @@ class Uplink:
             self._outbox.resume(welcome.seq, oldest=self._epoch() - BUFFER_AGE_S)
             await socket.send(encode(self._handler.snapshot(self._outbox.seq)))
             self._linked()
-            sending = asyncio.create_task(self._send(socket))
+            works = (self._send(socket), self._confirm_lease(socket))
+            sending = asyncio.gather(*works, return_exceptions=True)
             try:
                 await self._receive(socket)
             except asyncio.CancelledError:
@@ -179,13 +219,21 @@ class Uplink:
                 raise
             finally:
                 sending.cancel()
-                with suppress(asyncio.CancelledError, WebSocketException, OSError):
+                with suppress(asyncio.CancelledError):
                     await sending
 
+    async def _confirm_lease(self, socket: ClientConnection) -> None:
+        """Request for how long the port may be used, where it is on a lease."""
+        lease = self._handler.lease
+        while lease.is_needed:
+            await socket.send(encode(LeaseRequest(requested_at=float(lease.clock()))))
+            await asyncio.sleep(LEASE_REQUEST_S)
+
     def _linked(self) -> None:
+        self._addresses.linked()
         if self._backoff.is_worth_logging:
             self._logged = ""
-            _log.info("linked to the dashboard", url=self._url, kept=len(self._outbox))
+            _log.info("linked to the dashboard", url=self._addresses.feed, kept=len(self._outbox))
 
     async def _handshake(self, socket: ClientConnection) -> Welcome:
         await socket.send(encode(self._handler.hello()))
@@ -194,18 +242,20 @@ class Uplink:
         if not isinstance(welcome, Welcome):
             raise RefusedByAppError("no welcome was received; is this a Lineside dashboard?")
         if welcome.refused:
-            raise RefusedByAppError(welcome.refused)
+            raise RefusedByAppError(welcome.refused, welcome.home)
         if welcome.version != CONTRACT_VERSION:
             raise RefusedByAppError(
                 f"it uses version {welcome.version} of the link and this worker {CONTRACT_VERSION}: "
                 "install the same release of lineside on both"
             )
+        if not self._handler.welcomed(welcome.epoch):
+            raise RefusedByAppError(f"it was the home of the bus before (epoch {welcome.epoch})")
         self._app_clock.observe(welcome.app_time, self._epoch())
         return welcome
 
     async def _receive(self, socket: ClientConnection) -> None:
         loop, bucket, is_new = asyncio.get_running_loop(), Bucket(MESSAGES_PER_S, MAX_MESSAGES_AT_ONCE), True
-        async for data in socket:
+        async for data in self._messages(socket):
             try:
                 self._take(_decoded(data))
             except MalformedMessageError as error:
@@ -215,6 +265,17 @@ class Uplink:
                     )
                 is_new = False
             await asyncio.sleep(bucket.pour(1.0, Monotonic(loop.time())))
+
+    async def _messages(self, socket: ClientConnection) -> AsyncIterator[str | bytes]:
+        """What the app sends, to its end; also the end of one that sends nothing while there are others."""
+        with suppress(ConnectionClosedOK):
+            while True:
+                async with asyncio.timeout(STALLED_S if self._addresses.are_several else None) as patience:
+                    try:
+                        data = await socket.recv()
+                    finally:
+                        self._is_stalled = patience.expired()
+                yield data
 
     def _take(self, message: AppMessage) -> None:
         match message:
@@ -230,6 +291,8 @@ class Uplink:
                 self._handler.cancel(command_id)
             case Watch():
                 self._handler.watch(message)
+            case LeaseLeft(requested_at=requested_at, left_s=left_s):
+                self._handler.lease.extend(Monotonic(requested_at), left_s)
             case WantSnapshot():
                 self._snapshot_wanted = True
                 self._outbox.filled.set()
@@ -249,19 +312,6 @@ class Uplink:
         if what != self._logged:
             _log.warning("dashboard unreachable; retrying, buffering readings", why=what)
         self._logged = what
-
-
-def feed_url(url: str) -> str:
-    """``http(s)://host:port`` or ``ws(s)://host:port/feed`` as the address of the feed."""
-    parts = urlsplit(url)
-    scheme = {"http": "ws", "https": "wss"}.get(parts.scheme, parts.scheme)
-    path = parts.path.rstrip("/")
-    return urlunsplit((scheme, parts.netloc, path if path.endswith("/feed") else f"{path}/feed", "", ""))
-
-
-def is_encrypted(url: str) -> bool:
-    """Whether the feed at this address is opened by TLS."""
-    return feed_url(url).startswith("wss:")
 
 
 def _decoded(data: str | bytes) -> AppMessage:

@@ -139,11 +139,11 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
     workers_ended = threading.Event()
 
     class Workers:
-        def __init__(self, *_: object) -> None: ...
+        def __init__(self, *_: object, **__: object) -> None: ...
 
-        def start(self) -> None: ...
+        def start_all(self) -> None: ...
 
-        async def stop(self) -> None:
+        async def stop_all(self) -> None:
             happened.append("workers ended")
             workers_ended.set()
 
@@ -286,7 +286,8 @@ def test_a_service_that_cannot_start_is_named_in_one_line(config: Path) -> None:
         connection.execute("ALTER TABLE swap RENAME TO lost")
     done = fork_server.run("serve", "--config", config)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.splitlines()[-1].startswith("lineside: the dashboard could not start: swaps: ")
+    reason = "lineside: the dashboard could not start: swaps of dry-end: "
+    assert done.stderr.splitlines()[-1].startswith(reason)
     assert "Traceback" not in done.stderr
     with closing(sqlite3.connect(store)) as connection:
         (last,) = connection.execute("SELECT what FROM events ORDER BY id DESC LIMIT 1").fetchone()

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosedOK
 
 from bus.contract import (
     AppMessage,
@@ -38,7 +39,7 @@ MESSAGES = of_type(msgspec.inspect.type_info(AppMessage))
 def test_no_message_of_the_app_breaks_the_worker(messages: list[bytes]) -> None:
     async def scene(line: VirtualLine) -> None:
         uplink = Uplink(
-            "http://app", TOKEN, line.worker.outbox, line.worker, line.worker.app_clock, lambda: 0.0
+            ["http://app"], TOKEN, line.worker.outbox, line.worker, line.worker.app_clock, lambda: 0.0
         )
         for data in messages:
             try:
@@ -98,12 +99,9 @@ class Flood:
     def __init__(self, message: AppMessage, count: int) -> None:
         self._data, self._left = encode(message), count
 
-    def __aiter__(self) -> Flood:
-        return self
-
-    async def __anext__(self) -> bytes:
+    async def recv(self) -> bytes:
         if not self._left:
-            raise StopAsyncIteration
+            raise ConnectionClosedOK(None, None)
         self._left -= 1
         return self._data
 
@@ -113,7 +111,7 @@ def test_a_flood_is_read_no_faster_than_it_is_meant_to_be(message: AppMessage) -
     """The rest waits in the socket, and the loop is free meanwhile."""
 
     async def scene() -> float:
-        uplink = Uplink("http://app", TOKEN, Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
+        uplink = Uplink(["http://app"], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), lambda: 0.0)
         flood = Flood(message, int(MAX_MESSAGES_AT_ONCE + 10 * MESSAGES_PER_S))
         await uplink._receive(flood)  # type: ignore[arg-type]
         return asyncio.get_running_loop().time()

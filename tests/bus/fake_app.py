@@ -45,6 +45,8 @@ class FakeApp:
         self.messages: list[WorkerMessage] = []
         self.confirms = True
         self.refuses = ""
+        self.home = ""
+        self.epoch = 0
         self.version = CONTRACT_VERSION
         self.received: dict[str, int] = {}
         self._server: Server | None = None
@@ -83,9 +85,8 @@ class FakeApp:
             assert isinstance(hello, Hello)
             self._keep(hello)
             seq = self.received.setdefault(hello.worker, 0)
-            await connection.send(
-                encode(Welcome(version=self.version, seq=seq, app_time=time.time(), refused=self.refuses))
-            )
+            welcome = Welcome(self.version, seq, time.time(), self.refuses, self.epoch, self.home)
+            await connection.send(encode(welcome))
             self._connection = connection
             while True:
                 message = decode_from_worker(await _bytes_of(connection))

@@ -12,6 +12,7 @@ import pytest
 from bus.contract import BusLink, SetSpeed
 from bus.line.port.open_port import open_port
 from bus.line.port.tcp import TCP_LOST_AFTER_MS
+from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
 from bus.simulator.line import SimulatedLine
@@ -39,7 +40,7 @@ async def working(line: LineServer) -> AsyncIterator[FakeApp]:
     bus = BusSettings(name="b", port=line.port.name, unit=units)
     leave = asyncio.Event()
     async with FakeApp() as app:
-        worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+        worker = asyncio.create_task(run_worker(bus, [app.url], TOKEN, leave=leave))
         await app.until(lambda: app.readings(1) and app.readings(2))
         yield app
         leave.set()
@@ -100,3 +101,68 @@ async def test_one_that_lost_its_power_is_noticed_by_what_it_does_not_confirm(li
     assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
     assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     port.close()
+
+
+IN_USE = 'in use by another client: the device server reports "Port already in use"'
+
+
+@pytest.mark.parametrize(
+    ("pieces", "cause"),
+    [
+        ((b"Port already ", b"in use\r\n"), IN_USE),
+        ((b"Goodbye\r\n",), 'closed the connection after the text "Goodbye"'),
+        ((b"\x10\x02Port already in use",), "closed the connection"),
+    ],
+)
+async def test_the_text_of_a_device_server_at_its_end_is_a_cause_and_no_frame(
+    pieces: tuple[bytes, ...], cause: str
+) -> None:
+    """ser2net's response to a second client: its single connection keeps two servers apart."""
+    receiver, lost = Receiver(), asyncio.Event()
+    causes: list[str] = []
+
+    def connection_lost(message: Message) -> None:
+        causes.append(str(message))
+        lost.set()
+
+    receiver.connection_lost = connection_lost  # type: ignore[method-assign]
+    async with sending(*pieces, closes=True) as number:
+        await open_port(f"socket://127.0.0.1:{number}", 9600, receiver)
+        await asyncio.wait_for(lost.wait(), 30)
+    assert cause in causes[0]
+
+
+async def test_a_text_before_frames_is_passed_on_with_them() -> None:
+    """A banner; the decoder counts it as noise."""
+    received, complete, receiver = bytearray(), asyncio.Event(), Receiver()
+
+    def receive(data: bytes) -> None:
+        received.extend(data)
+        complete.set()
+
+    receiver.data_received = receive  # type: ignore[method-assign]
+    async with sending(b"welcome\r\n", b"\x10\x02\x01") as number:
+        port = await open_port(f"socket://127.0.0.1:{number}", 9600, receiver)
+        await asyncio.wait_for(complete.wait(), 30)
+        port.close()
+    assert bytes(received) == b"welcome\r\n\x10\x02\x01"
+
+
+@asynccontextmanager
+async def sending(*pieces: bytes, closes: bool = False) -> AsyncIterator[int]:
+    """A device server that sends these to its client, and may close the connection; its port."""
+    writers: list[asyncio.StreamWriter] = []
+
+    async def send(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writers.append(writer)
+        for piece in pieces:
+            writer.write(piece)
+            await asyncio.sleep(0.02)
+        if closes:
+            writer.close()
+
+    async with await asyncio.start_server(send, "127.0.0.1", 0) as server:
+        yield server.sockets[0].getsockname()[1]
+        for writer in writers:
+            writer.close()
+            await asyncio.gather(writer.wait_closed(), return_exceptions=True)

@@ -260,7 +260,7 @@ async def test_all_faults_together_over_a_real_pseudo_terminal() -> None:
         bus = BusSettings(name="b", port=server.port.name, unit=settings)
         async with FakeApp() as app:
             leave = asyncio.Event()
-            worker = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+            worker = asyncio.create_task(run_worker(bus, [app.url], TOKEN, leave=leave))
             await app.until(lambda: all(app.readings(unit) for unit in range(1, UNITS + 1)))
             trial = Trial(app.perform, time.monotonic, simulated.record, simulated.plant.units)
             server.call(lambda line: suffer(line.faults, MAX_ALL_AT_ONCE))

@@ -88,7 +88,7 @@ async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> Non
     bus = BusSettings(name="b", port=server.url, unit=units)
     leave = asyncio.Event()
     async with FakeApp() as app:
-        working = asyncio.create_task(run_worker(bus, app.url, TOKEN, leave=leave))
+        working = asyncio.create_task(run_worker(bus, [app.url], TOKEN, leave=leave))
         await app.until(lambda: app.readings(1) and app.readings(2))
         result = await app.perform(SetSpeed(2, 255))
         assert (result.outcome, result.read_back) == ("verified", 255)

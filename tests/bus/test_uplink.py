@@ -27,8 +27,10 @@ from bus.contract import (
     Watch,
 )
 from bus.contract.clock_offset import ClockOffset
+from bus.line.port_lease import NO_LEASE
+from bus.worker.addresses import feed_url
 from bus.worker.outbox import Outbox
-from bus.worker.uplink import GOING_AWAY, Uplink, _about_status, feed_url
+from bus.worker.uplink import GOING_AWAY, Uplink, _about_status
 from tests.bus.fake_app import TOKEN, FakeApp
 
 
@@ -37,10 +39,16 @@ class FakeReceiver:
 
     def __init__(self) -> None:
         self.requests: list[object] = []
+        self.lease = NO_LEASE
+        self.epoch = 0
         self.news = asyncio.Event()
 
     def hello(self) -> Hello:
         return Hello(CONTRACT_VERSION, "b", "worker-1", 0.0, "test", "/dev/none", time.time())
+
+    def welcomed(self, epoch: int) -> bool:
+        self.epoch, is_former = max(self.epoch, epoch), epoch < self.epoch
+        return not is_former
 
     def snapshot(self, seq: int) -> Snapshot:
         return Snapshot(seq, time.time(), BusLink(0.0, "closed"), [])
@@ -71,7 +79,7 @@ class FakeReceiver:
 @asynccontextmanager
 async def linked(app: FakeApp, token: str = TOKEN) -> AsyncIterator[tuple[Outbox, FakeReceiver]]:
     outbox, receiver = Outbox(), FakeReceiver()
-    uplink = Uplink(app.url, token, outbox, receiver, ClockOffset(), time.time)
+    uplink = Uplink([app.url], token, outbox, receiver, ClockOffset(), time.time)
     running = asyncio.create_task(uplink.run())
     try:
         yield outbox, receiver
@@ -156,7 +164,7 @@ async def test_a_wrong_token_is_named() -> None:
 async def test_a_refused_token_is_tried_again_seldom_and_logged_once() -> None:
     with capture_logs() as logs:
         async with FakeApp() as app:
-            uplink = Uplink(app.url, "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            uplink = Uplink([app.url], "wrong", Outbox(), FakeReceiver(), ClockOffset(), time.time)
             assert [await uplink._attempt() for _ in range(5)] == [True] * 5
     assert len(logs) == 1
 
@@ -207,7 +215,7 @@ async def _logged(logs: list[MutableMapping[str, Any]]) -> None:
 
 async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker() -> None:
     receiver = FakeReceiver()
-    uplink = Uplink("http://a..b:8000", TOKEN, Outbox(), receiver, ClockOffset(), time.time)
+    uplink = Uplink(["http://a..b:8000"], TOKEN, Outbox(), receiver, ClockOffset(), time.time)
     with capture_logs() as logs:
         linking = asyncio.create_task(uplink.run())
         async with asyncio.timeout(60):
@@ -215,3 +223,40 @@ async def test_an_address_without_a_host_is_logged_and_does_not_end_the_worker()
         assert not linking.done()
         linking.cancel()
     assert "no dashboard at ws://a..b:8000/feed" in logs[0]["why"]
+
+
+async def test_a_worker_goes_to_the_home_that_is_among_its_apps() -> None:
+    async with FakeApp() as a, FakeApp() as b:
+        a.refuses, a.home = "not here", b.url
+        outbox, receiver = Outbox(), FakeReceiver()
+        uplink = Uplink(
+            [a.url, "http://127.0.0.1:9", b.url], TOKEN, outbox, receiver, ClockOffset(), time.time
+        )
+        running = asyncio.create_task(uplink.run())
+        await b.until(b.snapshots)
+        assert len(a.messages) == 1, "it was not tried again"
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_a_worker_follows_no_address_that_it_was_not_started_with() -> None:
+    """An attacker's server could else collect tokens by naming itself."""
+    with capture_logs() as logs:
+        async with FakeApp() as a, FakeApp() as stranger:
+            a.refuses, a.home = "not here", stranger.url
+            uplink = Uplink([a.url], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            for _ in range(3):
+                assert await uplink._attempt()
+            assert stranger.messages == []
+    assert f"its home is {stranger.url}" in logs[0]["why"]
+
+
+async def test_a_former_home_is_refused_by_the_worker() -> None:
+    with capture_logs() as logs:
+        async with FakeApp() as app:
+            receiver = FakeReceiver()
+            receiver.epoch, app.epoch = 9, 8
+            uplink = Uplink([app.url], TOKEN, Outbox(), receiver, ClockOffset(), time.time)
+            assert await uplink._attempt()
+            assert app.snapshots() == []
+    assert "it was the home of the bus before (epoch 8)" in logs[0]["why"]

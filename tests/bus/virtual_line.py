@@ -22,8 +22,10 @@ from bus.contract import (
     Update,
 )
 from bus.errors import WireError
+from bus.instants import Monotonic
 from bus.line.clock import Timer
 from bus.line.port.open_port import OpenPort, Receiver
+from bus.line.port_lease import PortLease
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
 from bus.simulator.demo import demo_line
@@ -169,8 +171,10 @@ class VirtualLine:
         seed: int = 1,
         script: bool = False,
         configured: int | None = None,
+        leased: bool = False,
         **bus: Any,
     ) -> None:
+        """``leased``: the port is used only while ``lease`` holds; its clock is ``suspended_s`` ahead."""
         demo = demo_line(units, seed=seed, script=script)
         self.plant = demo.plant
         self.faults = Faults(seed=seed)
@@ -182,7 +186,9 @@ class VirtualLine:
         self.port: VirtualPort | None = None
         self.written: list[tuple[float, bytes]] = []
         self.updates: list[Update] = []
-        self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed)
+        self.suspended_s = 0.0
+        self.lease = PortLease(is_needed=leased, clock=lambda: Monotonic(loop.time() + self.suspended_s))
+        self.worker = BusWorker(self.bus, VirtualClock(loop), self._open, seed, self.lease)
         self._results: defaultdict[str, list[Result]] = defaultdict(list)
         self._came = asyncio.Event()
         self.worker.outbox.put = self._put  # type: ignore[method-assign]
@@ -227,11 +233,11 @@ class VirtualLine:
         """The addresses of the configuration."""
         return range(1, len(self.bus.unit) + 1)
 
-    def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "") -> str:
+    def command(self, action: Action, *, timeout_s: float = 2.0, command_id: str = "", epoch: int = 0) -> str:
         """Send the worker a command; return its id."""
         self._count += 1
         command_id = command_id or f"c{self._count}"
-        self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action))
+        self.worker.command(Command(command_id, EPOCH + self.loop.time() + timeout_s, action, epoch))
         return command_id
 
     def result_of(self, command_id: str) -> Result | None:

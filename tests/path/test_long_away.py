@@ -16,6 +16,7 @@ import httpx
 from bus import contract
 from bus.contract import CONTRACT_VERSION, BusLink, Hello, Reading, Snapshot, Watch
 from bus.contract.clock_offset import ClockOffset
+from bus.line.port_lease import NO_LEASE
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests import fork_server
@@ -32,8 +33,14 @@ EACH_S = 25 * 10 / 9600
 class Polling:
     """A worker with a simulated line, and a real buffer and link."""
 
+    lease = NO_LEASE
+
     def __init__(self) -> None:
         self.since = time.time() - AWAY_S
+
+    def welcomed(self, epoch: int) -> bool:
+        """At every home."""
+        return epoch >= 0
 
     def hello(self) -> Hello:
         """Who speaks."""
@@ -84,7 +91,7 @@ def test_ten_minutes_are_delivered_at_their_own_times(tmp_path: Path) -> None:
         outbox.put([reading])
     config = configured(tmp_path, number)
     token = command(config, "token", "create", "far", "--role", "worker", "--bus", "far").strip()
-    uplink = Uplink(url, token, outbox, line, ClockOffset(), time.time)
+    uplink = Uplink([url], token, outbox, line, ClockOffset(), time.time)
     with at_work(uplink), served(config):
         eventually(lambda: outbox.connected and not len(outbox), "everything delivered", within=PROCEDURE_S)
         for unit in UNITS:

@@ -6,13 +6,20 @@ CREATE TABLE home (
     instance TEXT NOT NULL,
     epoch INTEGER NOT NULL,
     until REAL NOT NULL,
+    -- Counted up by each renewal: two that look alike are told apart, whatever the clock of the store did.
+    renewals INTEGER NOT NULL,
     url TEXT NOT NULL,
     taken_at REAL NOT NULL,
     reason TEXT NOT NULL,
     -- The instance, once it has given the bus up.
     released TEXT NOT NULL,
     -- What a person asked for: which server is to take the bus, and until when that holds.
-    wished_by TEXT NOT NULL,
-    wished_for TEXT NOT NULL,
-    wish_ends REAL NOT NULL
+    requested_by TEXT NOT NULL,
+    requested_for TEXT NOT NULL,
+    request_ends REAL NOT NULL
+);
+-- The highest epoch of each bus. It outlives a row that is deleted by hand, and shows that it was there.
+CREATE TABLE home_epoch (
+    bus TEXT PRIMARY KEY,
+    epoch INTEGER NOT NULL
 );

@@ -11,9 +11,6 @@ from app.home.lease import SITE
 from app.home.store import HomeStore
 from bus.instants import monotonic_now
 
-STEP = "home"
-"""The name of the migration that makes the table."""
-
 
 def make(services: Services) -> None:
     settings, database = services.settings, services[Database]
@@ -28,7 +25,6 @@ def make(services: Services) -> None:
         {SITE: of_site, **of_buses},
         {bus: lifespan.running for bus, lifespan in services.lifespans_at_home.items()},
         services.ports,
-        is_new=any(step.name == STEP for step in database.migrated),
     )
     services.lifespan.enclose(services.add(keeper).running)
 

@@ -15,7 +15,6 @@ from app.errors import StoreError
 from app.home.homes import Homes
 from app.home.keeping.life import HomeLife, Ports
 from app.home.lease import (
-    NEW,
     RENEW_S,
     UNSEEN,
     Claimant,
@@ -38,19 +37,27 @@ MAX_END_S = 3.0
 
 log = structlog.get_logger()
 
-Lifetime = Callable[[], AbstractAsyncContextManager[None]]
+HomeLifetime = Callable[[], AbstractAsyncContextManager[None]]
 
 
 class HomeTerms(NamedTuple):
-    """What the configuration says of a bus. ``permitted``: this server may be its home; ``automatic``: it is
-    taken over without a person, and therefore given up where the lease cannot be renewed."""
+    """What the configuration states of a bus. ``permitted``: this server may be its home; ``automatic``: it
+    is taken over without a person, and therefore given up where the lease cannot be renewed."""
 
     permitted: bool
     automatic: bool
 
 
+class _Renewal(NamedTuple):
+    """One that the store is carrying out; ``epochs``: what is renewed, by bus."""
+
+    began: Monotonic
+    epochs: Mapping[str, int]
+    task: asyncio.Task[Beat]
+
+
 class HomeKeeper:
-    """Runs the lifespan of each bus whose home is here. ``is_new``: this process has made the store."""
+    """Runs the lifespan of each bus whose home is here."""
 
     def __init__(
         self,
@@ -58,10 +65,9 @@ class HomeKeeper:
         store: HomeStore,
         events: EventLog,
         terms: Mapping[str, HomeTerms],
-        lifetimes: Mapping[str, Lifetime],
+        lifetimes: Mapping[str, HomeLifetime],
         ports: Ports,
         *,
-        is_new: bool = False,
         monotonic: MonotonicClock = monotonic_now,
     ) -> None:
         self._homes = homes
@@ -70,13 +76,15 @@ class HomeKeeper:
         self._terms = terms
         self._monotonic = monotonic
         self.instance = secrets.token_hex(8)
-        self._sightings = dict.fromkeys(terms, NEW if is_new else UNSEEN)
+        self._sightings = dict.fromkeys(terms, UNSEEN)
         self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
         self._leases: dict[str, Lease] = {}
-        """What is renewed: also what is being given up, until its port is closed."""
+        """Those that are renewed: also those being given up, until its port is closed."""
+        self._under_way: _Renewal | None = None
+        self._records: set[asyncio.Task[None]] = set()
+        """Events that are being written."""
         self._wake = asyncio.Event()
         self._all_released = asyncio.Event()
-        self._logged: set[str] = set()
         self._away = ""
 
     @asynccontextmanager
@@ -84,18 +92,19 @@ class HomeKeeper:
         """Be the home of buses. Raises StartError where this server alone has the store and a part of a bus
         cannot start."""
         run = self._leased if self._homes.is_shared else self._alone
-        async with run():
-            yield
-
-    def wake(self) -> None:
-        """Look at the store at once."""
-        self._wake.set()
+        renumbering = asyncio.create_task(self._renumber_without_end())
+        try:
+            async with run():
+                yield
+        finally:
+            renumbering.cancel()
 
     @asynccontextmanager
     async def _alone(self) -> AsyncIterator[None]:
         beat = await self._store.take_all(self._homes.server, self.instance, self._homes.url, self._terms)
-        for bus, row in beat.rows.items():
-            self._homes.hold(bus, Lease(row.epoch, self._monotonic()))
+        self._leases = {bus: Lease(row.epoch, self._monotonic()) for bus, row in beat.rows.items()}
+        for bus, lease in self._leases.items():
+            self._homes.hold(bus, lease)
         self._homes.note_rows(beat.rows)
         async with AsyncExitStack() as stack:
             for life in self._lives.values():
@@ -104,10 +113,14 @@ class HomeKeeper:
 
     @asynccontextmanager
     async def _leased(self) -> AsyncIterator[None]:
+        lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
+        self._store.listen(self._wake.set)
+        await self.beat()
         works = (self._beat_without_end, self._watch)
         tasks = [asyncio.create_task(work()) for work in works]
-        lives = [asyncio.create_task(self._live(bus)) for bus in self._terms]
         try:
+            # The buses that are free at the start are loaded before anything is served.
+            await asyncio.gather(*(self._lives[bus].settled.wait() for bus in tuple(self._leases)))
             yield
         finally:
             # The leases are renewed until their ports are closed, but none is taken.
@@ -120,6 +133,9 @@ class HomeKeeper:
             for task in (*tasks, *lives):
                 task.cancel()
             await asyncio.gather(*tasks, *lives, return_exceptions=True)
+            left = {*self._records, *(() if self._under_way is None else (self._under_way.task,))}
+            if left:
+                await asyncio.wait(left, timeout=BEAT_WITHIN_S)
 
     async def _released(self) -> None:
         """Wait until every home is given up, or for `MAX_END_S`."""
@@ -170,9 +186,32 @@ class HomeKeeper:
         self._give_up(bus)
         if lease is not None:
             log.error("home lost", bus=bus or "site", epoch=lease.epoch, why=str(why))
-            task = asyncio.create_task(self._record("lost", bus, lease.epoch, "", why))
-            self._lives[bus].records.add(task)
-            task.add_done_callback(self._lives[bus].records.discard)
+            self._record("event_home_lost" if bus else "event_home_site_lost", bus, lease.epoch, "", why)
+
+    # --- the epoch -----------------------------------------------------------------------------
+
+    async def _renumber_without_end(self) -> None:
+        """Raise the epoch where a worker has seen a higher one than this home has."""
+        homes = self._homes
+        while True:
+            await homes.is_outnumbered.wait()
+            homes.is_outnumbered.clear()
+            for bus, seen in tuple(homes.outnumbered.items()):
+                del homes.outnumbered[bus]
+                try:
+                    await self._renumber(bus, seen)
+                except StoreError as error:
+                    log.warning("epoch not raised", bus=bus, why=str(error))
+
+    async def _renumber(self, bus: str, seen: int) -> None:
+        lease = self._leases.get(bus)
+        if lease is None or lease.epoch > seen:
+            return
+        epoch = await self._store.renumber(bus, self.instance, lease.epoch, seen)
+        if epoch and self._leases.get(bus, lease).epoch == lease.epoch and self._homes.is_here(bus):
+            self._leases[bus] = renumbered = Lease(epoch, self._leases.get(bus, lease).confirmed)
+            self._homes.hold(bus, renumbered)
+            log.warning("epoch raised above that of the worker", bus=bus, seen=seen, epoch=epoch)
 
     # --- looking at the store ------------------------------------------------------------------
 
@@ -193,13 +232,22 @@ class HomeKeeper:
 
     async def beat(self) -> None:
         """Renew what is held, see the rows of all, and take what may be taken."""
-        began = self._monotonic()
-        epochs = {bus: lease.epoch for bus, lease in self._leases.items()}
+        looked = self._monotonic()
+        if self._under_way is None:
+            held = {bus: lease.epoch for bus, lease in self._leases.items()}
+            renewal = self._store.beat(self._homes.server, self.instance, self._homes.url, held)
+            self._under_way = _Renewal(looked, held, asyncio.create_task(renewal))
+        # One at a time: a store that does not respond must not find many of them when it does.
+        began, epochs, task = self._under_way
+        await asyncio.wait({task}, timeout=BEAT_WITHIN_S)
+        if not task.done():
+            self._store_is_away(looked, "it does not respond")
+            return
+        self._under_way = None
         try:
-            async with asyncio.timeout(BEAT_WITHIN_S):
-                beat = await self._store.beat(self._homes.server, self.instance, self._homes.url, epochs)
-        except (StoreError, TimeoutError) as error:
-            self._store_is_away(began, str(error) or "it does not respond")
+            beat = task.result()
+        except StoreError as error:
+            self._store_is_away(looked, str(error))
             return
         self._away = ""
         self._see(beat, began, epochs)
@@ -224,7 +272,7 @@ class HomeKeeper:
         self._homes.note_rows(beat.rows)
         for bus in self._terms:
             row = beat.rows.get(bus)
-            self._sightings[bus] = self._sightings[bus].again(row, now)
+            self._sightings[bus] = self._sightings[bus].again(row, now, beat.highest.get(bus, 0))
             lease = self._leases.get(bus)
             if lease is None or lease.epoch != epochs.get(bus):
                 continue
@@ -232,7 +280,7 @@ class HomeKeeper:
                 self._lose(bus, Message("home_reason_changed"))
                 continue
             self._renewed(bus, lease.renewed(began))
-            if row.wish(beat.now) not in ("", self._homes.server):
+            if row.request(beat.now) not in ("", self._homes.server):
                 self._give_up(bus)
 
     def _is_mine(self, row: HomeRow, lease: Lease) -> bool:
@@ -255,15 +303,16 @@ class HomeKeeper:
     # --- taking --------------------------------------------------------------------------------
 
     async def _take_free(self, beat: Beat) -> None:
+        found: dict[str, Verdict] = {}
         for bus, terms in self._terms.items():
             if bus in self._leases or self._lives[bus].is_on:
                 continue
             sighting = self._sightings[bus]
             claimant = Claimant(self._homes.server, self.instance, *terms)
-            found = verdict(sighting, claimant, self._monotonic(), beat.now)
-            self._tell(bus, found, beat.rows.get(bus))
-            if found == "may_take":
+            found[bus] = verdict(sighting, claimant, self._monotonic(), beat.now)
+            if found[bus] == "may_take":
                 await self._take(bus, sighting, claimant)
+        self._note_faults(found, beat)
 
     async def _take(self, bus: str, sighting: Sighting, claimant: Claimant) -> None:
         began, former = self._monotonic(), self._homes.of(bus)
@@ -284,35 +333,47 @@ class HomeKeeper:
         if not isinstance(taken, HomeRow):
             return
         lease = self._leases[bus] = Lease(taken.epoch, began)
-        self._sightings[bus] = self._sightings[bus].again(taken, self._monotonic())
+        self._sightings[bus] = self._sightings[bus].again(taken, self._monotonic(), taken.epoch)
         self._homes.hold(bus, lease)
         self._lives[bus].hold()
         log.info("home taken", bus=bus or "site", epoch=taken.epoch, why=taken.reason)
         by_person = taken.reason != str(reason)
         why = taken.reason if by_person else reason
-        await self._record("taken", bus, taken.epoch, taken.wished_by if by_person else "", why)
+        code = "event_home_taken" if bus else "event_home_site_taken"
+        self._record(code, bus, taken.epoch, taken.requested_by if by_person else "", why)
 
-    async def _record(self, what: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
-        code = f"event_home_{what}" if bus else f"event_home_site_{what}"
+    def _record(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
+        """Write the event of a home; the renewals do not wait for it."""
+        task = asyncio.create_task(self._write_event(code, bus, epoch, who, why))
+        self._records.add(task)
+        task.add_done_callback(self._records.discard)
+
+    async def _write_event(self, code: str, bus: str, epoch: int, who: str, why: str | Message) -> None:
         event = Message.of(code, server=self._homes.server, epoch=epoch)
         try:
             await self._events.record(kind="home", who=who, bus=bus or None, what=event, message=why)
         except StoreError as error:
             log.warning("event of a home not recorded", what=str(event), why=str(error))
 
-    def _tell(self, bus: str, found: Verdict, row: HomeRow | None) -> None:
-        """Log once what a person must put right."""
-        if row is None or found not in ("held_by_namesake", "unusable"):
-            return
-        if found == "held_by_namesake":
-            if self._sightings[bus].changes <= 1:
-                return
-            text = Message.of("home_namesake", server=row.holder, buses=bus or "site", url=row.url)
-        else:
-            text = Message.of("home_row_unusable", bus=bus or "site", epoch=row.epoch)
-        if str(text) not in self._logged:
-            self._logged.add(str(text))
-            log.error("home", why=str(text))
+    def _note_faults(self, found: Mapping[str, Verdict], beat: Beat) -> None:
+        """What a person must put right: it is logged once, and shown on every page."""
+        server, rows = self._homes.server, beat.rows
+        twins = [bus for bus, each in found.items() if each == "held_by_namesake" and self._lives_on(bus)]
+        faults = []
+        if twins:
+            buses, url = ", ".join(bus or "site" for bus in twins), rows[twins[0]].url
+            faults.append(Message.of("home_namesake", server=server, buses=buses, url=url))
+        for bus, each in found.items():
+            if each == "unusable":
+                faults.append(Message.of("home_row_unusable", bus=bus or "site", epoch=rows[bus].epoch))
+        for fault in faults:
+            if fault not in self._homes.faults:
+                log.error("home", why=str(fault))
+        self._homes.faults = tuple(faults)
+
+    def _lives_on(self, bus: str) -> bool:
+        """Whether the row was renewed since this process looks: else it is of its former run."""
+        return self._sightings[bus].changes > 1
 
 
 def _reason(row: HomeRow | None) -> Message:

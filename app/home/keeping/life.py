@@ -46,9 +46,9 @@ class HomeLife:
         self._ports = ports
         self.held = asyncio.Event()
         self._lost = asyncio.Event()
+        self.settled = asyncio.Event()
+        """Set once its parts run, or could not start."""
         self.is_on = False
-        self.records: set[asyncio.Task[None]] = set()
-        """Events that are being written."""
 
     def hold(self) -> None:
         """The lease was taken: what belongs to the bus begins."""
@@ -69,6 +69,7 @@ class HomeLife:
         except Exception as error:
             log.exception("home ended", bus=self._bus or "site")
             self.held.clear()
+            self.settled.set()
             return str(error) or type(error).__name__
         return None
 
@@ -77,6 +78,7 @@ class HomeLife:
         """The parts of the bus, and within them its port: that begins last, and ends first."""
         async with self._lifetime():
             self._ports.start(self._bus)
+            self.settled.set()
             try:
                 yield
             finally:

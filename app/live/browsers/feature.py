@@ -15,6 +15,7 @@ from app.feature import Feature, Services
 from app.feed.bus_feed import BusFeed
 from app.history.service import History, status_words
 from app.history.status import store_notice
+from app.home.homes import Homes
 from app.live import pages
 from app.live.api import stream_route
 from app.live.api.line_stream import LineStream
@@ -56,7 +57,7 @@ def _make_sources(services: Services) -> Sources:
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
-        notices=partial(_notices, history, services[Anchoring], services[Reserve]),
+        notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
     )
 
@@ -66,10 +67,16 @@ def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
 
 
 def _notices(
-    history: History, anchoring: Anchoring, reserve: Reserve, translator: Translator, now: UnixTime
+    homes: Homes,
+    history: History,
+    anchoring: Anchoring,
+    reserve: Reserve,
+    translator: Translator,
+    now: UnixTime,
 ) -> str:
-    """Faults of the records, in the reader's language; mostly none."""
+    """Faults of the homes and of the records, in the reader's language; mostly none."""
     found = (
+        *homes.faults,
         store_notice(history.status, translator.formats, now),
         anchor_notice(anchoring.status, translator.formats, now),
         reserve.notice,

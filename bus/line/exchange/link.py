@@ -21,8 +21,10 @@ from bus.line.completion import Completion
 from bus.line.exchange.current_exchange import CurrentExchange
 from bus.line.exchange.window import MARGIN_S, QUIET_BYTES, PortPace, Window
 from bus.line.port.port import OpenPort, PartlySent
+from bus.line.port_lease import NO_LEASE, NOT_CONFIRMED, PortLease
 from bus.line.roster import Roster
 from bus.line.statistics.counters import WireCounts
+from bus.line.statistics.second_master import SecondMaster
 from bus.line.statistics.trace import Trace, TracedFrame
 from bus.messages import Message
 from bus.settings import Dialect, wire_seconds
@@ -47,15 +49,24 @@ class Link:
     """``prepare`` an exchange, ``send`` it, await how it ended and ``account`` for that."""
 
     def __init__(
-        self, dialect: Dialect, baud: int, turnaround_s: float, clock: LineClock, roster: Roster, trace: Trace
+        self,
+        dialect: Dialect,
+        baud: int,
+        turnaround_s: float,
+        clock: LineClock,
+        roster: Roster,
+        trace: Trace,
+        lease: PortLease = NO_LEASE,
     ) -> None:
         self._dialect = dialect
+        self._lease = lease
         self._byte_s = wire_seconds(1, baud)
         self._turnaround_s = turnaround_s
         self._clock = clock
         self._trace = trace
         self._roster = roster
         self.counts = WireCounts()
+        self.second_master = SecondMaster()
         self._port: OpenPort | None = None
         self._window = Window(clock, self._timed_out)
         self._current: CurrentExchange | None = None
@@ -150,6 +161,10 @@ class Link:
         if self._port is None:
             return None
         began, loss = self._clock.now(), None
+        if not self._lease.holds():
+            # The last look before the byte: this process may have stood still since the one before.
+            self.lose(NOT_CONFIRMED)
+            return None
         try:
             self._port.write(exchange.sent)
         except PartlySent as error:
@@ -183,6 +198,8 @@ class Link:
 
     def _count(self, ended: CurrentExchange) -> None:
         exchange = ended.exchange
+        if ended.unexpected and exchange.reply is not None:
+            self.second_master.note(ended.ended)
         self.counts.busy_s += self._least_s(exchange)
         if exchange.reply is not None:
             self._last_response = exchange.frame
@@ -250,10 +267,10 @@ class Link:
             self._take_response(now)
             self._note(now, "in", event.frame.wire, exchange)
         else:
-            self._take_stray_frame(event, exchange.request.unit)
+            self._take_stray_frame(event, exchange.request.unit, now)
             self._note_stray(now, event.frame.wire, exchange, unit=event.frame.body[0])
 
-    def _take_stray_frame(self, event: StrayFrame, addressed: int) -> None:
+    def _take_stray_frame(self, event: StrayFrame, addressed: int, now: Monotonic) -> None:
         """Count a good frame that is not the response of ``addressed``."""
         match event:
             case Echo():
@@ -266,6 +283,8 @@ class Link:
                 self._count_late(event.unit)
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
+                if self._current is None and isinstance(event, Foreign):
+                    self.second_master.note(now)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
 

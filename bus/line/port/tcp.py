@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import socket
 from contextlib import suppress
 from typing import Any
@@ -15,7 +16,38 @@ from bus.messages import Message
 CONNECT_TIMEOUT_S = 3.0
 TCP_LOST_AFTER_MS = 800
 """Unacknowledged bytes for so long mean that the device server is gone."""
+MAX_TEXT_BYTES = 400
+MAX_SHOWN = 100
+_TEXT = re.compile(rb"[\x20-\x7e\r\n\t]+")
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
+
+
+class TcpProtocol(PortProtocol):
+    """Holds back what begins as a text: no frame does. ser2net sends a second client a text that its port is
+    in use, and closes the connection."""
+
+    def __init__(self, receiver: Receiver, name: str) -> None:
+        super().__init__(receiver, Message.of("connection_closed", port=name))
+        self._name = name
+        self._text = b""
+        self._take = self._take_first
+        self.data_received = lambda data: self._take(data)  # type: ignore[method-assign]
+
+    def _take_first(self, data: bytes) -> None:
+        received = self._text + data
+        if len(received) <= MAX_TEXT_BYTES and _TEXT.fullmatch(received):
+            self._text = received
+            return
+        self._text, self._take = b"", self._receiver.data_received
+        self._receiver.data_received(received)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._text:
+            text = " ".join(self._text.decode("ascii").split())[:MAX_SHOWN]
+            is_in_use = b"in use" in self._text.lower()
+            code = "device_server_in_use" if is_in_use else "device_server_said"
+            self._gone = Message.of(code, port=self._name, text=text)
+        super().connection_lost(exc)
 
 
 class TcpPort:
@@ -54,7 +86,7 @@ async def open_socket(url: str, receiver: Receiver) -> OpenPort:
     """Open ``socket://host:port``. Raises PortUnavailable."""
     host, number = address_of(url)
     loop = asyncio.get_running_loop()
-    protocol = PortProtocol(receiver, Message.of("connection_closed", port=url))
+    protocol = TcpProtocol(receiver, url)
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
             transport, _ = await loop.create_connection(lambda: protocol, host, number)

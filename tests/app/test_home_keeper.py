@@ -1,0 +1,291 @@
+"""Two servers on one store: who is the home of a bus, what runs there, and what ends first."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.database import SqliteDatabase
+from app.errors import StoreError
+from app.home import lease as rules
+from app.home import store as home_store
+from app.home.homes import Homes
+from app.home.keeping import keeper as keeping
+from app.home.keeping.keeper import HomeKeeper, HomeTerms
+from app.home.lease import SITE
+from app.home.store import HomeStore, request_home
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+BUS, PATIENCE_S = "dry-end", 30.0
+FACTOR = 0.1
+"""All times of a lease are a tenth, for a short test; conditions are waited for, never times."""
+
+
+@pytest.fixture(autouse=True)
+def _short_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("LEASE_S", "MARGIN_S"):
+        monkeypatch.setattr(rules, name, getattr(rules, name) * FACTOR)
+    monkeypatch.setattr(home_store, "LEASE_S", rules.LEASE_S)
+    for name in ("RENEW_S", "LOOK_S", "BEAT_WITHIN_S"):
+        monkeypatch.setattr(keeping, name, getattr(keeping, name) * FACTOR)
+
+
+class Events:
+    """Keeps what is recorded."""
+
+    def __init__(self) -> None:
+        self.recorded: list[dict[str, Any]] = []
+
+    async def record(self, **fields: Any) -> int:
+        self.recorded.append(fields)
+        return len(self.recorded)
+
+
+class Server:
+    """One server on the store: its homes, and in order what began and ended."""
+
+    def __init__(self, path: Path, name: str, *, automatic: bool = True, permitted: bool = True) -> None:
+        self.database = SqliteDatabase(path)
+        self.happened: list[str] = []
+        self.events = Events()
+        self.fails_to_start = False
+        self.slow_port = asyncio.Event()
+        self.slow_port.set()
+        self.homes = Homes(name, f"http://{name}", is_shared=True)
+        terms = {SITE: HomeTerms(True, True), BUS: HomeTerms(permitted, automatic)}
+        self.store = HomeStore(self.database, monotonic_now)
+        self.keeper = HomeKeeper(
+            self.homes,
+            self.store,
+            self.events,  # type: ignore[arg-type]
+            terms,
+            {SITE: lambda: self.living("site"), BUS: lambda: self.living("bus")},
+            self,
+        )
+
+    @asynccontextmanager
+    async def living(self, what: str) -> AsyncIterator[None]:
+        if self.fails_to_start:
+            raise StoreError(Message("store_is_damaged"))
+        self.happened.append(f"{what} loaded")
+        yield
+        self.happened.append(f"{what} ended")
+
+    def start(self, bus: str) -> None:
+        self.happened.append(f"port of {bus or 'site'} opened")
+
+    async def stop(self, bus: str) -> None:
+        await self.slow_port.wait()
+        self.happened.append(f"port of {bus or 'site'} closed")
+
+    def of_bus(self) -> list[str]:
+        return [each for each in self.happened if "site" not in each]
+
+
+Start = Callable[..., Any]
+
+
+@pytest.fixture
+async def start(tmp_path: Path) -> AsyncIterator[Start]:
+    async with AsyncExitStack() as stack:
+
+        async def start(name: str, **terms: bool) -> tuple[Server, AsyncExitStack]:
+            server = Server(tmp_path / "lineside.db", name, **terms)
+            stack.callback(server.database.close)
+            life = await stack.enter_async_context(AsyncExitStack())
+            await life.enter_async_context(server.keeper.running())
+            return server, life
+
+        yield start
+
+
+async def until(true: Callable[[], object]) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            if true():
+                return
+            await asyncio.sleep(0.01)
+
+
+async def test_one_takes_the_bus_and_the_other_when_it_ends(start: Start) -> None:
+    a, life = await start("a")
+    await until(lambda: a.homes.is_here(BUS) and "port of dry-end opened" in a.happened)
+    b, _ = await start("b")
+    await until(lambda: b.homes.of(BUS).server == "a")
+    assert not b.homes.is_here(BUS)
+    assert (b.homes.of(BUS).url, b.homes.of(BUS).epoch) == ("http://a", 1)
+    assert b.homes.epoch(BUS) == 0
+    await life.aclose()
+    assert a.of_bus() == ["bus loaded", "port of dry-end opened", "port of dry-end closed", "bus ended"]
+    await until(lambda: b.homes.is_here(BUS))
+    assert b.homes.epoch(BUS) > 1
+    assert not a.homes.is_here(BUS)
+    await until(lambda: any(each["bus"] == BUS for each in b.events.recorded))
+
+
+async def test_a_lease_that_is_not_renewed_ends_here_before_another_takes_it(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    b, _ = await start("b")
+    taken_while_held: list[bool] = []
+    b.homes.subscribe(lambda _: taken_while_held.append(a.homes.is_here(BUS) and b.homes.is_here(BUS)))
+
+    async def away(*_: object) -> None:
+        raise StoreError(Message("store_is_damaged"))
+
+    monkeypatch.setattr(a.store, "beat", away)
+    await until(lambda: "port of dry-end closed" in a.happened)
+    await until(lambda: b.homes.is_here(BUS))
+    assert not any(taken_while_held)
+    assert a.of_bus()[-2:] == ["port of dry-end closed", "bus ended"]
+
+
+async def test_a_store_that_does_not_respond_is_one_that_is_away(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+
+    async def hang(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(a.store, "beat", hang)
+    await until(lambda: not a.homes.is_here(BUS) and "bus ended" in a.happened)
+
+
+async def test_a_local_port_is_kept_while_the_store_is_away_and_never_taken_alone(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, life = await start("a", automatic=False)
+    await until(lambda: a.homes.is_here(BUS))
+    b, _ = await start("b", automatic=False)
+    beat = a.store.beat
+
+    async def away(*_: object) -> None:
+        raise StoreError(Message("store_is_damaged"))
+
+    monkeypatch.setattr(a.store, "beat", away)
+    await until(lambda: b.homes.is_here(SITE))
+    assert a.homes.is_here(BUS), "the site's work went, the local port stayed"
+    assert not b.homes.is_here(BUS)
+    monkeypatch.setattr(a.store, "beat", beat)
+    await life.aclose()
+    for _ in range(5):
+        await b.keeper.beat()
+    assert not b.homes.is_here(BUS), "also given up, a local port waits for its server or for a person"
+
+
+async def test_a_person_has_it_handed_over_by_a_holder_that_lives(start: Start) -> None:
+    a, _ = await start("a", automatic=False)
+    await until(lambda: "port of dry-end opened" in a.happened)
+    b, _ = await start("b", automatic=False)
+    assert request_home(b.database, BUS, "b", who="anna", reason="the cable is at b now")
+    await until(lambda: b.homes.is_here(BUS))
+    assert a.of_bus()[-2:] == ["port of dry-end closed", "bus ended"]
+    await until(lambda: any(each["bus"] == BUS for each in b.events.recorded))
+    event = next(each for each in b.events.recorded if each["bus"] == BUS)
+    assert (event["kind"], event["who"], event["message"]) == ("home", "anna", "the cable is at b now")
+    for _ in range(5):
+        await a.keeper.beat()
+    assert not a.homes.is_here(BUS)
+
+
+async def test_it_is_handed_over_only_once_the_port_is_closed(start: Start) -> None:
+    a, _ = await start("a")
+    await until(lambda: "port of dry-end opened" in a.happened)
+    b, _ = await start("b")
+    a.slow_port.clear()
+    request_home(b.database, BUS, "b", who="anna", reason="maintenance")
+    await until(lambda: not a.homes.is_here(BUS))
+    for _ in range(5):
+        await b.keeper.beat()
+    assert not b.homes.is_here(BUS)
+    a.slow_port.set()
+    await until(lambda: b.homes.is_here(BUS))
+
+
+async def test_one_that_may_not_be_its_home_never_is(start: Start) -> None:
+    a, _ = await start("a", permitted=False)
+    await until(lambda: a.homes.is_here(SITE))
+    assert not a.homes.is_here(BUS)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        "DELETE FROM home",
+        "UPDATE home SET holder = 'b'",
+        "UPDATE home SET epoch = 1000",
+        "UPDATE home SET instance = 'x'",
+    ],
+)
+async def test_a_row_that_is_edited_by_hand_ends_the_home_and_gives_it_to_no_two(
+    start: Start, edit: str
+) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    b, _ = await start("b")
+    epoch = a.homes.epoch(BUS)
+    both: list[bool] = []
+    for server in (a, b):
+        server.homes.subscribe(lambda _: both.append(a.homes.is_here(BUS) and b.homes.is_here(BUS)))
+    await a.database.write(lambda connection: connection.execute(edit))
+    await until(lambda: "bus ended" in a.happened)
+    await until(lambda: a.homes.is_here(BUS) or b.homes.is_here(BUS))
+    assert not any(both)
+    assert max(a.homes.epoch(BUS), b.homes.epoch(BUS)) > epoch, "no epoch comes twice"
+    lost = [each for each in a.events.recorded if each["what"].code == "event_home_lost"]
+    assert lost[0]["message"] == Message("home_reason_changed")
+
+
+async def test_a_namesake_is_named_and_takes_nothing(start: Start) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    twin, _ = await start("a")
+    await until(lambda: twin.homes.faults)
+    assert not twin.homes.is_here(BUS)
+    assert "another server has the id a too" in str(twin.homes.faults[0])
+
+
+async def test_one_that_cannot_start_it_gives_it_up(start: Start, tmp_path: Path) -> None:
+    a = Server(tmp_path / "lineside.db", "a")
+    a.fails_to_start = True
+    b, _ = await start("b", permitted=True)
+    await until(lambda: b.homes.is_here(BUS))
+    async with a.keeper.running():
+        request_home(b.database, BUS, "a", who="anna", reason="maintenance")
+        await until(lambda: not b.homes.is_here(BUS))
+        await until(lambda: b.homes.is_here(BUS))
+    a.database.close()
+
+
+async def test_a_worker_that_has_seen_more_epochs_raises_that_of_its_home(start: Start) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    assert await a.homes.outnumber(BUS, 41)
+    assert a.homes.epoch(BUS) == 42
+    assert not await a.homes.outnumber(BUS, 2**52), "no server can have had so many"
+    for _ in range(3):
+        await a.keeper.beat()
+    assert a.homes.epoch(BUS) == 42
+
+
+async def test_a_server_alone_is_the_home_of_all_at_once_with_the_next_epoch(tmp_path: Path) -> None:
+    for run in (1, 2):
+        server = Server(tmp_path / "lineside.db", "a")
+        server.homes.is_shared = False
+        async with server.keeper.running():
+            assert server.homes.is_here(BUS)
+            assert (server.homes.epoch(BUS), server.homes.left_s(BUS)) == (run, math.inf)
+            assert server.homes.of(BUS)[:4] == (BUS, "a", "http://a", run)
+            assert server.happened[:3] == ["site loaded", "port of site opened", "bus loaded"]
+        server.database.close()

@@ -1,0 +1,56 @@
+"""Another host on the wire: its traces, what is not written then, and when that ends."""
+
+from __future__ import annotations
+
+import asyncio
+
+from bus.contract import BusFigures, SetLine, SetSpeed
+from bus.instants import Monotonic
+from bus.line.statistics.second_master import CLEAR_AFTER_S, SecondMaster
+from bus.settings import Dialect
+from bus.wire.framing import encode_frame
+from tests.bus.virtual_line import VirtualLine, run
+
+RESPONSE = bytes((2, 0x81, 0x06, *(0,) * 10))
+"""Of unit 2, as far as the address goes."""
+
+
+def test_three_within_two_seconds_are_another_host_and_ten_seconds_without_are_its_end() -> None:
+    host = SecondMaster()
+    for at in (0.0, 1.5, 3.1):
+        host.note(Monotonic(at))
+    assert not host.is_present(Monotonic(3.1)), "too seldom"
+    host.note(Monotonic(3.2))
+    assert host.is_present(Monotonic(3.2))
+    host.note(Monotonic(9.0))
+    assert host.is_present(Monotonic(9.0 + CLEAR_AFTER_S - 0.1))
+    assert not host.is_present(Monotonic(9.0 + CLEAR_AFTER_S))
+
+
+async def respond_to_another(line: VirtualLine) -> None:
+    """Units respond to another host for a second, beside our polls."""
+    frame = encode_frame(RESPONSE, Dialect())
+    for _ in range(10):
+        assert line.port is not None
+        line.worker.line.link.data_received(frame)
+        await asyncio.sleep(0.1)
+
+
+def test_writing_stops_within_two_seconds_but_for_a_stop_and_is_reported() -> None:
+    async def scene(line: VirtualLine) -> None:
+        await line.until(lambda: all(line.readings(unit) for unit in line.units))
+        assert (await line.perform(SetSpeed(1, 640))).outcome == "verified"
+        await respond_to_another(line)
+        refused = await line.perform(SetSpeed(1, 650))
+        assert refused.outcome == "not_sent"
+        assert refused.message is not None
+        assert refused.message.code == "second_master_writes"
+        assert (await line.perform(SetLine({1: 0, 3: 5}))).outcome == "not_sent"
+        assert line.plant.unit(1).setpoint == 640
+        assert (await line.perform(SetSpeed(1, 0))).outcome == "verified", "a stop is written"
+        figures = [update for update in line.updates if isinstance(update, BusFigures)]
+        assert any(each.has_second_master for each in figures)
+        await asyncio.sleep(CLEAR_AFTER_S + 1.0)
+        assert (await line.perform(SetSpeed(1, 650))).outcome == "verified"
+
+    run(scene, 3)
