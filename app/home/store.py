@@ -139,6 +139,13 @@ class HomeStore:
         return self._database.write_now(wish)
 
 
+def holders_now(connection: StoreConnection) -> list[str]:
+    """The servers that are the home of a bus at this moment, or of the site, by name. With SQLite none is
+    renewed."""
+    now, rows = _beat(connection)
+    return sorted({row.holder for row in rows.values() if now < row.until and not row.is_released})
+
+
 def _beat(connection: StoreConnection) -> Beat:
     return Beat(engine.clock(connection), _rows(connection))
 
