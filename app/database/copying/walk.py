@@ -124,9 +124,12 @@ class Walk:
                 return self.target.transaction(lambda connection: work(connection, found))
             except ConstraintError:
                 return self.target.transaction(lambda connection: work(connection, self._with_room(found)))
-        except (ConstraintError, CallerError) as error:
-            failed = Message.of("copy_refused", table=self.table.name, reason=error.message)
-            raise StoreError(failed) from error
+        except StoreUnavailableError:
+            raise
+        except (ConstraintError, StoreError, CallerError) as error:
+            keys = [*map(self._key, (*found.missing, *found.changed)), *found.extra] or [()]
+            names = {"table": self.table.name, "first": str(min(keys)), "last": str(max(keys))}
+            raise StoreError(Message.of("copy_refused", **names, reason=error.message)) from error
 
     def _with_room(self, found: Difference) -> Difference:
         """Remove the rows of the target that are in the way, changed ones among them."""

@@ -99,7 +99,7 @@ class DatabaseTarget(Target):
                     stream.write_row(row)
             except (TypeError, AttributeError, struct.error) as error:
                 # SQLite may have a text in a column of numbers.
-                raise StoreError(Message.of("copy_of_other_type", table=table.name)) from error
+                raise StoreError(Message("copy_of_other_type")) from error
 
     def number_after(self, table: Table, last: int) -> None:
         column = table.numbered
