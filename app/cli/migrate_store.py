@@ -19,7 +19,7 @@ from app.cli.ending import wrong_option
 from app.cli.findings import existing_part
 from app.cli.hosting import HostingError, only_one
 from app.cli.serve import LINESIDE_TOML, Config
-from app.database.copying.places import Folder, Place, PostgresqlPlace, StorePart
+from app.database.copying.places import Folder, PostgresqlPlace, StorePart, StorePlace
 from app.database.copying.site import RUNNING, SiteCopy, require_own_version, state_of
 from app.database.engine import size_of
 from app.database.migration import MIGRATIONS
@@ -87,11 +87,11 @@ def migrate_store(
         report.end_finished(_changes(config, settings, moved), proof, fault)
 
 
-def _source(settings: Settings) -> Place:
+def _source(settings: Settings) -> StorePlace:
     return PostgresqlPlace(settings.store) if settings.store.url else Folder(settings.server.data)
 
 
-def _target(to: str, password_file: Path | None, settings: Settings) -> Place:
+def _target(to: str, password_file: Path | None, settings: Settings) -> StorePlace:
     """Raises typer.BadParameter for what is neither a URL nor a folder."""
     try:
         parts = urlsplit(to)
@@ -110,7 +110,7 @@ def _target(to: str, password_file: Path | None, settings: Settings) -> Place:
     return Folder(folder.expanduser().resolve())
 
 
-def _hold(held: ExitStack, settings: Settings, source: Place, target: Place) -> Iterator[str]:
+def _hold(held: ExitStack, settings: Settings, source: StorePlace, target: StorePlace) -> Iterator[str]:
     """Keep servers from starting on the folders, to the end; gives the servers that use the source."""
     data = settings.server.data
     if isinstance(target, Folder) and target.path != data:
@@ -123,7 +123,7 @@ def _hold(held: ExitStack, settings: Settings, source: Place, target: Place) -> 
     yield from servers_at(source)
 
 
-def servers_at(place: Place) -> list[str]:
+def servers_at(place: StorePlace) -> list[str]:
     """The servers that use a database. That of a folder holds its lock. Raises StoreError."""
     if isinstance(place, Folder):
         return []
@@ -132,7 +132,7 @@ def servers_at(place: Place) -> list[str]:
     return holders or ([str(Message("copy_a_server"))] if place.servers() else [])
 
 
-def _require_space(source: Place, target: Place) -> None:
+def _require_space(source: StorePlace, target: StorePlace) -> None:
     """Raises StoreError where a folder has not the space for what is not there yet."""
     if not isinstance(target, Folder):
         return
@@ -149,13 +149,13 @@ def _require_space(source: Place, target: Place) -> None:
         raise StoreError(Message.of("copy_needs_space", path=target.name, **missing))
 
 
-def _refuse_changed(source: Place, mark: str) -> None:
+def _refuse_changed(source: StorePlace, mark: str) -> None:
     """Raises StoreError where a server of another machine has started on the source meanwhile."""
     if servers_at(source) or state_of(source, MAIN_PART) != mark:
         raise StoreError(Message.of("copy_source_changed", path=source.name))
 
 
-def _moved(settings: Settings, target: Place) -> Settings:
+def _moved(settings: Settings, target: StorePlace) -> Settings:
     """The configuration of a server on the copy, with the key and the anchor of the site as they are."""
     key, anchor = find_key_file(settings.key_files), settings.anchor_file
     audit = {"key_file": key, "anchor": anchor if anchor.exists() else settings.audit.anchor}
@@ -167,7 +167,7 @@ def _moved(settings: Settings, target: Place) -> Settings:
 
 
 def _proof(moved: Settings) -> tuple[list[Message], Message | None]:
-    """What is proven of the audit log of the copy, or its fault."""
+    """How much is proven of the audit log of the copy, or its fault."""
     try:
         return proof_of(moved), None
     except StoreError as error:

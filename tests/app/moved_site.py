@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from app.cli import cli
 from app.cli.migrate_store import PARTS
 from app.database import SqliteDatabase
-from app.database.copying.places import Folder, Place
+from app.database.copying.places import Folder, StorePlace
 from app.database.copying.statements import quoted
 from app.database.copying.tables import tables_of
 from app.handover.pictures import MIGRATIONS as PICTURE_STEPS
@@ -88,7 +88,7 @@ class MovedSite:
             )
 
 
-def rows_at(place: Place) -> dict[str, Rows]:
+def rows_at(place: StorePlace) -> dict[str, Rows]:
     """Every row of each table of each store."""
     found: dict[str, Rows] = {}
     for part in PARTS:

@@ -16,9 +16,9 @@ from app.database import SqliteDatabase
 from app.database.copying import rows, walk
 from app.database.copying.places import Folder, PostgresqlPlace, StorePart
 from app.database.copying.rows import Chunk, Tally, chunk_of, common_end, packed, packed_key, unpacked_key
-from app.database.copying.sides import Target
+from app.database.copying.sides import CopyTarget
 from app.database.copying.site import RUNNING, SiteCopy, state_of
-from app.database.copying.tables import Table, tables_of
+from app.database.copying.tables import StoreTable, tables_of
 from app.errors import StoreError
 from tests.postgresql import fresh_database, needs_postgresql
 
@@ -97,11 +97,11 @@ def steps(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def ending_at(target_class: type[Target], left: int, *, before: bool) -> Iterator[None]:
+def ending_at(target_class: type[CopyTarget], left: int, *, before: bool) -> Iterator[None]:
     """Kill the command at a transaction of the target: ``before`` it or after it is on disk."""
     transaction = target_class.transaction
 
-    def counted(target: Target, work: Callable[[Any], Any]) -> Any:
+    def counted(target: CopyTarget, work: Callable[[Any], Any]) -> Any:
         nonlocal left
         left -= 1
         if left == 0 and before:
@@ -116,7 +116,7 @@ def ending_at(target_class: type[Target], left: int, *, before: bool) -> Iterato
         yield
 
 
-def pass_over(copy: SiteCopy, chance: random.Random, target_class: type[Target]) -> bool:
+def pass_over(copy: SiteCopy, chance: random.Random, target_class: type[CopyTarget]) -> bool:
     """One call of the command; whether it came to its end, with both sides equal where that is known."""
     try:
         with ending_at(target_class, chance.randint(1, 60), before=chance.random() < 0.5):
@@ -135,7 +135,7 @@ def everything(place: Folder | PostgresqlPlace, part: StorePart) -> dict[str, An
 
 
 def copied_at_random(
-    folder: Path, target: Folder | PostgresqlPlace, target_class: type[Target], seed: int
+    folder: Path, target: Folder | PostgresqlPlace, target_class: type[CopyTarget], seed: int
 ) -> None:
     chance = random.Random(seed)
     site = ChangingSite(folder, chance)
@@ -209,7 +209,7 @@ def test_a_digest_depends_on_the_order_and_not_on_the_chunks() -> None:
 
 
 def test_chunks_are_compared_as_far_as_both_reach() -> None:
-    table = Table("t", {"id": "INTEGER"}, ("id",), (), is_referenced=False)
+    table = StoreTable("t", {"id": "INTEGER"}, ("id",), (), is_referenced=False)
 
     def chunk(*numbers: int) -> Chunk:
         return chunk_of(table, [(number,) for number in numbers])

@@ -11,10 +11,10 @@ from typing import TypeVar
 
 from app.database.connection import open_for_writing, transact
 from app.database.copying import ledger
-from app.database.copying.rows import Row
-from app.database.copying.sides import Side, Target
+from app.database.copying.rows import CopiedRow
+from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.copying.statements import insert_row
-from app.database.copying.tables import Table
+from app.database.copying.tables import StoreTable
 from app.database.migrating import bring_up_to_date
 from app.database.presence import open_unchanged
 from app.database.store_connection import StoreConnection
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 @contextmanager
-def reading(file: Path) -> Iterator[Side]:
+def reading(file: Path) -> Iterator[StoreSide]:
     """Read a store as it is at this instant, also while a server writes it. Nothing is changed. Raises
     StoreError."""
     with in_words(file):
@@ -35,11 +35,11 @@ def reading(file: Path) -> Iterator[Side]:
         connection.text_factory = str
         with in_words(file):
             connection.execute("BEGIN")
-        yield Side(str(file), connection, partial(in_words, file))
+        yield StoreSide(str(file), connection, partial(in_words, file))
 
 
 @contextmanager
-def writing(file: Path, steps: Path) -> Iterator[Target]:
+def writing(file: Path, steps: Path) -> Iterator[CopyTarget]:
     """Write a store that no other process can open meanwhile; its tables are made. Raises StoreError."""
     with in_words(file):
         connection = open_for_writing(file)
@@ -52,7 +52,7 @@ def writing(file: Path, steps: Path) -> Iterator[Target]:
         yield FileTarget(str(file), connection, partial(in_words, file))
 
 
-class FileTarget(Target):
+class FileTarget(CopyTarget):
     """A store of SQLite that is written."""
 
     connection: sqlite3.Connection
@@ -61,10 +61,10 @@ class FileTarget(Target):
         with self.in_words():
             return transact(self.connection, work)
 
-    def insert(self, table: Table, rows: Iterable[Row]) -> None:
+    def insert(self, table: StoreTable, rows: Iterable[CopiedRow]) -> None:
         self.connection.executemany(insert_row(table), rows)
 
-    def number_after(self, table: Table, last: int) -> None:
+    def number_after(self, table: StoreTable, last: int) -> None:
         """Only a table that is made with AUTOINCREMENT remembers the numbers of rows that were removed."""
         remembers = "SELECT 1 FROM sqlite_master WHERE name = ? AND sql LIKE '%AUTOINCREMENT%'"
         if self.one(remembers, (table.name,)) and last:

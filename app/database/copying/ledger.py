@@ -35,7 +35,7 @@ _PUT = upsert(LEDGER, ("item",), _VALUES)
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class TableProgress:
     """How far one table is. ``after``: the last key that is copied; ``extra``: rows of the target that are to
     be removed once no other row depends on them; ``source`` and ``target``: what was read there."""
 
@@ -62,17 +62,17 @@ def note_site(connection: StoreConnection, site: str) -> None:
     connection.execute(_PUT, (_SITE, site, "", 0, 0, 0, 0, "", 0, 0, ""))
 
 
-def noted(connection: StoreConnection, mark: str) -> dict[str, Progress]:
+def noted(connection: StoreConnection, mark: str) -> dict[str, TableProgress]:
     """By table how far the copy of a source in the state ``mark`` is."""
     query = f"SELECT item, {', '.join(_VALUES[1:])} FROM {LEDGER} WHERE mark = ? AND item <> ?"
     return {
-        item: Progress(item, unpacked_key(place), bool(done), extra, Tally(*read), Tally(*copied))
+        item: TableProgress(item, unpacked_key(place), bool(done), extra, Tally(*read), Tally(*copied))
         for item, place, done, extra, *both in connection.execute(query, (mark, _SITE)).fetchall()
         for read, copied in [(both[:3], both[3:])]
     }
 
 
-def note(connection: StoreConnection, mark: str, progress: Progress) -> None:
+def note(connection: StoreConnection, mark: str, progress: TableProgress) -> None:
     source, target = progress.source, progress.target
     place = packed_key(progress.after)
     values = (source.rows, source.size, source.digest, target.rows, target.size, target.digest)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.database.copying import files
-from app.database.copying.sides import Side, Target
+from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.opening import require_driver
 from app.database.settings import StoreSettings
 
@@ -37,10 +37,10 @@ class Folder:
         file = self.path / part.file
         return file.exists() and file.stat().st_size > 0
 
-    def reading(self, part: StorePart) -> AbstractContextManager[Side]:
+    def reading(self, part: StorePart) -> AbstractContextManager[StoreSide]:
         return files.reading(self.path / part.file)
 
-    def writing(self, part: StorePart) -> AbstractContextManager[Target]:
+    def writing(self, part: StorePart) -> AbstractContextManager[CopyTarget]:
         return files.writing(self.path / part.file, part.steps)
 
 
@@ -62,13 +62,13 @@ class PostgresqlPlace:
         with self.reading(part) as side, side.in_words():
             return bool(tables_in(side.connection))
 
-    def reading(self, part: StorePart) -> AbstractContextManager[Side]:
+    def reading(self, part: StorePart) -> AbstractContextManager[StoreSide]:
         require_driver()
         from app.database.postgresql import copying
 
         return copying.reading(self.store, part.name)
 
-    def writing(self, part: StorePart) -> AbstractContextManager[Target]:
+    def writing(self, part: StorePart) -> AbstractContextManager[CopyTarget]:
         require_driver()
         from app.database.postgresql import copying
 
@@ -82,4 +82,4 @@ class PostgresqlPlace:
         return copying.servers_of(self.store)
 
 
-Place = Folder | PostgresqlPlace
+StorePlace = Folder | PostgresqlPlace

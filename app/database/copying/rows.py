@@ -9,9 +9,9 @@ from typing import Any
 
 import msgspec
 
-from app.database.copying.tables import Table
+from app.database.copying.tables import StoreTable
 
-Row = tuple[Any, ...]
+CopiedRow = tuple[Any, ...]
 Key = tuple[Any, ...]
 MAX_ROWS = 4096
 MAX_BYTES = 2**22
@@ -22,7 +22,7 @@ _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(tuple)
 
 
-def packed(values: Row) -> bytes:
+def packed(values: CopiedRow) -> bytes:
     """Integers, floats, texts, bytes and NULL by MessagePack: values that differ, differ."""
     return _encoder.encode(values)
 
@@ -40,7 +40,7 @@ def unpacked_key(text: str) -> Key | None:
 class Chunk:
     """Neighbouring rows of a table, in the order of their keys, and each as it is compared."""
 
-    rows: dict[Key, Row]
+    rows: dict[Key, CopiedRow]
     forms: dict[Key, bytes]
 
     @property
@@ -60,7 +60,7 @@ class Chunk:
         return Chunk({key: self.rows[key] for key in kept}, {key: self.forms[key] for key in kept})
 
 
-def chunk_of(table: Table, rows: Iterable[Row]) -> Chunk:
+def chunk_of(table: StoreTable, rows: Iterable[CopiedRow]) -> Chunk:
     places = table.places
     by_key = {tuple([row[place] for place in places]): row for row in rows}
     return Chunk(by_key, {key: _encoder.encode(row) for key, row in by_key.items()})

@@ -1,4 +1,4 @@
-"""A store that is open for a copy: to read it as it is, or to write into it and nobody else."""
+"""A store that is open for a copy: to be read as it is, or to be written by this process alone."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from app.database.copying.rows import Chunk, Key, Row, chunk_of
+from app.database.copying.rows import Chunk, CopiedRow, Key, chunk_of
 from app.database.copying.statements import quoted, select_chunk
-from app.database.copying.tables import Table
+from app.database.copying.tables import StoreTable
 from app.database.store_connection import StoreConnection
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Side:
+class StoreSide:
     """One store. ``in_words``: turns failures of its engine into StoreError."""
 
     name: str
     connection: StoreConnection
     in_words: Callable[[], AbstractContextManager[None]]
 
-    def chunk(self, table: Table, after: Key | None, limit: int) -> Chunk:
+    def chunk(self, table: StoreTable, after: Key | None, limit: int) -> Chunk:
         """The next rows of a table, at most so many. Raises StoreError."""
         with self.in_words():
             rows = self.connection.execute(
@@ -32,7 +32,7 @@ class Side:
             )
             return chunk_of(table, rows)
 
-    def count(self, table: Table) -> int:
+    def count(self, table: StoreTable) -> int:
         return int(self.one(f"SELECT count(*) FROM {quoted(table.name)}"))
 
     def one(self, query: str, values: Sequence[Any] = ()) -> Any:
@@ -42,7 +42,7 @@ class Side:
         return None if row is None else row[0]
 
 
-class Target(Side, ABC):
+class CopyTarget(StoreSide, ABC):
     """The store that is written."""
 
     @abstractmethod
@@ -50,9 +50,9 @@ class Target(Side, ABC):
         """Run ``work``: all of it is on disk, or none. Raises StoreError, ConstraintError, CallerError."""
 
     @abstractmethod
-    def insert(self, table: Table, rows: Iterable[Row]) -> None:
+    def insert(self, table: StoreTable, rows: Iterable[CopiedRow]) -> None:
         """Add rows within a transaction."""
 
     @abstractmethod
-    def number_after(self, table: Table, last: int) -> None:
+    def number_after(self, table: StoreTable, last: int) -> None:
         """Let the engine number the next row with more than ``last``, and more than any row has."""

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from app.database.copying import ledger
-from app.database.copying.ledger import Progress
-from app.database.copying.places import Place, StorePart
+from app.database.copying.ledger import TableProgress
+from app.database.copying.places import StorePart, StorePlace
 from app.database.copying.rows import Tally
-from app.database.copying.sides import Side, Target
+from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.copying.statements import quoted
 from app.database.copying.tables import STEPS, tables_of
-from app.database.copying.walk import Walk
+from app.database.copying.walk import TableWalk
 from app.database.engine import last_number, tables_in
 from app.database.migration import missing_in
 from app.database.unfinished import LEDGER
@@ -28,7 +28,7 @@ class CopyStep:
     """A table is that far. ``total``: its rows in the source."""
 
     part: StorePart
-    progress: Progress
+    progress: TableProgress
     total: int
 
 
@@ -37,8 +37,8 @@ class SiteCopy:
     """One pass over all stores. The source has been seen to be of this version. ``mark``: its state, or
     `RUNNING`: then the pass only brings the copy nearer, and verifies nothing."""
 
-    source: Place
-    target: Place
+    source: StorePlace
+    target: StorePlace
     parts: Sequence[StorePart]
     mark: str
 
@@ -66,16 +66,16 @@ class SiteCopy:
                 with self.target.writing(part) as target:
                     target.transaction(ledger.remove)
 
-    def _copy(self, part: StorePart, source: Side, target: Target) -> Iterator[CopyStep]:
+    def _copy(self, part: StorePart, source: StoreSide, target: CopyTarget) -> Iterator[CopyStep]:
         is_running = self.mark == RUNNING
         tables, steps = tables_of(part.steps), dict[str, CopyStep]()
         noted = ledger.noted(target.connection, self.mark)
         for table in tables:
-            walk = Walk(source, target, table, self.mark, verifies=not is_running)
-            progress = noted.get(table.name, Progress(table.name))
+            walk = TableWalk(source, target, table, self.mark, verifies=not is_running)
+            progress = noted.get(table.name, TableProgress(table.name))
             if is_running and table.is_referenced:
                 # Of a later instant of the source, other tables refer to rows that may be new.
-                progress = Progress(table.name)
+                progress = TableProgress(table.name)
             step = CopyStep(part, progress, source.count(table))
             yield step
             for further in walk.follow(progress):
@@ -89,13 +89,13 @@ class SiteCopy:
                 target.number_after(table, last)
         for table in reversed(tables):
             if steps[table.name].progress.extra:
-                walk = Walk(source, target, table, self.mark, verifies=not is_running)
+                walk = TableWalk(source, target, table, self.mark, verifies=not is_running)
                 yield replace(steps[table.name], progress=_without_extra(walk, steps[table.name].progress))
         if is_running:
             target.transaction(ledger.forget_tables)
 
 
-def _without_extra(walk: Walk, progress: Progress) -> Progress:
+def _without_extra(walk: TableWalk, progress: TableProgress) -> TableProgress:
     """Remove what the source does not have, and count what is left."""
     walk.remove_extra()
     left = walk.target.count(walk.table)
@@ -104,19 +104,19 @@ def _without_extra(walk: Walk, progress: Progress) -> Progress:
     )
 
 
-def site_of(place: Place, main: StorePart) -> str:
+def site_of(place: StorePlace, main: StorePart) -> str:
     """What distinguishes a site from others: its first event; empty before it."""
     with place.reading(main) as side:
         return str(side.one("SELECT hash FROM events ORDER BY id LIMIT 1") or "")
 
 
-def state_of(place: Place, main: StorePart) -> str:
+def state_of(place: StorePlace, main: StorePart) -> str:
     """What differs after a server used the stores: each start is an event."""
     with place.reading(main) as side:
         return f"stopped after {side.one('SELECT max(id) FROM events') or 0}"
 
 
-def require_own_version(place: Place, parts: Sequence[StorePart]) -> None:
+def require_own_version(place: StorePlace, parts: Sequence[StorePart]) -> None:
     """Raises StoreError where the main store is missing, and where a store is of another version."""
     if not place.has(parts[0]):
         raise StoreError(Message.of("copy_source_missing", path=place.name))
@@ -128,7 +128,7 @@ def require_own_version(place: Place, parts: Sequence[StorePart]) -> None:
                     raise StoreError(Message.of("copy_of_older_version", path=side.name, **names))
 
 
-def _is_copy(side: Side, part: StorePart, site: str) -> bool:
+def _is_copy(side: StoreSide, part: StorePart, site: str) -> bool:
     """Whether a store is an unfinished copy of this site. Raises StoreError for one of another site."""
     tables = _tables_in(side)
     if STEPS in tables:
@@ -142,7 +142,7 @@ def _is_copy(side: Side, part: StorePart, site: str) -> bool:
     return True
 
 
-def _refuse_other_site(side: Side) -> None:
+def _refuse_other_site(side: StoreSide) -> None:
     """Raises StoreError for a store in which anything is."""
     tables = _tables_in(side)
     if tables and STEPS not in tables:
@@ -152,12 +152,12 @@ def _refuse_other_site(side: Side) -> None:
             raise StoreError(Message.of("copy_target_has_site", path=side.name, table=table))
 
 
-def _tables_in(side: Side) -> set[str]:
+def _tables_in(side: StoreSide) -> set[str]:
     with side.in_words():
         return set(tables_in(side.connection))
 
 
-def _steps_in(side: Side) -> dict[int, str]:
+def _steps_in(side: StoreSide) -> dict[int, str]:
     if STEPS not in _tables_in(side):
         raise StoreError(Message.of("store_failed", path=side.name, reason=Message("store_foreign")))
     with side.in_words():

@@ -15,7 +15,7 @@ STEPS = "migrations"
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class StoreTable:
     """A table of a store. ``types``: of each column, in the words of SQLite; ``unique``: lists of columns
     beside the key that no two rows share; ``is_referenced``: rows of other tables depend on its rows."""
 
@@ -40,7 +40,7 @@ class Table:
         return self.key[0] if [self.types[name] for name in self.key] == ["INTEGER"] else None
 
 
-def tables_of(steps: Path) -> list[Table]:
+def tables_of(steps: Path) -> list[StoreTable]:
     """The tables that all steps of a folder make, each after those that its rows refer to."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as model:
         bring_up_to_date(model, Path("model"), steps)
@@ -56,7 +56,7 @@ def _parents(model: sqlite3.Connection, table: str) -> set[str]:
     return {name for (name,) in model.execute('SELECT "table" FROM pragma_foreign_key_list(?)', (table,))}
 
 
-def _table(model: sqlite3.Connection, name: str, *, is_referenced: bool) -> Table:
+def _table(model: sqlite3.Connection, name: str, *, is_referenced: bool) -> StoreTable:
     columns = model.execute("SELECT name, type, pk FROM pragma_table_info(?)", (name,)).fetchall()
     key = sorted((place, column) for column, _, place in columns if place)
     indexes = model.execute(
@@ -67,4 +67,4 @@ def _table(model: sqlite3.Connection, name: str, *, is_referenced: bool) -> Tabl
         for index in indexes
     ]
     types = {column: type_name for column, type_name, _ in columns}
-    return Table(name, types, tuple(column for _, column in key), tuple(unique), is_referenced)
+    return StoreTable(name, types, tuple(column for _, column in key), tuple(unique), is_referenced)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from app.database.copying import ledger
-from app.database.copying.ledger import Progress
-from app.database.copying.rows import FIRST_ROWS, Chunk, Key, Row, common_end, next_limit
-from app.database.copying.sides import Side, Target
+from app.database.copying.ledger import TableProgress
+from app.database.copying.rows import FIRST_ROWS, Chunk, CopiedRow, Key, common_end, next_limit
+from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.copying.statements import delete_other, delete_row, update_row
-from app.database.copying.tables import Table
+from app.database.copying.tables import StoreTable
 from app.database.store_connection import StoreConnection
 from app.errors import ConstraintError, StoreError, StoreUnavailableError
 from bus.errors import CallerError
@@ -28,8 +28,8 @@ T = TypeVar("T")
 class Difference:
     """What makes a chunk of the target equal to the source."""
 
-    missing: list[Row]
-    changed: list[Row]
+    missing: list[CopiedRow]
+    changed: list[CopiedRow]
     extra: list[Key]
 
     def __bool__(self) -> bool:
@@ -40,8 +40,8 @@ def difference(source: Chunk, target: Chunk) -> Difference:
     """Of two chunks that begin and end at the same keys."""
     if source.forms == target.forms:
         return Difference([], [], [])
-    missing: list[Row] = []
-    changed: list[Row] = []
+    missing: list[CopiedRow] = []
+    changed: list[CopiedRow] = []
     for key, form in source.forms.items():
         if (present := target.forms.get(key)) != form:
             (missing if present is None else changed).append(source.rows[key])
@@ -49,17 +49,17 @@ def difference(source: Chunk, target: Chunk) -> Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
+class TableWalk:
     """The copy of one table. ``mark``: the state of the source that is noted with each position.
     ``verifies``: what was written is read again, and both sides are counted and have their digest."""
 
-    source: Side
-    target: Target
-    table: Table
+    source: StoreSide
+    target: CopyTarget
+    table: StoreTable
     mark: str
     verifies: bool
 
-    def follow(self, progress: Progress) -> Iterator[Progress]:
+    def follow(self, progress: TableProgress) -> Iterator[TableProgress]:
         """Copy the rest of the table; gives how far it is after each chunk. Raises StoreError."""
         limit = FIRST_ROWS
         while not progress.is_done:
@@ -91,7 +91,7 @@ class Walk:
             failed = Message.of("copy_unreadable", table=self.table.name, after=place, reason=error.message)
             raise StoreError(failed) from error
 
-    def _take(self, progress: Progress, source: Chunk, target: Chunk, end: Key | None) -> Progress:
+    def _take(self, progress: TableProgress, source: Chunk, target: Chunk, end: Key | None) -> TableProgress:
         found = difference(source, target)
         deferred = len(found.extra) if self.table.is_referenced else 0
         further = replace(
@@ -102,7 +102,7 @@ class Walk:
             source=progress.source.with_rows([*source.forms.values()]),
         )
 
-        def take(connection: StoreConnection, found: Difference) -> Progress:
+        def take(connection: StoreConnection, found: Difference) -> TableProgress:
             self._replace(connection, replace(found, extra=[]) if deferred else found)
             read = Chunk({}, {})
             if self.verifies:
@@ -155,5 +155,5 @@ class Walk:
             ]
             connection.executemany(update_row(self.table), rows)
 
-    def _key(self, row: Row) -> Key:
+    def _key(self, row: CopiedRow) -> Key:
         return tuple(row[place] for place in self.table.places)

@@ -13,10 +13,10 @@ import psycopg
 from psycopg.sql import SQL, Identifier
 
 from app.database.copying import ledger
-from app.database.copying.rows import Row
-from app.database.copying.sides import Side, Target
+from app.database.copying.rows import CopiedRow
+from app.database.copying.sides import CopyTarget, StoreSide
 from app.database.copying.statements import copy_rows, quoted
-from app.database.copying.tables import Table
+from app.database.copying.tables import StoreTable
 from app.database.postgresql.connection import PostgresqlConnection, connect, name_of
 from app.database.postgresql.database import transact
 from app.database.postgresql.migrating import bring_up_to_date
@@ -37,7 +37,7 @@ _TYPES = {"INTEGER": "int8", "REAL": "float8", "TEXT": "text", "BLOB": "bytea"}
 
 
 @contextmanager
-def reading(store: StoreSettings, schema: str) -> Iterator[Side]:
+def reading(store: StoreSettings, schema: str) -> Iterator[StoreSide]:
     """Read a store as it is at this instant, also while servers write it. Raises StoreError."""
     in_these_words = partial(in_words, name_of(store, schema))
     with in_these_words():
@@ -45,11 +45,11 @@ def reading(store: StoreSettings, schema: str) -> Iterator[Side]:
     with closing(driver):
         with in_these_words():
             driver.execute("BEGIN ISOLATION LEVEL REPEATABLE READ")
-        yield Side(name_of(store, schema), PostgresqlConnection(driver), in_these_words)
+        yield StoreSide(name_of(store, schema), PostgresqlConnection(driver), in_these_words)
 
 
 @contextmanager
-def writing(store: StoreSettings, schema: str, steps: Path) -> Iterator[Target]:
+def writing(store: StoreSettings, schema: str, steps: Path) -> Iterator[CopyTarget]:
     """Write a store that no other such command writes meanwhile; its tables are made. Raises StoreError."""
     name = name_of(store, schema)
     in_these_words = partial(in_words, name)
@@ -82,7 +82,7 @@ def servers_of(store: StoreSettings) -> int:
         return int(side.one(query, (SERVER,)))
 
 
-class DatabaseTarget(Target):
+class DatabaseTarget(CopyTarget):
     """A store of PostgreSQL that is written."""
 
     connection: PostgresqlConnection
@@ -91,7 +91,7 @@ class DatabaseTarget(Target):
         with self.in_words():
             return transact(self.connection.driver, work, self.name)
 
-    def insert(self, table: Table, rows: Iterable[Row]) -> None:
+    def insert(self, table: StoreTable, rows: Iterable[CopiedRow]) -> None:
         with self.connection.driver.cursor().copy(copy_rows(table).encode()) as stream:
             stream.set_types([_TYPES[each] for each in table.types.values()])
             try:
@@ -101,7 +101,7 @@ class DatabaseTarget(Target):
                 # SQLite may have a text in a column of numbers.
                 raise StoreError(Message("copy_of_other_type")) from error
 
-    def number_after(self, table: Table, last: int) -> None:
+    def number_after(self, table: StoreTable, last: int) -> None:
         column = table.numbered
         assert column is not None
         query = (
