@@ -17,14 +17,13 @@ from app.cli.audit import proof_of
 from app.cli.copy_report import MB, CopyReport, JsonReport, TextReport
 from app.cli.ending import wrong_option
 from app.cli.findings import existing_part
-from app.cli.hosting import HostingError, only_one
+from app.cli.hosting import DATA_IN_USE, HostingError, only_one
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.copying.places import Folder, PostgresqlPlace, StorePart, StorePlace
 from app.database.copying.site import RUNNING, SiteCopy, require_own_version, state_of
 from app.database.engine import size_of
 from app.database.migration import MIGRATIONS
 from app.database.opening import MAIN
-from app.database.private import make_private
 from app.database.reserve import free_bytes
 from app.database.settings import IN_FILES, SCHEMES, StoreSettings
 from app.errors import StoreError
@@ -115,10 +114,11 @@ def _hold(held: ExitStack, settings: Settings, source: StorePlace, target: Store
     data = settings.server.data
     if isinstance(target, Folder) and target.path != data:
         held.enter_context(only_one(target.path))
-        make_private(target.path)
     try:
         held.enter_context(only_one(data))
-    except HostingError:
+    except HostingError as error:
+        if error.message.code != DATA_IN_USE:
+            raise
         yield settings.server.id
     yield from servers_at(source)
 
