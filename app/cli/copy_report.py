@@ -21,6 +21,11 @@ MB = 1_000_000
 SHOW_EVERY_S = 0.5
 
 
+def is_terminal() -> bool:
+    """Whether a person can see a line change."""
+    return sys.stderr.isatty()
+
+
 class CopyReport(ABC):
     """Collects the tables of a copy."""
 
@@ -75,7 +80,7 @@ class TextReport(CopyReport):
         super().__init__()
         self._shown = self._table_began = self._began
         self._at = 0
-        self._is_terminal = sys.stderr.isatty()
+        self._is_terminal = is_terminal()
 
     def show(self, step: CopyStep) -> None:
         super().show(step)
@@ -104,10 +109,8 @@ class TextReport(CopyReport):
         if self._is_terminal:
             typer.echo("\r\x1b[K", err=True, nl=False)
         source, target = step.progress.source, step.progress.target
-        code = "copy_table_differs"
-        if step.progress.holds:
-            code = "copy_table"
-        elif not target.digest and not target.rows:
+        code = "copy_table" if step.progress.holds else "copy_table_differs"
+        if not step.is_verified:
             code = "copy_table_running"
         report(
             Message.of(
@@ -138,6 +141,9 @@ class JsonReport(CopyReport):
     def _table(self, step: CopyStep) -> None:
         source, target = step.progress.source, step.progress.target
         shown = {"store": step.part.name, "table": step.progress.table}
+        if not step.is_verified:
+            self._print({**shown, "rows": source.rows, "bytes": source.size, "equal": None})
+            return
         sides = {
             name: {"rows": side.rows, "bytes": side.size, "digest": side.digest}
             for name, side in (("source", source), ("target", target))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -70,7 +69,7 @@ def migrate_store(
     with ExitStack() as held:
         require_own_version(source, PARTS)
         _require_space(source, target)
-        servers = [*_hold(held, settings, source, target)]
+        servers = _hold(held, settings, source, target)
         mark = RUNNING if servers else state_of(source, MAIN_PART)
         copy = SiteCopy(source, target, PARTS, mark)
         for step in copy.follow():
@@ -109,8 +108,9 @@ def _target(to: str, password_file: Path | None, settings: Settings) -> StorePla
     return Folder(folder.expanduser().resolve())
 
 
-def _hold(held: ExitStack, settings: Settings, source: StorePlace, target: StorePlace) -> Iterator[str]:
-    """Keep servers from starting on the folders, to the end; gives the servers that use the source."""
+def _hold(held: ExitStack, settings: Settings, source: StorePlace, target: StorePlace) -> list[str]:
+    """Keep servers from starting on the folders, to the end; gives the servers that use the source. Raises
+    HostingError where a server uses the folder of the copy."""
     data = settings.server.data
     if isinstance(target, Folder) and target.path != data:
         held.enter_context(only_one(target.path))
@@ -119,17 +119,20 @@ def _hold(held: ExitStack, settings: Settings, source: StorePlace, target: Store
     except HostingError as error:
         if error.message.code != DATA_IN_USE:
             raise
-        yield settings.server.id
-    yield from servers_at(source)
+        return sorted({settings.server.id, *_homes_at(source)})
+    return servers_at(source)
 
 
 def servers_at(place: StorePlace) -> list[str]:
     """The servers that use a database. That of a folder holds its lock. Raises StoreError."""
     if isinstance(place, Folder):
         return []
+    return _homes_at(place) or ([str(Message("copy_a_server"))] if place.servers() else [])
+
+
+def _homes_at(place: StorePlace) -> list[str]:
     with place.reading(MAIN_PART) as side, side.in_words():
-        holders = holders_now(side.connection)
-    return holders or ([str(Message("copy_a_server"))] if place.servers() else [])
+        return holders_now(side.connection)
 
 
 def _require_space(source: StorePlace, target: StorePlace) -> None:
@@ -189,8 +192,10 @@ def _changes(config: Path, settings: Settings, moved: Settings) -> list[Message]
     if moved.server.data != settings.server.data:
         data = os.path.relpath(moved.server.data, folder)
         lines.append(Message.of("copy_change_line", table="server", line=f'data = "{data}"'))
-        key = moved.audit.key_file
-        if key is not None and key != settings.audit.key_file and key.parent != folder:
-            file = os.path.relpath(key, folder)
-            lines.append(Message.of("copy_change_line", table="audit", line=f'key_file = "{file}"'))
+        for name in ("key_file", "anchor"):
+            path = getattr(moved.audit, name)
+            # What is not configured is looked for beside the data folder.
+            if path is not None and getattr(settings.audit, name) is None:
+                line = f'{name} = "{os.path.relpath(path, folder)}"'
+                lines.append(Message.of("copy_change_line", table="audit", line=line))
     return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import time
 from contextlib import closing
@@ -11,7 +12,7 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from app.cli import migrate_store
+from app.cli import copy_report, migrate_store
 from app.database import Database
 from app.database.copying.places import Folder, PostgresqlPlace
 from app.database.opening import open_database
@@ -77,6 +78,7 @@ def test_a_site_is_the_same_after_it_went_into_postgresql_and_back(
     back = site.migrate(str(site.folder / "back"))
     assert back.exit_code == 0, back.output
     assert 'data = "back"' in back.output
+    assert 'key_file = "lineside.audit.key"' in back.output
     assert "remove the lines url" in back.output
     assert rows_at(Folder(site.folder / "back")) == before
     changed = {"notification_quiet": 2}
@@ -92,7 +94,9 @@ def test_a_running_site_is_copied_and_finished_once_it_is_stopped(
     with site.served():
         first = site.migrate(empty.url, "--json")
         assert first.exit_code == 0, first.output
-        assert json.loads(first.stdout.splitlines()[-1])["finished"] is False
+        *tables, end = map(json.loads, first.stdout.splitlines())
+        assert not any(table["equal"] for table in tables)
+        assert end["finished"] is False
         with pytest.raises(StoreError, match="not finished"):
             opened(empty)
         site.change(
@@ -206,6 +210,31 @@ def test_a_server_that_started_meanwhile_ends_the_copy(
     assert "a server used" in ended.output
     assert site.migrate(empty.url).exit_code == 0
     assert rows_at(PostgresqlPlace(empty)) == rows_at(folder_of(site))
+
+
+def test_a_database_that_a_server_uses_is_not_finished(site: MovedSite, empty: StoreSettings) -> None:
+    assert site.migrate(empty.url).exit_code == 0
+    site.configure(f'[store]\nurl = "{empty.url}"\n')
+    back = str(site.folder / "back")
+    with closing(opened(empty)) as main:
+        assert "used by a server" in site.migrate(back).output
+        row = "INSERT INTO home VALUES (?, 'app-2', 'i', 1, 9e12, '', 0, '', '', '', '', 0)"
+        main.write_now(lambda connection: connection.execute(row, ("dry",)))
+    assert "used by app-2" in site.migrate(back).output
+    with closing(opened(empty)) as main:
+        main.write_now(lambda connection: connection.execute("UPDATE home SET until = 0"))
+    assert "is complete" in site.migrate(back).output
+
+
+def test_a_terminal_shows_how_far_it_is(site: MovedSite, monkeypatch: pytest.MonkeyPatch) -> None:
+    site.add_blocks(50, 10)
+    monkeypatch.setattr(copy_report, "SHOW_EVERY_S", 0)
+    monkeypatch.setattr(copy_report, "is_terminal", lambda: True)
+    ended = site.migrate(str(site.folder / "copy"))
+    assert ended.exit_code == 0, ended.output
+    shown = re.findall(r"history.raw: (\d+) of 53 rows, (\d+) %, 0 MB, \d+ MB/s, \d+:\d\d left", ended.stderr)
+    assert shown == [("16", "30")]
+    assert "left" not in ended.stdout
 
 
 def test_places_that_hold_something_else(site: MovedSite, empty: StoreSettings) -> None:

@@ -25,11 +25,12 @@ RUNNING = "running"
 
 @dataclass(frozen=True, slots=True)
 class CopyStep:
-    """A table is that far. ``total``: its rows in the source."""
+    """A table is that far. ``total``: its rows in the source; ``is_verified``: its sides are compared."""
 
     part: StorePart
     progress: TableProgress
     total: int
+    is_verified: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class SiteCopy:
             if is_running and table.is_referenced:
                 # Of a later instant of the source, other tables refer to rows that may be new.
                 progress = TableProgress(table.name)
-            step = CopyStep(part, progress, source.count(table))
+            step = CopyStep(part, progress, source.count(table), is_verified=not is_running)
             yield step
             for further in walk.follow(progress):
                 step = replace(step, progress=further)
