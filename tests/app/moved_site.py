@@ -24,7 +24,7 @@ from app.history.series.runs import HOUR
 from tests.app.history_line import NOON, Shelf, polls
 
 FILES = {part.name: part.file for part in PARTS}
-Rows = dict[str, list[str]]
+Rows = dict[str, list[bytes]]
 
 
 class MovedSite:
@@ -89,12 +89,12 @@ class MovedSite:
 
 
 def rows_at(place: StorePlace) -> dict[str, Rows]:
-    """Every row of each table of each store."""
+    """Every row of each table of each store, as rows are compared."""
     found: dict[str, Rows] = {}
     for part in PARTS:
         with place.reading(part) as side:
             found[part.name] = {
-                table.name: sorted(map(repr, side.chunk(table, None, 100_000).rows.values()))
+                table.name: [*side.chunk(table, None, 100_000).forms.values()]
                 for table in tables_of(part.steps)
             }
     return found

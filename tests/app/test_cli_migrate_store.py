@@ -127,7 +127,7 @@ def test_a_running_site_is_copied_and_finished_once_it_is_stopped(
 
 
 def test_a_command_that_is_killed_goes_on_where_it_was(site: MovedSite, empty: StoreSettings) -> None:
-    site.add_blocks(3000, 3000)
+    site.add_blocks(2000, 3000)
     command = ("migrate-store", "--to", empty.url, "--config", str(site.config))
     with (site.folder / "log").open("w") as log:
         process = fork_server.start(*command, stdout=log, stderr=log)
@@ -138,7 +138,7 @@ def test_a_command_that_is_killed_goes_on_where_it_was(site: MovedSite, empty: S
             time.sleep(0.002)
         process.kill()
         process.wait()
-        assert 0 < _copied(watching) < 3000
+        assert 0 < _copied(watching) < 2000
     ended = site.migrate(empty.url)
     assert ended.exit_code == 0, ended.output
     assert rows_at(PostgresqlPlace(empty)) == rows_at(folder_of(site))
@@ -270,7 +270,7 @@ def test_sources_that_cannot_be_copied(site: MovedSite, empty: StoreSettings, tm
     site.change("main", "UPDATE recipe SET saved_at = 1, comment = CAST(x'ff' AS TEXT)")
     assert "table recipe cannot be read" in site.migrate(empty.url).output
     site.change("main", "UPDATE recipe SET comment = ''")
-    site.add_blocks(2000, 3000)
+    site.add_blocks(300, 3000)
     file = site.data / FILES["history"]
     content = bytearray(file.read_bytes())
     middle = len(content) // 2
