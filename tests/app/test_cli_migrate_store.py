@@ -114,10 +114,10 @@ def test_a_running_site_is_copied_and_finished_once_it_is_stopped(
             "DELETE FROM raw WHERE id % 5 = 1",
             "UPDATE raw SET data = x'01', points = 61 WHERE id = 40",
         )
-        site.add_blocks(0, 0)
         again = site.migrate(empty.url)
         assert again.exit_code == 0
         assert "not finished" in again.output
+        assert rows_at(PostgresqlPlace(empty)) == rows_at(folder_of(site))
         site.change("history", "UPDATE raw SET data = x'02' WHERE id = 13", "DELETE FROM minutes")
     last = site.migrate(empty.url)
     assert last.exit_code == 0, last.output
