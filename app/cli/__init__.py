@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "diff": ("diff", "Show the differences of a unit and a file, or of two files."),
     "restore": ("restore", "Write the rows of a file that differ to a unit."),
     "backup-store": ("backup_store", "Copy the stores of a running dashboard into one file."),
+    "migrate-store": ("migrate_store", "Copy the stores into a PostgreSQL database, or into files."),
     "restore-store": ("restore_store", "Replace the current stores with a backup."),
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a

@@ -33,13 +33,8 @@ AnchorFile = Annotated[
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
     """Verify every chain of the log, its seals and anchors, and that the store has the signatures of shifts
     that the log names. Exit 0 when all is intact, 1 with the first altered entry of each chain."""
-    settings = load(config)
-    verdict, anchors = _verdict(settings, anchor)
-    if broken := joined([_broken(chain) for chain in verdict.chains if chain.fault is not None]):
-        raise StoreError(broken)
-    report(Message.of("audit_whole", n=verdict.entries))
-    for remark in _remarks(verdict, anchors):
-        report(remark)
+    for line in proof_of(load(config), anchor):
+        report(line)
 
 
 @audit.command(name="rotate-key")
@@ -51,6 +46,14 @@ def rotate_key(config: Config = LINESIDE_TOML) -> None:
         # Sealed with the newer key: from here on a log that ends before it is seen to have been cut off.
         record(events, "audit", ROTATED)
     report(Message.of("key_rotated", file=str(events.keys.path)))
+
+
+def proof_of(settings: Settings, anchor: Path | None = None) -> list[Message]:
+    """Verify the log of a store; gives how much of it is proven. Raises StoreError where it is not intact."""
+    verdict, anchors = _verdict(settings, anchor)
+    if broken := joined([_broken(chain) for chain in verdict.chains if chain.fault is not None]):
+        raise StoreError(broken)
+    return [Message.of("audit_whole", n=verdict.entries), *_remarks(verdict, anchors)]
 
 
 def _verdict(settings: Settings, anchor: Path | None) -> tuple[AuditVerification, Anchors]:

@@ -31,6 +31,7 @@ from bus.worker.log import configure_log
 SWITCH_S = 0.001
 """How long a thread that computes (a parameter set, a search, an export) keeps the interpreter from the event
 loop, each time that the loop has polled its sockets."""
+DATA_IN_USE = "data_in_use"
 _ENDINGS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -51,7 +52,7 @@ def only_one(data: Path) -> Iterator[None]:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     except BlockingIOError as error:
-        raise HostingError(Message.of("data_in_use", folder=str(data))) from error
+        raise HostingError(Message.of(DATA_IN_USE, folder=str(data))) from error
     finally:
         os.close(lock)
 

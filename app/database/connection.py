@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from app.database.database import COSTLY_S, Database, Listener, Work
-from app.database.migrating import alone, bring_up_to_date
+from app.database.migrating import alone, bring_up_to_date, is_unfinished
 from app.database.migration import MIGRATIONS
 from app.database.private import make_file, make_folder, refuse_link
 from app.database.reserve import Reserve
+from app.database.unfinished import refuse_unfinished
 from app.database.words import in_words
 
 T = TypeVar("T")
@@ -98,6 +99,7 @@ class SqliteDatabase(Database):
             self._connection = open_for_writing(path, synchronous)
             if not checkpoints:
                 self._connection.execute("PRAGMA wal_autocheckpoint = 0")
+            refuse_unfinished(str(path), has_ledger=is_unfinished(self._connection))
             self.migrated = bring_up_to_date(self._connection, path, migrations)
         super().__init__(str(path), path.stem)
         self._local = threading.local()

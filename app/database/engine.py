@@ -77,6 +77,31 @@ def has_column(connection: StoreConnection, table: str, column: str) -> bool:
     return connection.execute(query, (table, column)).fetchone() is not None
 
 
+def tables_in(connection: StoreConnection) -> list[str]:
+    """The tables of a store that was made by anyone."""
+    query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
+    if not is_local(connection):
+        query = (
+            "SELECT CAST(relname AS text) FROM pg_class JOIN pg_namespace ON relnamespace = pg_namespace.oid"
+            " WHERE relkind IN ('r', 'p') AND nspname = current_setting('search_path')"
+        )
+    return [name for (name,) in connection.execute(query)]
+
+
+def last_number(connection: StoreConnection, table: str, column: str) -> int:
+    """The highest number that the engine gave to a row of a table, also one that was removed, if it knows."""
+    query, values = "SELECT max(seq) FROM sqlite_sequence WHERE name = ?", [table]
+    if not is_local(connection):
+        query = (
+            "SELECT max(last_value) FROM pg_sequences WHERE schemaname = current_schema()"
+            " AND format('%I.%I', schemaname, sequencename) = pg_get_serial_sequence(quote_ident(?), ?)"
+        )
+        values = [table, column]
+    elif not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'sqlite_sequence'").fetchone():
+        return 0
+    return int(connection.execute(query, values).fetchone()[0] or 0)
+
+
 def size_of(connection: StoreConnection) -> int:
     """The bytes that the store takes, without its log."""
     query = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"

@@ -11,6 +11,7 @@ from pathlib import Path
 from app.database.copies import copy_of, remove_older_copies
 from app.database.migration import Migration, failed_step, missing_in
 from app.database.private import make_file, make_folder
+from app.database.unfinished import LEDGER
 from bus.instants import unix_now
 
 _LEDGER = """
@@ -49,6 +50,12 @@ def is_store(connection: sqlite3.Connection) -> bool:
     """Whether Lineside made the store, and not another program."""
     exists = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'migrations'"
     return connection.execute(exists).fetchone() is not None
+
+
+def is_unfinished(connection: sqlite3.Connection) -> bool:
+    """Whether the store is a copy that is not finished."""
+    exists = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+    return connection.execute(exists, (LEDGER,)).fetchone() is not None
 
 
 def _applied(connection: sqlite3.Connection) -> dict[int, str]:

@@ -50,7 +50,7 @@ def presence_of(store: Path) -> Presence:
 @contextmanager
 def examining(store: Path) -> Iterator[sqlite3.Connection]:
     """Read a store and leave no file beside it. Raises StoreError in words."""
-    with in_words(store), closing(_open(store)) as connection:
+    with in_words(store), closing(open_unchanged(store)) as connection:
         yield connection
 
 
@@ -64,8 +64,9 @@ def proves_intact(store: Path, stop: Callable[[], bool]) -> bool:
         return False
 
 
-def _open(store: Path) -> sqlite3.Connection:
-    """Where no process has it open and none left a log, SQLite would make both for a reader."""
+def open_unchanged(store: Path) -> sqlite3.Connection:
+    """A connection that reads and leaves no file. Where no process has the store open and none left a log,
+    SQLite would make both for a reader."""
     if store.with_name(f"{store.name}-wal").exists():
         return open_for_reading(store)
     refuse_link(store)

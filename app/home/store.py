@@ -172,6 +172,13 @@ def read_homes(connection: StoreConnection) -> Beat:
     return Beat(engine.clock(connection), _rows(connection), _highest(connection))
 
 
+def holders_now(connection: StoreConnection) -> list[str]:
+    """The servers that are the home of a bus at this moment, or of the site, by name. With SQLite none is
+    renewed."""
+    beat = read_homes(connection)
+    return sorted({row.holder for row in beat.rows.values() if beat.now < row.until and not row.is_released})
+
+
 def _rows(connection: StoreConnection) -> dict[str, HomeRow]:
     found = connection.execute(f"SELECT {_COLUMNS} FROM home")
     rows = (HomeRow(*row) for row in found)

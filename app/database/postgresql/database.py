@@ -13,10 +13,11 @@ from app.database.database import COSTLY_S, Database, Listener, Work
 from app.database.migration import MIGRATIONS
 from app.database.postgresql.connection import PostgresqlConnection, connect, name_of
 from app.database.postgresql.listening import Listening
-from app.database.postgresql.migrating import bring_up_to_date
+from app.database.postgresql.migrating import bring_up_to_date, is_unfinished
 from app.database.postgresql.rows import NamedRow
 from app.database.postgresql.words import in_words
 from app.database.settings import StoreSettings
+from app.database.unfinished import refuse_unfinished
 from app.errors import StoreUnavailableError
 from bus.messages import Message
 
@@ -35,6 +36,7 @@ class PostgresqlDatabase(Database):
         with in_words(name):
             driver = connect(store, schema)
             try:
+                refuse_unfinished(name, has_ledger=is_unfinished(driver, schema))
                 self.migrated = bring_up_to_date(driver, schema, migrations, name)
             except BaseException:
                 driver.close()

@@ -11,6 +11,7 @@ from app.database.migration import Migration, failed_step, missing_in
 from app.database.postgresql.connection import PostgresqlConnection
 from app.database.postgresql.rows import NamedRow
 from app.database.postgresql.schema import FUNCTIONS, definition, split, statements_of
+from app.database.unfinished import LEDGER
 from app.errors import StoreUnavailableError
 from bus.instants import unix_now
 from bus.messages import Message
@@ -43,6 +44,11 @@ def bring_up_to_date(
     finally:
         if not driver.closed:
             driver.execute("SELECT pg_advisory_unlock(%s)", (LOCK,))
+
+
+def is_unfinished(driver: psycopg.Connection[NamedRow], schema: str) -> bool:
+    """Whether the store is a copy that is not finished."""
+    return driver.execute("SELECT to_regclass(%s)", (f"{schema}.{LEDGER}",)).fetchone() != (None,)
 
 
 def _applied(driver: psycopg.Connection[NamedRow], schema: str) -> dict[int, str]:
