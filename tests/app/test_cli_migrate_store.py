@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -39,8 +40,9 @@ def site(model: MovedSite, tmp_path: Path) -> MovedSite:
 
 
 @pytest.fixture
-def empty() -> StoreSettings:
-    return fresh_database(empty=True)
+def empty() -> Iterator[StoreSettings]:
+    with fresh_database(empty=True) as store:
+        yield store
 
 
 def opened(store: StoreSettings) -> Database:

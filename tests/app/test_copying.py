@@ -21,6 +21,7 @@ from app.database.copying.site import RUNNING, SiteCopy, state_of
 from app.database.copying.tables import StoreTable, tables_of
 from app.errors import StoreError
 from tests.postgresql import fresh_database, needs_postgresql
+from tests.sizes import sizes
 
 STEP = """
 CREATE TABLE events (id INTEGER PRIMARY KEY, about INTEGER REFERENCES events (id), hash TEXT NOT NULL) STRICT;
@@ -161,7 +162,7 @@ def _small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(walk, "FIRST_ROWS", 1)
 
 
-@pytest.mark.parametrize("first", range(0, 40, 10))
+@pytest.mark.parametrize("first", sizes(0, *range(10, 300, 10)))
 def test_files_that_are_ended_anywhere(steps: Path, first: int) -> None:
     from app.database.copying.files import FileTarget
 
@@ -173,11 +174,12 @@ def test_files_that_are_ended_anywhere(steps: Path, first: int) -> None:
 
 
 @needs_postgresql
-@pytest.mark.parametrize("seed", range(100, 104))
+@pytest.mark.parametrize("seed", sizes(300, *range(301, 330)))
 def test_a_database_that_is_ended_anywhere(steps: Path, seed: int) -> None:
     from app.database.postgresql.copying import DatabaseTarget
 
-    copied_at_random(steps.parent, PostgresqlPlace(fresh_database(empty=True)), DatabaseTarget, seed)
+    with fresh_database(empty=True) as store:
+        copied_at_random(steps.parent, PostgresqlPlace(store), DatabaseTarget, seed)
 
 
 def test_an_event_that_only_the_copy_has_is_not_removed(steps: Path, tmp_path: Path) -> None:
