@@ -71,9 +71,9 @@ class ChangingSite:
             ("DELETE FROM block WHERE id >= (SELECT max(id) FROM block) - ?", (number // 6,)),
             ("DELETE FROM block WHERE id % 7 = ?", (number % 7,)),
             ("UPDATE block SET only = ? WHERE start = ?", (name, number)),
-            ("UPDATE block SET start = -1 - start WHERE id % 3 = ?", (number % 3,)),
+            ("UPDATE OR IGNORE block SET start = -1 - start WHERE id % 3 = ?", (number % 3,)),
             (
-                "UPDATE block SET start = -start WHERE start < 0 AND NOT EXISTS"
+                "UPDATE OR IGNORE block SET start = -start WHERE start < 0 AND NOT EXISTS"
                 " (SELECT 1 FROM block other WHERE other.start = -block.start)",
                 (),
             ),
