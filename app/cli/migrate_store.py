@@ -194,7 +194,7 @@ def _changes(config: Path, settings: Settings, moved: Settings) -> list[Message]
         lines.append(Message.of("copy_change_line", table="server", line=f'data = "{data}"'))
         for name in ("key_file", "anchor"):
             path = getattr(moved.audit, name)
-            # What is not configured is looked for beside the data folder.
+            # A file that no line names is looked for beside the data folder.
             if path is not None and getattr(settings.audit, name) is None:
                 line = f'{name} = "{os.path.relpath(path, folder)}"'
                 lines.append(Message.of("copy_change_line", table="audit", line=line))

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -15,9 +16,13 @@ import pytest
 from app.cli import copy_report, migrate_store
 from app.database import Database
 from app.database.copying.places import Folder, PostgresqlPlace
+from app.database.engine import upsert
 from app.database.opening import open_database
 from app.database.settings import StoreSettings
 from app.errors import ConstraintError, StoreError
+from app.home.lease import HomeRow
+from app.home.store import NO_TIME
+from bus.instants import UnixTime
 from tests import fork_server
 from tests.app.moved_site import FILES, MovedSite, folder_of, numbers_in, rows_at
 from tests.postgresql import fresh_database, needs_postgresql
@@ -39,8 +44,9 @@ def site(model: MovedSite, tmp_path: Path) -> MovedSite:
 
 
 @pytest.fixture
-def empty() -> StoreSettings:
-    return fresh_database(empty=True)
+def empty() -> Iterator[StoreSettings]:
+    with fresh_database(empty=True) as store:
+        yield store
 
 
 def opened(store: StoreSettings) -> Database:
@@ -218,8 +224,9 @@ def test_a_database_that_a_server_uses_is_not_finished(site: MovedSite, empty: S
     back = str(site.folder / "back")
     with closing(opened(empty)) as main:
         assert "used by a server" in site.migrate(back).output
-        row = "INSERT INTO home VALUES (?, 'app-2', 'i', 1, 9e12, '', 0, '', '', '', '', 0)"
-        main.write_now(lambda connection: connection.execute(row, ("dry",)))
+        renewed = HomeRow("dry", "app-2", "i", 1, UnixTime(9e12), 0, "", NO_TIME, "", "", "", "", NO_TIME)
+        row = upsert("home", HomeRow._fields[:1], HomeRow._fields[1:])
+        main.write_now(lambda connection: connection.execute(row, renewed))
     assert "used by app-2" in site.migrate(back).output
     with closing(opened(empty)) as main:
         main.write_now(lambda connection: connection.execute("UPDATE home SET until = 0"))

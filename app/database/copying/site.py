@@ -138,7 +138,8 @@ def _is_copy(side: StoreSide, part: StorePart, site: str) -> bool:
         return False
     with side.in_words():
         noted = ledger.site_in(side.connection)
-    if noted not in (None, site):
+    # A site without an event is at its very beginning, and has one by now.
+    if noted not in (None, "", site):
         raise StoreError(Message.of("copy_target_of_other_site", path=side.name))
     return True
 
