@@ -33,7 +33,9 @@ from tests.postgresql import (
     url_of,
 )
 
+psycopg = pytest.importorskip("psycopg")
 PostgresqlDatabase = pytest.importorskip("app.database.postgresql.database").PostgresqlDatabase
+connection_string = pytest.importorskip("app.database.postgresql.connection").connection_string
 pytestmark = needs_postgresql
 FILE = Path("lineside.db")
 WITHIN_S = 10.0
@@ -304,6 +306,31 @@ def test_a_password_file(store: StoreSettings, tmp_path: Path) -> None:
     file.write_text(f"{PASSWORD}\n")
     with opened(guarded) as database:
         assert database.read_now(lambda c: one(c, "SELECT current_user")) == GUARDED
+
+
+def test_a_user_may_own_the_schemas_alone(empty: StoreSettings) -> None:
+    with psycopg.connect(empty.url, autocommit=True) as admin:
+        admin.execute("CREATE ROLE owner_of_schemas LOGIN")
+        admin.execute("CREATE SCHEMA main AUTHORIZATION owner_of_schemas")
+    owned = StoreSettings(url=empty.url.replace("lineside@", "owner_of_schemas@"))
+    with opened(owned) as database:
+        assert len(database.migrated) > 20
+        database.write_now(lambda c: note(c, "dry-end"))
+
+
+def test_a_database_of_another_encoding(empty: StoreSettings) -> None:
+    with psycopg.connect(empty.url, autocommit=True) as admin:
+        admin.execute("CREATE DATABASE ascii TEMPLATE template0 ENCODING 'SQL_ASCII'")
+    with pytest.raises(StoreError, match="has the encoding SQL_ASCII"):
+        open_database(StoreSettings(url=url_of("ascii")), FILE)
+
+
+def test_every_parameter_of_the_url_reaches_libpq() -> None:
+    url = "postgresql://anna@a:5433,b:5434/x?sslmode=verify-full&sslrootcert=/ca.pem&connect_timeout=2"
+    found = psycopg.conninfo.conninfo_to_dict(connection_string(StoreSettings(url=url)))
+    assert (found["host"], found["port"]) == ("a,b", "5433,5434")
+    assert (found["sslmode"], found["sslrootcert"]) == ("verify-full", "/ca.pem")
+    assert (found["connect_timeout"], found["tcp_user_timeout"]) == ("2", "5000")
 
 
 def test_a_role_without_rights(empty: StoreSettings) -> None:
