@@ -35,6 +35,8 @@ from tests.postgresql import (
 
 psycopg = pytest.importorskip("psycopg")
 PostgresqlDatabase = pytest.importorskip("app.database.postgresql.database").PostgresqlDatabase
+WRITING = pytest.importorskip("app.database.postgresql.database").WRITING
+LOCK = pytest.importorskip("app.database.postgresql.migrating").LOCK
 connection_string = pytest.importorskip("app.database.postgresql.connection").connection_string
 pytestmark = needs_postgresql
 FILE = Path("lineside.db")
@@ -148,6 +150,16 @@ def test_a_name_is_locked_to_the_end_of_the_transaction(store: StoreSettings) ->
     with opened(store) as first_server, opened(store) as second_server, ThreadPoolExecutor(1) as other:
         first_server.write_now(first)
     assert order == ["first", "second"]
+
+
+def test_a_start_waits_for_another_only_so_long(
+    store: StoreSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(WRITING, "lock_timeout", 100)
+    with opened(store) as held:
+        held.write_now(lambda c: c.execute("SELECT pg_advisory_lock(?)", (LOCK,)))
+        with pytest.raises(StoreUnavailableError, match="another server changes the same"):
+            open_database(store, FILE)
 
 
 def test_the_clock_is_that_of_the_database(shared: Database) -> None:

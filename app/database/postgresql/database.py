@@ -23,8 +23,8 @@ from bus.messages import Message
 
 T = TypeVar("T")
 Driver = psycopg.Connection[NamedRow]
-WRITING = {"idle_in_transaction_session_timeout": 5000}
-"""ms that a transaction may wait for its server, while those of other servers wait for it."""
+WRITING = {"idle_in_transaction_session_timeout": 5000, "lock_timeout": 10_000}
+"""ms that a transaction may wait for its server, while those of other servers wait for it; and for them."""
 
 
 class PostgresqlDatabase(Database):
