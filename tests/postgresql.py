@@ -18,12 +18,16 @@ from contextlib import closing, contextmanager
 from functools import cache
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from app.database import Database
 from app.database.migration import MIGRATIONS
 from app.database.settings import StoreSettings
+
+if TYPE_CHECKING:
+    import psycopg
 
 ROOT = Path(__file__).parents[1]
 SCHEMAS = {
@@ -152,10 +156,16 @@ def _empty(store: StoreSettings) -> None:
     """Remove every row; also of tables whose rules refuse that."""
     import psycopg
 
-    with psycopg.connect(store.url, autocommit=True) as server:
-        server.execute(_EMPTY.encode())
+    try:
+        _cleaners[store.url].execute(_EMPTY)
+    except (KeyError, psycopg.OperationalError):
+        # A test may have ended all connections.
+        _cleaners[store.url] = psycopg.connect(store.url, autocommit=True)
+        _cleaners[store.url].execute(_EMPTY)
 
 
+_cleaners: dict[str, psycopg.Connection] = {}
+"""A connection to each database that is used again."""
 _EMPTY = """
 DO $body$
 DECLARE each record;

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from app.database import Database, SqliteDatabase, StoreConnection
+from app.database import Database, StoreConnection
 from app.database.connection import open_for_reading, open_for_writing
-from app.database.engine import has_column, is_intact, json_member, size_of, snapshot, upsert
+from app.database.engine import (
+    clock,
+    has_column,
+    is_intact,
+    json_member,
+    lock,
+    notify,
+    size_of,
+    snapshot,
+    upsert,
+)
+from bus.instants import unix_now
+from tests.stores import both_engines, only_sqlite, open_store
+
+pytestmark = both_engines
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Database]:
-    opened = SqliteDatabase(tmp_path / "lineside.db")
+    opened = open_store(tmp_path / "lineside.db")
     yield opened
     opened.close()
 
 
 def test_a_row_takes_the_place_of_one_with_its_key(store: Database) -> None:
-    def work(connection: StoreConnection) -> list[tuple[int, ...]]:
-        connection.execute("CREATE TABLE t (a INTEGER, b INTEGER, c INTEGER, d INTEGER, PRIMARY KEY (a, b))")
-        for row in ((1, 1, 10, 11), (1, 2, 20, 21), (1, 1, 30, 31)):
-            connection.execute(upsert("t", ("a", "b"), ("c", "d")), row)
-        return [tuple(row) for row in connection.execute("SELECT * FROM t ORDER BY b")]
+    def work(connection: StoreConnection) -> list[tuple[Any, ...]]:
+        for row in (("a", 1, "x", "anna", 1.5), ("a", 2, "y", "anna", 2.5), ("a", 1, "z", "ben", 3.5)):
+            connection.execute(upsert("blocks", ("bus", "unit"), ("reason", "set_by", "set_at")), row)
+        return [tuple(row) for row in connection.execute("SELECT * FROM blocks ORDER BY unit")]
 
-    assert store.write_now(work) == [(1, 1, 30, 31), (1, 2, 20, 21)]
+    assert store.write_now(work) == [("a", 1, "z", "ben", 3.5), ("a", 2, "y", "anna", 2.5)]
 
 
 @pytest.mark.parametrize(
@@ -40,7 +55,7 @@ def test_a_row_takes_the_place_of_one_with_its_key(store: Database) -> None:
     ],
 )
 def test_a_member_of_a_column_of_json(store: Database, text: str | None, found: str | None) -> None:
-    query = f"SELECT {json_member('held', 'what.params.number')} FROM (SELECT ? AS held)"
+    query = f"SELECT {json_member('held', 'what.params.number')} FROM (SELECT CAST(? AS TEXT) AS held) AS one"
     assert store.read_now(lambda connection: connection.execute(query, (text,)).fetchone()[0]) == found
 
 
@@ -53,6 +68,7 @@ def test_columns_of_a_store_of_any_version(store: Database) -> None:
     assert not found("nothing", "messages")
 
 
+@only_sqlite
 def test_the_size_is_that_of_the_file(store: Database) -> None:
     store.write_now(lambda connection: connection.execute("CREATE TABLE more (a BLOB)"))
     store.close()
@@ -62,6 +78,7 @@ def test_the_size_is_that_of_the_file(store: Database) -> None:
     assert size == store.path.stat().st_size
 
 
+@only_sqlite
 def test_a_snapshot_sees_one_instant(store: Database) -> None:
     count = "SELECT count(*) FROM migrations"
     reader = open_for_reading(store.path)
@@ -76,3 +93,34 @@ def test_a_snapshot_sees_one_instant(store: Database) -> None:
 def test_intact_pages_of_a_table_and_of_the_store(store: Database) -> None:
     assert store.read_now(is_intact)
     assert store.read_now(lambda connection: is_intact(connection, "events"))
+
+
+def test_a_clock_a_lock_and_the_size(store: Database) -> None:
+    def work(connection: StoreConnection) -> tuple[float, int]:
+        lock(connection, "chain")
+        return clock(connection), size_of(connection)
+
+    time, size = store.write_now(work)
+    assert abs(time - unix_now()) < 10
+    assert size > 100_000
+
+
+async def test_what_a_transaction_notifies_is_passed_on_once_it_is_committed(store: Database) -> None:
+    texts: asyncio.Queue[str] = asyncio.Queue()
+
+    def announce(connection: StoreConnection, text: str) -> None:
+        notify(connection, "rights", text)
+        notify(connection, "other", "for others")
+        if text == "never":
+            raise ValueError("midway")
+
+    store.listen("rights", texts.put_nowait)
+    with pytest.raises(ValueError, match="midway"):
+        await store.write(lambda connection: announce(connection, "never"))
+    async with asyncio.timeout(10):
+        # A listener of PostgreSQL begins in a moment.
+        while texts.empty():
+            await store.write(lambda connection: announce(connection, "anna"))
+            await asyncio.sleep(0.05)
+        assert await texts.get() == "anna"
+    await asyncio.to_thread(store.close)

@@ -13,6 +13,9 @@ from app.history.series.runs import HOUR, micros
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink
 from tests.app.history_line import NOON, Shelf, parameter, polls, reading
+from tests.stores import both_engines, only_sqlite
+
+pytestmark = both_engines
 
 
 @pytest.fixture
@@ -166,6 +169,7 @@ def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: She
     assert shelf.query("actual", NOON, NOON + 300).series.average.count(None) == 0
 
 
+@only_sqlite
 def test_what_was_on_disk_survives_a_crash(shelf: Shelf) -> None:
     shelf.keep([parameter(3, 0), *polls(NOON, NOON + 30)])
     shelf.keep(polls(NOON + 30, NOON + 90))
@@ -202,6 +206,7 @@ def test_a_clock_set_back_an_hour_loses_nothing(shelf: Shelf) -> None:
     assert found.series.at == sorted(found.series.at)
 
 
+@only_sqlite
 def test_a_long_span_is_read_from_minutes_and_hours(shelf: Shelf) -> None:
     readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
     shelf.keep([parameter(3, 0), *readings])

@@ -33,7 +33,11 @@ from tests.postgresql import (
     url_of,
 )
 
+psycopg = pytest.importorskip("psycopg")
 PostgresqlDatabase = pytest.importorskip("app.database.postgresql.database").PostgresqlDatabase
+WRITING = pytest.importorskip("app.database.postgresql.database").WRITING
+LOCK = pytest.importorskip("app.database.postgresql.migrating").LOCK
+connection_string = pytest.importorskip("app.database.postgresql.connection").connection_string
 pytestmark = needs_postgresql
 FILE = Path("lineside.db")
 WITHIN_S = 10.0
@@ -146,6 +150,16 @@ def test_a_name_is_locked_to_the_end_of_the_transaction(store: StoreSettings) ->
     with opened(store) as first_server, opened(store) as second_server, ThreadPoolExecutor(1) as other:
         first_server.write_now(first)
     assert order == ["first", "second"]
+
+
+def test_a_start_waits_for_another_only_so_long(
+    store: StoreSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(WRITING, "lock_timeout", 100)
+    with opened(store) as held:
+        held.write_now(lambda c: c.execute("SELECT pg_advisory_lock(?)", (LOCK,)))
+        with pytest.raises(StoreUnavailableError, match="another server changes the same"):
+            open_database(store, FILE)
 
 
 def test_the_clock_is_that_of_the_database(shared: Database) -> None:
@@ -304,6 +318,31 @@ def test_a_password_file(store: StoreSettings, tmp_path: Path) -> None:
     file.write_text(f"{PASSWORD}\n")
     with opened(guarded) as database:
         assert database.read_now(lambda c: one(c, "SELECT current_user")) == GUARDED
+
+
+def test_a_user_may_own_the_schemas_alone(empty: StoreSettings) -> None:
+    with psycopg.connect(empty.url, autocommit=True) as admin:
+        admin.execute("CREATE ROLE owner_of_schemas LOGIN")
+        admin.execute("CREATE SCHEMA main AUTHORIZATION owner_of_schemas")
+    owned = StoreSettings(url=empty.url.replace("lineside@", "owner_of_schemas@"))
+    with opened(owned) as database:
+        assert len(database.migrated) > 20
+        database.write_now(lambda c: note(c, "dry-end"))
+
+
+def test_a_database_of_another_encoding(empty: StoreSettings) -> None:
+    with psycopg.connect(empty.url, autocommit=True) as admin:
+        admin.execute("CREATE DATABASE ascii TEMPLATE template0 ENCODING 'SQL_ASCII'")
+    with pytest.raises(StoreError, match="has the encoding SQL_ASCII"):
+        open_database(StoreSettings(url=url_of("ascii")), FILE)
+
+
+def test_every_parameter_of_the_url_reaches_libpq() -> None:
+    url = "postgresql://anna@a:5433,b:5434/x?sslmode=verify-full&sslrootcert=/ca.pem&connect_timeout=2"
+    found = psycopg.conninfo.conninfo_to_dict(connection_string(StoreSettings(url=url)))
+    assert (found["host"], found["port"]) == ("a,b", "5433,5434")
+    assert (found["sslmode"], found["sslrootcert"]) == ("verify-full", "/ca.pem")
+    assert (found["connect_timeout"], found["tcp_user_timeout"]) == ("2", "5000")
 
 
 def test_a_role_without_rights(empty: StoreSettings) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from app.database.settings import StoreSettings, without_secrets
 from app.settings import ConfigurationError, Settings, load
 
+ROOT = Path(__file__).parents[2]
 SECRET = "s3cret-word"
 
 
@@ -68,3 +70,12 @@ def test_without_it_the_stores_are_files(tmp_path: Path) -> None:
     config = tmp_path / "lineside.toml"
     config.write_text("")
     assert load(config).store_name == str(tmp_path / "data" / "lineside.db")
+
+
+def test_the_driver_is_imported_only_where_a_url_is_configured() -> None:
+    """No module of the app imports it, or what needs it, when it is imported itself."""
+    engine = ROOT / "app" / "database" / "postgresql"
+    modules = [path for path in (ROOT / "app").rglob("*.py") if engine not in path.parents]
+    assert len(modules) > 400
+    pattern = re.compile(r"^(?:from|import) (?:psycopg|app\.database\.postgresql)", re.MULTILINE)
+    assert [module for module in modules if pattern.search(module.read_text("utf-8"))] == []

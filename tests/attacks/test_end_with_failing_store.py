@@ -38,4 +38,4 @@ async def test_every_store_is_closed_and_every_other_backlog_written(tmp_path: P
     shelf.close()
     failed = [entry for entry in logs if entry["event"] == "not ended"]
     assert [entry["part"] for entry in failed] == ["repeated events", "event log"]
-    assert {entry["why"] for entry in failed} == {"the disk is full"}
+    assert all("the disk is full" in entry["why"] for entry in failed)

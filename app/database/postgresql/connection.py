@@ -19,8 +19,6 @@ from bus.messages import Message
 CONNECT_S = 5
 LOST_MS = 5000
 """How long data may go unacknowledged until the connection is taken for lost."""
-IDLE_MS = 5000
-"""How long a transaction may wait for this server, which others wait for."""
 DEFAULTS = {
     "connect_timeout": CONNECT_S,
     "keepalives_idle": 2,
@@ -67,7 +65,6 @@ def connect(store: StoreSettings, schema: str, **options: str | int) -> psycopg.
     session: Mapping[str, str | int] = {
         "search_path": schema,
         "client_encoding": "utf8",
-        "idle_in_transaction_session_timeout": IDLE_MS,
         **options,
     }
     connection: psycopg.Connection[NamedRow] = psycopg.connect(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
-from select import select
+from select import POLLIN, poll
 from typing import TypeVar
 
 import psycopg
@@ -23,6 +23,8 @@ from bus.messages import Message
 
 T = TypeVar("T")
 Driver = psycopg.Connection[NamedRow]
+WRITING = {"idle_in_transaction_session_timeout": 5000, "lock_timeout": 10_000}
+"""ms that a transaction may wait for its server, while those of other servers wait for it; and for them."""
 
 
 class PostgresqlDatabase(Database):
@@ -34,7 +36,7 @@ class PostgresqlDatabase(Database):
         self.file = None
         name = name_of(store, schema)
         with in_words(name):
-            driver = connect(store, schema)
+            driver = connect(store, schema, **WRITING)
             try:
                 refuse_unfinished(name, has_ledger=is_unfinished(driver, schema))
                 self.migrated = bring_up_to_date(driver, schema, migrations, name)
@@ -51,7 +53,7 @@ class PostgresqlDatabase(Database):
         with in_words(self.name):
             if not is_usable(self._writing):
                 self._writing.close()
-                self._writing = self._connect()
+                self._writing = self._connect(**WRITING)
             return transact(self._writing, work, self.name)
 
     def read_now(self, work: Work[T]) -> T:
@@ -91,8 +93,13 @@ class PostgresqlDatabase(Database):
 
 def is_usable(driver: Driver) -> bool:
     """Whether a connection that was idle is not known to be lost. Nothing is sent to the server."""
-    # The server sends nothing without a request but that it ends the connection.
-    return not driver.closed and not select([driver.fileno()], [], [], 0)[0]
+    if driver.closed:
+        return False
+    # The server sends nothing without a request but that it ends the connection. Not `select`: that takes no
+    # descriptor past 1023.
+    waiting = poll()
+    waiting.register(driver.fileno(), POLLIN)
+    return not waiting.poll(0)
 
 
 def transact(driver: Driver, work: Work[T], name: str) -> T:

@@ -18,6 +18,7 @@ from app.errors import StoreError
 LOOK_S = 0.2
 """How long the end, or a further channel, waits at most."""
 RETRY_S = 1.0
+MAX_END_S = 1.0
 log = structlog.get_logger()
 
 
@@ -51,7 +52,8 @@ class Listening:
     def close(self) -> None:
         self._ending.set()
         if self._thread.is_alive():
-            self._thread.join()
+            # It may be in the middle of a connection to a server that does not respond.
+            self._thread.join(MAX_END_S)
 
     def _run(self) -> None:
         was_lost = False

@@ -12,7 +12,7 @@ from app.database.postgresql.connection import PostgresqlConnection
 from app.database.postgresql.rows import NamedRow
 from app.database.postgresql.schema import FUNCTIONS, definition, split, statements_of
 from app.database.unfinished import LEDGER
-from app.errors import StoreUnavailableError
+from app.errors import StoreError, StoreUnavailableError
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -36,7 +36,7 @@ def bring_up_to_date(
                 Message.of("store_failed", path=name, reason=Message("store_is_standby"))
             )
         if not applied:
-            _make(driver, schema, folder, missing)
+            _make(driver, schema, folder, missing, name)
         else:
             for step in missing:
                 _apply(driver, step, name)
@@ -57,10 +57,17 @@ def _applied(driver: psycopg.Connection[NamedRow], schema: str) -> dict[int, str
     return dict(driver.execute("SELECT number, name FROM migrations").fetchall())
 
 
-def _make(driver: psycopg.Connection[NamedRow], schema: str, folder: Path, steps: list[Migration]) -> None:
+def _make(
+    driver: psycopg.Connection[NamedRow], schema: str, folder: Path, steps: list[Migration], name: str
+) -> None:
     """All tables at once, as the steps would leave them."""
+    encoding = driver.info.parameter_status("server_encoding")
+    if encoding != "UTF8":
+        raise StoreError(Message.of("store_encoding", path=name, encoding=str(encoding)))
     with driver.transaction():
-        driver.execute(SQL("CREATE SCHEMA IF NOT EXISTS {}").format(Identifier(schema)))
+        # A user who owns the schema alone may not make one, not even one that is there.
+        if driver.execute("SELECT to_regnamespace(%s)", (schema,)).fetchone() == (None,):
+            driver.execute(SQL("CREATE SCHEMA {}").format(Identifier(schema)))
         driver.execute(f"{FUNCTIONS};{';'.join(statements_of(folder))}".encode())
         _record(driver, steps)
 
