@@ -74,7 +74,7 @@ def test_a_server_alone_is_the_home_of_every_bus_with_an_epoch_more_at_each_star
         (("take", "a"), 2, "--reason"),
     ],
 )
-def test_what_is_never_taken_is_refused_in_words(
+def test_a_bus_that_is_never_taken_is_refused_in_words(
     config: Path, words: tuple[str, ...], code: int, text: str
 ) -> None:
     done = CliRunner().invoke(cli, ["home", *words, "--config", str(config)])

@@ -80,7 +80,7 @@ async def test_a_worker_that_has_seen_a_higher_epoch_is_outnumbered_or_refused(s
     assert "has seen epoch 90 of the bus" in (await welcomed(stage, epoch=90)).refused
 
 
-async def test_a_lease_is_confirmed_for_what_is_left_of_it(stage: Stage) -> None:
+async def test_a_lease_is_confirmed_for_the_time_that_is_left(stage: Stage) -> None:
     home = at(stage, PlayedHome(left_s=2.5))
     worker = await stage.worker()
     await worker.send(LeaseRequest(requested_at=77.0))
@@ -90,7 +90,7 @@ async def test_a_lease_is_confirmed_for_what_is_left_of_it(stage: Stage) -> None
     await until(lambda: LeaseLeft(78.0, 0.0) in worker.received, "the end of the lease")
 
 
-async def test_what_is_open_when_the_home_is_lost_is_unverified_and_the_worker_leaves(stage: Stage) -> None:
+async def test_an_open_command_is_unverified_and_the_worker_leaves_when_the_home_is_lost(stage: Stage) -> None:
     at(stage, PlayedHome())
     async with stage.feed.at_home():
         worker = await stage.worker()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, closing
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +84,11 @@ class Server:
     async def stop(self, bus: str) -> None:
         await self.slow_port.wait()
         self.happened.append(f"port of {bus or 'site'} closed")
+
+    def request(self, reason: str) -> bool:
+        """As ``lineside home take`` does at this server, in another process."""
+        with closing(SqliteDatabase(self.database.file, checkpoints=False)) as database:
+            return request_home(database, BUS, self.homes.server, who="anna", reason=reason)
 
     def of_bus(self) -> list[str]:
         return [each for each in self.happened if "site" not in each]
@@ -188,7 +193,7 @@ async def test_a_person_has_it_handed_over_by_a_holder_that_lives(start: Start) 
     a, _ = await start("a", automatic=False)
     await until(lambda: "port of dry-end opened" in a.happened)
     b, _ = await start("b", automatic=False)
-    assert request_home(b.database, BUS, "b", who="anna", reason="the cable is at b now")
+    assert b.request("the cable is at b now")
     await until(lambda: b.homes.is_here(BUS))
     assert a.of_bus()[-2:] == ["port of dry-end closed", "bus ended"]
     await until(lambda: any(each["bus"] == BUS for each in b.events.recorded))
@@ -204,7 +209,7 @@ async def test_it_is_handed_over_only_once_the_port_is_closed(start: Start) -> N
     await until(lambda: "port of dry-end opened" in a.happened)
     b, _ = await start("b")
     a.slow_port.clear()
-    request_home(b.database, BUS, "b", who="anna", reason="maintenance")
+    b.request("maintenance")
     await until(lambda: not a.homes.is_here(BUS))
     for _ in range(5):
         await b.keeper.beat()
@@ -262,7 +267,7 @@ async def test_one_that_cannot_start_it_gives_it_up(start: Start, tmp_path: Path
     b, _ = await start("b", permitted=True)
     await until(lambda: b.homes.is_here(BUS))
     async with a.keeper.running():
-        request_home(b.database, BUS, "a", who="anna", reason="maintenance")
+        a.request("maintenance")
         await until(lambda: not b.homes.is_here(BUS))
         await until(lambda: b.homes.is_here(BUS))
     a.database.close()
