@@ -1,5 +1,5 @@
 // Lets all marks of active alarms that are not acknowledged blink together: two changes of style a second for the
-// whole page. An animation for each mark costs a layer each, and every drawing of a page with many marks pays for them.
+// page. An animation for each mark costs a layer each, and every drawing of a page with many marks pays for them.
 const HALF_MS = 500;
 
 export function start() {
