@@ -29,6 +29,7 @@ from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
 from app.sets.drift import BusDrift
+from app.sites.fleet import Fleet
 from app.web.templating import Templates
 from bus.instants import UnixTime, unix_now
 
@@ -57,6 +58,7 @@ def _make_sources(services: Services) -> Sources:
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
+        lines=services[Fleet],
         notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
     )

@@ -69,6 +69,19 @@ class LoadedRecipes(Protocol):
         """The recipe loaded last and the names of the units that differ from it since; None without one."""
 
 
+class FleetLines(Protocol):
+    """All lines of all servers, as fields in the reader's language."""
+
+    def shown(self, translator: Translator) -> dict[str, Fields]:
+        """Those of each line now, by its group."""
+
+    def changes(self, translator: Translator) -> dict[str, Fields]:
+        """Those that differ from the last call for this language."""
+
+    def forget(self, tag: str) -> None:
+        """No page in this language follows them."""
+
+
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
@@ -79,5 +92,6 @@ class Sources:
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     alarms: AlarmMarks
+    lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]

@@ -83,7 +83,7 @@ def line_fields(
     worst = entries[0] if entries else None
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(_all_well(len(views), counts)),
+        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(all_well(len(views), counts)),
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(entries))) if worst else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
@@ -95,7 +95,7 @@ def line_fields(
     } | _figures(live, translator, now)
 
 
-def _all_well(units: int, counts: Counter[str]) -> Message:
+def all_well(units: int, counts: Counter[str]) -> Message:
     """The verdict while nothing is abnormal."""
     if units == 0:
         return Message("line_no_units")

@@ -1,0 +1,131 @@
+"""One line as a tile shows it, in the reader's language: fields, as those of a unit. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from app.conditions.priority import PRIORITIES
+from app.live.diagnosis.cause import Level
+from app.live.screen.cause_text import cause_texts
+from app.live.screen.fields import Fields, Translator
+from app.sites.board import LineOnBoard
+from app.sites.summary import MAX_POINTS, LineSummary
+from app.web.formats import UNKNOWN
+from bus.instants import UnixTime
+from bus.messages import Message
+
+WIDTH, HEIGHT = 240, 40
+MIN_REACH = 0.02
+"""The height of the drawing, as a part of the value, at least: noise is not to look like movement."""
+MINUTE_S, HOUR_S = 60, 3600
+LONG_S, LONG_MINUTES_S = 2 * MINUTE_S, 2 * HOUR_S
+STATES = ("at_speed", "ramping", "at_zero", "off_speed")
+_NEVER: Fields = {
+    **dict.fromkeys(("last", "counts", "alarm", "alarm_mark", "alarms", "home", "spark"), ""),
+    "speed": UNKNOWN,
+    "scan": UNKNOWN,
+}
+
+
+def line_key(bus: str) -> str:
+    """The group of the fields of a line: a name that no unit can have (a slug holds no underscore)."""
+    return f"line_of/{bus}"
+
+
+def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
+    """``quality``: whether it is of the present; ``last``: of one that is not, what it was."""
+    summary = line.summary
+    if summary is None:
+        return _NEVER | {
+            "level": "high",
+            "level_text": translator.t("high"),
+            "quality": "stale",
+            "verdict": translator.t(Message("line_never_reported")),
+        }
+    verdict, level = verdict_text(summary, translator, now), shown_level(line)
+    return {
+        "level": level,
+        "level_text": translator.t(level),
+        "quality": "stale" if line.is_stale else "live",
+        "verdict": translator.t(silence(line)) if line.is_stale else verdict,
+        "last": translator.t(Message.of("line_was", verdict=verdict)) if line.is_stale else "",
+        "counts": _counts(summary, translator),
+        "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
+        "alarm_mark": summary.alarm_priority,
+        "alarms": _alarms(summary, translator),
+        "home": summary.server,
+        "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
+        "speed": _speed(summary, translator),
+        "spark": outline(summary.speeds),
+    }
+
+
+def shown_level(line: LineOnBoard) -> Level:
+    """Its priority; of one whose present state is not known high at least."""
+    if line.summary is None:
+        return "high"
+    level = line.summary.level
+    return "high" if line.is_stale and level not in ("urgent", "high") else level
+
+
+def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
+    """What is said of the line, after the name of the unit that it is about."""
+    if summary.cause is None:
+        return translator.t(summary.verdict)
+    text = cause_texts(summary.cause.cause(summary.level), translator, now).line
+    return text if summary.place in ("", summary.bus) else f"{summary.place} · {text}"
+
+
+def silence(line: LineOnBoard) -> Message:
+    """That the server of a line does not report it, and since when."""
+    summary = line.summary
+    if summary is None:
+        return Message("line_never_reported")
+    unit, size = ("seconds", 1) if line.age_s < LONG_S else ("minutes", MINUTE_S)
+    if line.age_s >= LONG_MINUTES_S:
+        unit, size = "hours", HOUR_S
+    code = f"line_{'ended' if line.has_ended else 'silent'}_{unit}"
+    return Message.of(code, server=summary.server, n=int(line.age_s // size))
+
+
+def outline(speeds: list[float | None]) -> str:
+    """An SVG path over ten minutes, the newest at the right; an unknown value lifts the pen."""
+    known = [speed for speed in speeds if speed is not None]
+    if not known:
+        return ""
+    middle = (min(known) + max(known)) / 2
+    reach = max(max(known) - min(known), abs(middle) * MIN_REACH) or 1.0
+    path, pen = "", "M"
+    for place, speed in enumerate(speeds, MAX_POINTS - len(speeds)):
+        if speed is None:
+            pen = "M"
+            continue
+        x = place * WIDTH / (MAX_POINTS - 1)
+        y = HEIGHT / 2 - (speed - middle) / reach * (HEIGHT - 4)
+        path += f"{pen}{x:.0f} {y:.1f}"
+        pen = "L"
+    return path
+
+
+def _counts(summary: LineSummary, translator: Translator) -> str:
+    states = summary.states
+    parts = [Message.of("line_live_of", n=states.get("online", 0), units=summary.units)]
+    parts += [Message.of(f"line_n_{state}", n=states[state]) for state in STATES if states.get(state)]
+    return " · ".join(map(translator.t, parts))
+
+
+def _alarms(summary: LineSummary, translator: Translator) -> str:
+    """How many are active, by priority, and how many wait for an acknowledgement."""
+    parts = _by_priority(summary.active, translator)
+    if waiting := sum(summary.waiting.values()):
+        parts.append(translator.t(Message.of("line_alarms_waiting", n=waiting)))
+    return " · ".join(parts) or translator.t(Message("line_no_alarms"))
+
+
+def _by_priority(counts: Mapping[str, int], translator: Translator) -> list[str]:
+    return [f"{counts[name]} {translator.t(name)}" for name in PRIORITIES if counts.get(name)]
+
+
+def _speed(summary: LineSummary, translator: Translator) -> str:
+    newest = summary.speeds[-1] if summary.speeds else None
+    return UNKNOWN if newest is None else translator.formats.point(f"{newest:g}")
