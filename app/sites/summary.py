@@ -40,7 +40,8 @@ class CauseSummary(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, cause: Cause) -> CauseSummary:
         params, onset = cause.params, cause.onset
-        why = params.get("why")
+        # In what a unit departs from its golden set is text; its page has it.
+        why = Message("line_drifted") if cause.code == "drift" else params.get("why")
         return cls(
             cause.code,
             None if onset is None else float(onset.at),

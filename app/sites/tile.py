@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.cause import Level
@@ -19,9 +20,21 @@ MIN_REACH = 0.02
 """The height of the drawing, as a part of the value, at least: noise is not to look like movement."""
 MINUTE_S, HOUR_S = 60, 3600
 LONG_S, LONG_MINUTES_S = 2 * MINUTE_S, 2 * HOUR_S
-STATES = ("at_speed", "ramping", "at_zero", "off_speed")
+STATES = {
+    "at_speed": "line_n_at_speed",
+    "ramping": "line_n_ramping",
+    "at_zero": "line_n_at_zero",
+    "off_speed": "line_n_off_speed",
+}
+"""The text for how many units are in a state."""
+_SILENCE = (
+    (LONG_S, "line_silent_seconds", "line_ended_seconds", 1),
+    (LONG_MINUTES_S, "line_silent_minutes", "line_ended_minutes", MINUTE_S),
+    (inf, "line_silent_hours", "line_ended_hours", HOUR_S),
+)
+"""Up to which age, the text for it while nothing is known and where its server has stopped, and in what."""
 _NEVER: Fields = {
-    **dict.fromkeys(("last", "counts", "alarm", "alarm_mark", "alarms", "home", "spark"), ""),
+    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "home", "spark"), ""),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
 }
@@ -42,13 +55,15 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
             "quality": "stale",
             "verdict": translator.t(Message("line_never_reported")),
         }
-    verdict, level = verdict_text(summary, translator, now), shown_level(line)
+    place, verdict, level = *_place_and_verdict(summary, translator, now), shown_level(line)
+    before = f"{place} · {verdict}" if place else verdict
     return {
         "level": level,
         "level_text": translator.t(level),
         "quality": "stale" if line.is_stale else "live",
+        "place": "" if line.is_stale else place,
         "verdict": translator.t(silence(line)) if line.is_stale else verdict,
-        "last": translator.t(Message.of("line_was", verdict=verdict)) if line.is_stale else "",
+        "last": translator.t(Message.of("line_was", verdict=before)) if line.is_stale else "",
         "counts": _counts(summary, translator),
         "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
         "alarm_mark": summary.alarm_priority,
@@ -70,10 +85,16 @@ def shown_level(line: LineOnBoard) -> Level:
 
 def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
     """What is said of the line, after the name of the unit that it is about."""
+    place, text = _place_and_verdict(summary, translator, now)
+    return f"{place} · {text}" if place else text
+
+
+def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:
+    """The place is empty where the verdict is about the line itself."""
     if summary.cause is None:
-        return translator.t(summary.verdict)
-    text = cause_texts(summary.cause.cause(summary.level), translator, now).line
-    return text if summary.place in ("", summary.bus) else f"{summary.place} · {text}"
+        return "", translator.t(summary.verdict)
+    place = "" if summary.place == summary.bus else summary.place
+    return place, cause_texts(summary.cause.cause(summary.level), translator, now).line
 
 
 def silence(line: LineOnBoard) -> Message:
@@ -81,11 +102,9 @@ def silence(line: LineOnBoard) -> Message:
     summary = line.summary
     if summary is None:
         return Message("line_never_reported")
-    unit, size = ("seconds", 1) if line.age_s < LONG_S else ("minutes", MINUTE_S)
-    if line.age_s >= LONG_MINUTES_S:
-        unit, size = "hours", HOUR_S
-    code = f"line_{'ended' if line.has_ended else 'silent'}_{unit}"
-    return Message.of(code, server=summary.server, n=int(line.age_s // size))
+    silent, ended, unit_s = next(row for below_s, *row in _SILENCE if line.age_s < below_s)
+    code = ended if line.has_ended else silent
+    return Message.of(code, server=summary.server, n=int(line.age_s // unit_s))
 
 
 def outline(speeds: list[float | None]) -> str:
@@ -110,7 +129,7 @@ def outline(speeds: list[float | None]) -> str:
 def _counts(summary: LineSummary, translator: Translator) -> str:
     states = summary.states
     parts = [Message.of("line_live_of", n=states.get("online", 0), units=summary.units)]
-    parts += [Message.of(f"line_n_{state}", n=states[state]) for state in STATES if states.get(state)]
+    parts += [Message.of(code, n=states[state]) for state, code in STATES.items() if states.get(state)]
     return " · ".join(map(translator.t, parts))
 
 
