@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 from app.alarms.line_alarms import LineAlarms
 from app.commands.safeguards.service import Safeguards
-from app.database import Database, engine
+from app.database import Database
 from app.feature import Feature, Services
 from app.home.homes import Homes
 from app.live.screen.fields import Translator
@@ -18,7 +17,7 @@ from app.sites import api, pages
 from app.sites.board import LineBoard
 from app.sites.fleet import Fleet
 from app.sites.own_lines import OwnLines
-from app.sites.publisher import CHANNEL, SummaryPublisher
+from app.sites.publisher import CHANNEL, SummaryPublisher, notify_lines
 from app.web.templating import PageFleet, Templates
 from bus.instants import unix_now
 
@@ -46,20 +45,12 @@ def make(services: Services) -> None:
 def _share(services: Services, own: OwnLines, board: LineBoard) -> None:
     """Exchange the summaries with the other servers."""
     database = services[Database]
-    publisher = SummaryPublisher(own, partial(_notify, database))
+    publisher = SummaryPublisher(own, partial(notify_lines, database))
 
     async def listen() -> None:
         database.listen(CHANNEL, lambda text: board.take(text) if text else None)
 
     services.lifespan.add("lines of the site", publisher.publish, start=listen, end=publisher.end)
-
-
-async def _notify(database: Database, texts: Sequence[str]) -> None:
-    def notify(connection: object) -> None:
-        for text in texts:
-            engine.notify(connection, CHANNEL, text)
-
-    await database.write(notify)
 
 
 FEATURE = Feature(make, (api.router, pages.router))

@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import structlog
 
+from app.database import Database, StoreConnection, engine
 from app.errors import StoreError
 from app.sites.own_lines import OwnLines
 from app.sites.summary import end_notice, notices
@@ -45,3 +46,13 @@ class SummaryPublisher:
             if str(error) != self._fault:
                 _log.warning("summaries not published", why=str(error))
             self._fault = str(error)
+
+
+async def notify_lines(database: Database, texts: Sequence[str]) -> None:
+    """Pass texts to every server of a store. Raises StoreError."""
+
+    def notify(connection: StoreConnection) -> None:
+        for text in texts:
+            engine.notify(connection, CHANNEL, text)
+
+    await database.write(notify)
