@@ -38,9 +38,8 @@ class OtherLines:
             return {}
         urls: dict[str, set[str]] = {}
         for bus in servers.buses:
-            home = servers.homes.of(bus)
-            if home.server not in ("", servers.homes.server) and not servers.homes.is_here(bus):
-                urls.setdefault(home.url, set()).add(bus)
+            if servers.is_elsewhere(bus):
+                urls.setdefault(servers.homes.of(bus).url, set()).add(bus)
         found = await asyncio.gather(*(self._of_server(connection, url, urls[url]) for url in urls))
         return {name: bus for buses in found for name, bus in buses.items()}
 

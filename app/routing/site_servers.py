@@ -51,6 +51,11 @@ class SiteServers:
         """Whether requests may be passed on at all."""
         return self.homes.is_shared
 
+    def is_elsewhere(self, bus: str) -> bool:
+        """Whether another server is the home of a bus; one without a home is shown by every server."""
+        homes = self.homes
+        return homes.is_shared and homes.of(bus).server not in ("", homes.server) and not homes.is_here(bus)
+
     @property
     def is_clock_known(self) -> bool:
         """Whether this server can tell when a request arrived at another."""

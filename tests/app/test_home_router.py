@@ -19,6 +19,7 @@ from websockets.exceptions import InvalidStatus
 from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.live.api.line_stream import LineStream
+from app.live.browsers.hub import Hub
 from app.main import FEATURES
 from app.routing.store_clock import StoreClock
 from app.routing.target import COOKIE
@@ -162,6 +163,24 @@ async def test_the_line_has_the_buses_of_all_homes(site: TwoServers) -> None:
     site.move(SECOND, f"http://127.0.0.1:{free_port()}")
     line = (await site.program(Role.VIEWER).get("/api/v1/line")).json()
     assert [(bus["name"], bus["worker"]) for bus in line["buses"]] == [("dry-end", False)]
+
+
+async def test_a_page_has_the_buses_of_its_own_server(site: TwoServers) -> None:
+    """A bus of another home would be one without a worker here."""
+    browser = site.browser(Role.VIEWER)
+    assert "/units/dry-end/1" not in (await browser.get("/account")).text
+    here = (await browser.get("/")).text
+    assert "/units/dry-end/1" in here, "the only home there is"
+    site.first.homes.put("other", FIRST)
+    servers = site.first.servers
+    servers.buses = (*servers.buses, "other")
+    try:
+        assert "/units/dry-end/1" not in (await site.browser(Role.VIEWER).get("/")).text
+        screen = site.first.services[Hub].screen("en")
+        assert screen.shown["line_summary"]["verdict"] == "No unit is configured"
+    finally:
+        servers.buses = servers.buses[:-1]
+        site.first.homes.homes.pop("other")
 
 
 async def test_a_home_that_is_away_is_named_and_nothing_is_sent(site: TwoServers) -> None:

@@ -176,7 +176,11 @@ class Hub:
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
+            held_by = {
+                bus: guards.holder()
+                for bus, guards in self._sources.guards.items()
+                if not self._sources.is_elsewhere(bus)
+            }
             notices = self._sources.notices(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]

@@ -82,11 +82,16 @@ class FleetLines(Protocol):
         """No page in this language follows them."""
 
 
+def _nowhere(_bus: str) -> bool:
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is."""
+    is stored, None while it is; ``is_elsewhere``: whether another server is the home of a bus, whose state is
+    not known here."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -95,3 +100,4 @@ class Sources:
     lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
+    is_elsewhere: Callable[[str], bool] = _nowhere
