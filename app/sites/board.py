@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import structlog
 
 from app.conditions.priority import PRIORITIES
-from app.sites.summary import LineSummary, read_notice
+from app.sites.summary import LineSummary, read_line, read_notice
 from bus.instants import Monotonic, MonotonicClock, monotonic_now
 
 STALE_AFTER_S = 3.0
@@ -55,6 +55,8 @@ class _Reported:
     summary: LineSummary
     at: Monotonic
     has_ended: bool = False
+    text: bytes = b""
+    """As it was sent; empty: it was made here."""
 
 
 class LineBoard:
@@ -71,6 +73,7 @@ class LineBoard:
         self._own = own
         self._monotonic = monotonic
         self._reported: dict[str, _Reported] = {}
+        self._by_text: dict[bytes, _Reported] = {}
         self._faults: set[str] = set()
 
     def take(self, text: str) -> None:
@@ -78,13 +81,11 @@ class LineBoard:
         try:
             notice = read_notice(text)
         except ValueError as error:
-            if str(error) not in self._faults and len(self._faults) < MAX_LINES:
-                self._faults.add(str(error))
-                _log.warning("summary not read", why=str(error))
+            self._note_fault(error)
             return
         now = self._monotonic()
-        for line in notice.lines:
-            self._put(line, now)
+        for sent in map(bytes, notice.lines):
+            self._take_line(sent, now)
         if notice.ends:
             for reported in self._reported.values():
                 if reported.summary.server == notice.server:
@@ -94,9 +95,9 @@ class LineBoard:
         """All of them, the worst first."""
         now = self._monotonic()
         for line in self._own():
-            self._reported[line.bus] = _Reported(line, now)
+            self._put(_Reported(line, now))
         for bus in [bus for bus, known in self._reported.items() if now - known.at > FORGOTTEN_AFTER_S]:
-            del self._reported[bus]
+            self._by_text.pop(self._reported.pop(bus).text, None)
         found = [
             LineOnBoard(bus, known.summary, now - known.at, known.has_ended)
             for bus, known in self._reported.items()
@@ -108,10 +109,32 @@ class LineBoard:
         """Whether there is more than one line to choose from."""
         return len({*self._configured, *self._reported}) > 1
 
-    def _put(self, line: LineSummary, now: Monotonic) -> None:
+    def _take_line(self, sent: bytes, now: Monotonic) -> None:
         """A former home that still reports does not overwrite the present one."""
+        known = self._by_text.get(sent)
+        if known is not None:
+            known.at, known.has_ended = now, False
+            return
+        try:
+            line = read_line(sent)
+        except ValueError as error:
+            self._note_fault(error)
+            return
         known = self._reported.get(line.bus)
         if known is not None and now - known.at <= STALE_AFTER_S and line.epoch < known.summary.epoch:
             return
         if known is not None or len(self._reported) < MAX_LINES:
-            self._reported[line.bus] = _Reported(line, now)
+            self._put(_Reported(line, now, text=sent))
+
+    def _put(self, reported: _Reported) -> None:
+        bus = reported.summary.bus
+        if bus in self._reported:
+            self._by_text.pop(self._reported[bus].text, None)
+        self._reported[bus] = reported
+        if reported.text:
+            self._by_text[reported.text] = reported
+
+    def _note_fault(self, error: ValueError) -> None:
+        if str(error) not in self._faults and len(self._faults) < MAX_LINES:
+            self._faults.add(str(error))
+            _log.warning("summary not read", why=str(error))

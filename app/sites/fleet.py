@@ -31,6 +31,7 @@ class Fleet:
         self._clock = clock
         self._worded: dict[tuple[str, str], _Worded] = {}
         self._shown: dict[str, Groups] = {}
+        self._sent: dict[str, dict[str, tuple[int, Fields]]] = {}
 
     def shown(self, translator: Translator) -> Groups:
         """The fields of all lines now, the worst first."""
@@ -47,20 +48,27 @@ class Fleet:
     def changes(self, translator: Translator) -> Groups:
         """The fields that are different from those of the last call for this language."""
         shown = self._shown.setdefault(translator.language.tag, {})
+        sent = self._sent.setdefault(translator.language.tag, {})
         changed: Groups = {}
-        for key, fields in self.shown(translator).items():
-            changed |= put_fields(shown, key, fields)
+        now = self._clock()
+        for rank, line in enumerate(self.board.lines()):
+            fields = self._fields(line, translator, now)
+            before = sent.get(line.bus)
+            if before is None or before[0] != rank or before[1] is not fields:
+                sent[line.bus] = rank, fields
+                changed |= put_fields(shown, line_key(line.bus), fields | {"rank": str(rank)})
         return changed
 
     def forget(self, tag: str) -> None:
         """No page in this language follows them."""
         self._shown.pop(tag, None)
+        self._sent.pop(tag, None)
 
     def _fields(self, line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
         """A time in the words gets its date as the day ends, and the age of a stale one grows."""
         key, minute = (translator.language.tag, line.bus), int(float(now) // MINUTE_S)
         known = self._worded.get(key)
-        if known and not line.is_stale and known.minute == minute and known.summary == line.summary:
+        if known and not line.is_stale and known.minute == minute and known.summary is line.summary:
             return known.fields
         fields = tile_fields(line, translator, now)
         if line.is_stale:

@@ -82,15 +82,17 @@ class LineSummary(msgspec.Struct, frozen=True):
 
 
 class Notice(msgspec.Struct, frozen=True):
-    """Some lines of one server. ``ends``: it stops, and will send no more."""
+    """Some lines of one server, each as it was sent: most are from one second to the next the same bytes,
+    which are not read again. ``ends``: it stops, and will send no more."""
 
     server: _Name
-    lines: Annotated[list[LineSummary], Meta(max_length=500)]
+    lines: Annotated[list[msgspec.Raw], Meta(max_length=500)]
     ends: bool = False
 
 
 _encode = msgspec.json.Encoder().encode
 _decoder = msgspec.json.Decoder(Notice)
+_line_decoder = msgspec.json.Decoder(LineSummary)
 
 
 def notices(server: str, lines: Iterable[LineSummary]) -> Iterator[str]:
@@ -118,6 +120,14 @@ def read_notice(text: str) -> Notice:
     """Raises ValueError for what no server of this version has sent."""
     try:
         return _decoder.decode(text)
+    except msgspec.MsgspecError as error:
+        raise ValueError(str(error)) from error
+
+
+def read_line(text: bytes) -> LineSummary:
+    """One line of a notice. Raises ValueError as :func:`read_notice` does."""
+    try:
+        return _line_decoder.decode(text)
     except msgspec.MsgspecError as error:
         raise ValueError(str(error)) from error
 

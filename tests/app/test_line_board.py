@@ -139,6 +139,7 @@ def test_what_cannot_be_read_changes_nothing() -> None:
     scene = Scene()
     scene.board.take('{"server": "x"}')
     scene.board.take("\x00")
+    scene.board.take('{"server": "x", "lines": [{"bus": "a"}]}')
     assert scene.board.lines() == []
 
 

@@ -17,6 +17,7 @@ from app.sites.summary import (
     LineSummary,
     end_notice,
     notices,
+    read_line,
     read_notice,
 )
 from bus.contract import BusFigures, UnitLink
@@ -96,7 +97,7 @@ def test_lines_of_any_size_fit_into_notifications(sizes: list[tuple[str, int]]) 
     lines = [of_size(f"b{number}", *size) for number, size in enumerate(sizes)]
     texts = list(notices("app-1", lines))
     assert all(len(text.encode()) <= MAX_NOTICE_BYTES for text in texts)
-    found = [each for text in texts for each in read_notice(text).lines]
+    found = [read_line(bytes(each)) for text in texts for each in read_notice(text).lines]
     assert [each.bus for each in found] == [each.bus for each in lines]
     short = [
         (each, line) for each, line in zip(found, lines, strict=True) if len(msgspec.json.encode(line)) < 3000
@@ -115,8 +116,14 @@ def test_no_line_is_no_notification() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x", "{}", '{"server": 1, "lines": []}', '{"server": "a", "lines": [{}]}']
+    "text", ["", "x", "{}", '{"server": 1, "lines": []}', '{"server": "a", "lines": {}}']
 )
 def test_what_no_server_sent_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         read_notice(text)
+
+
+@pytest.mark.parametrize("text", [b"", b"{}", b'{"bus": "a"}', b"\xff"])
+def test_a_line_that_no_server_sent_is_refused(text: bytes) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        read_line(text)
