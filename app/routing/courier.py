@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Coroutine
-from contextlib import aclosing, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -25,7 +25,7 @@ PROBE_AFTER_S = 0.5
 PROBE_S = 0.45
 PROBES_EVERY_S = 1.0
 MAX_MISSED, MAX_MISSED_OF_WRITE = 1, 4
-"""Probes in a row. A page says soon that a home is away; the result of a command is worth a wait."""
+"""Probes in a row. A page states soon that a home is away; the result of a command is worth a wait."""
 MAX_HEAD_S = 120.0
 """From a request to the head of its response: the longest restore responds at once, a search within
 seconds."""
@@ -51,7 +51,7 @@ def home_away(home: Home, *, is_write: bool) -> Problem:
 
 def _unverified(home: Home) -> Problem:
     """The home got a command, and its result is not known."""
-    message = Message.of("home_silent_unverified", server=home.server, bus=home.bus)
+    message = Message.of("home_unverified", server=home.server, bus=home.bus)
     return Problem(504, "unverified", message, outcome="unverified")
 
 
@@ -115,8 +115,8 @@ class Courier:
     async def _watch(
         self, sending: asyncio.Task[httpx.Response], home: Home, body: _Body, most_missed: int
     ) -> None:
-        """Return once the head is there, or its request has failed. Raises TimeoutError where the home is
-        silent: a process that is halted still accepts connections."""
+        """Return once the head is there, or its request has failed. Raises TimeoutError where the home
+        does not respond: a process that is halted still accepts connections."""
         pause_s, missed = PROBE_AFTER_S, 0
         while not sending.done():
             await asyncio.wait({sending}, timeout=pause_s)
@@ -205,11 +205,10 @@ async def _pass_back(response: httpx.Response, send: Send, home: Home) -> None:
     size = 0
     with suppress(httpx.HTTPError, TimeoutError):
         async with asyncio.timeout(None if is_stream else MAX_RESPONSE_S):
-            async with aclosing(response.aiter_raw()) as pieces:
-                async for piece in pieces:
-                    size += len(piece)
-                    if size > MAX_RESPONSE_BYTES and not is_stream:
-                        _log.warning("response of a home is too large", server=home.server)
-                        return
-                    await send({"type": "http.response.body", "body": piece, "more_body": True})
+            async for piece in response.aiter_raw():
+                size += len(piece)
+                if size > MAX_RESPONSE_BYTES and not is_stream:
+                    _log.warning("response of a home is too large", server=home.server)
+                    return
+                await send({"type": "http.response.body", "body": piece, "more_body": True})
             await send({"type": "http.response.body", "body": b""})

@@ -1,6 +1,6 @@
 """Which headers pass between a client and the home of a bus. Pure.
 
-Both lists name what passes. What a connection means by itself, what a client states of proxies, and what a
+Both lists name what passes. What concerns one connection alone, what a client states of proxies, and what a
 server may make a browser do for this server (cookies that sign in, policies) does not.
 """
 

@@ -20,7 +20,7 @@ from app.routing.hop import HEADER
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers, target_of
 from app.routing.socket_relay import SocketRelay
-from app.routing.target import COOKIE, Place, is_own, named_bus, named_server, place_of, prefixes_of
+from app.routing.target import COOKIE, Destination, is_own, named_bus, named_server, place_of, prefixes_of
 from app.server.addresses import source_of
 from app.web.access import Role, address_of, person_of
 from app.web.arrival import SAFE_METHODS
@@ -65,10 +65,10 @@ class HomeRouter:
             return
         await self._pass_on(place, connection, person.account, receive, send)
 
-    def _place(self, connection: HTTPConnection, bus: str, *, via_session: bool) -> Place:
+    def _place(self, connection: HTTPConnection, bus: str, *, via_session: bool) -> Destination:
         """A program keeps no cookie: what names no bus is responded to by the server that it chose."""
         if not bus and not via_session:
-            return Place()
+            return Destination()
         scope, servers = connection.scope, self._servers
         server = named_server(
             scope["query_string"],
@@ -76,11 +76,11 @@ class HomeRouter:
             is_socket=scope["type"] == "websocket",
         )
         if PASSED_ON in scope and not bus:
-            return Place()
+            return Destination()
         return place_of(bus, server, servers.homes, servers.buses)
 
     async def _pass_on(
-        self, place: Place, connection: HTTPConnection, account: str, receive: Receive, send: Send
+        self, place: Destination, connection: HTTPConnection, account: str, receive: Receive, send: Send
     ) -> None:
         scope, home = connection.scope, place.home
         assert home is not None
@@ -119,7 +119,7 @@ class HomeRouter:
         return self._prefixes
 
 
-def _remembering(place: Place, connection: HTTPConnection, send: Send) -> Send:
+def _remembering(place: Destination, connection: HTTPConnection, send: Send) -> Send:
     """The browser looks at the home whose page it gets."""
     if (
         not place.looked_at

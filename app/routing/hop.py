@@ -22,7 +22,7 @@ SECRET_BYTES = 32
 MAX_HOP_BYTES = 1024
 MAX_AGE_S = 60.0
 """A hop is no proof after so long: the longest body takes less."""
-_Text = Annotated[str, msgspec.Meta(max_length=300)]
+_HopText = Annotated[str, msgspec.Meta(max_length=300)]
 
 
 class Hop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -30,12 +30,12 @@ class Hop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     the store. ``client``: the address of the person; ``scheme`` and ``host``: how the person reached the
     sender."""
 
-    sender: _Text
+    sender: _HopText
     arrived_at: float
     sent_at: float
-    client: _Text
-    scheme: _Text
-    host: _Text
+    client: _HopText
+    scheme: _HopText
+    host: _HopText
 
 
 class ForgedHopError(Exception):

@@ -20,7 +20,6 @@ PATH = "/api/v1/line"
 MAX_S = 1.0
 MAX_BYTES = 4 * 1024 * 1024
 """A bus of 255 units takes 0.5 MB."""
-Json = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,7 +29,7 @@ class OtherLines:
     _servers: SiteServers
     _peers: Peers
 
-    async def buses(self, connection: HTTPConnection) -> Mapping[str, Json]:
+    async def buses(self, connection: HTTPConnection) -> Mapping[str, dict[str, Any]]:
         """The buses whose home is another server, by name, as that shows them; without those of a home
         that does not respond within a second."""
         servers = self._servers
@@ -43,7 +42,9 @@ class OtherLines:
         found = await asyncio.gather(*(self._of_server(connection, url, urls[url]) for url in urls))
         return {name: bus for buses in found for name, bus in buses.items()}
 
-    async def _of_server(self, connection: HTTPConnection, url: str, buses: set[str]) -> Mapping[str, Json]:
+    async def _of_server(
+        self, connection: HTTPConnection, url: str, buses: set[str]
+    ) -> Mapping[str, dict[str, Any]]:
         import httpx
 
         headers = to_home(connection.scope["headers"])
@@ -56,7 +57,7 @@ class OtherLines:
 
     async def _requested(
         self, url: str, headers: list[tuple[bytes, bytes]], buses: set[str]
-    ) -> Mapping[str, Json]:
+    ) -> Mapping[str, dict[str, Any]]:
         headers = [*headers, (b"accept-encoding", b"identity")]
         async with self._peers.reading.stream("GET", url, headers=headers) as response:
             body = b""

@@ -58,7 +58,7 @@ class SiteServers:
 
     @property
     def is_clock_known(self) -> bool:
-        """Whether this server can tell when a request arrived at another."""
+        """Whether this server knows how its clock and that of the store differ."""
         return self.clock.is_known(self.monotonic())
 
     def seal(self, scope: Scope, target: bytes) -> str:

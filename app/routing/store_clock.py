@@ -24,7 +24,7 @@ class StoreClock:
     _compared_at: Monotonic = Monotonic(float("-inf"))
 
     def compare(self, before: Monotonic, read: UnixTime, after: Monotonic) -> None:
-        """The store said ``read`` at some moment between ``before`` and ``after``."""
+        """The store had the time ``read`` at some moment between ``before`` and ``after``."""
         self._least, self._most = float(read) - float(after), float(read) - float(before)
         self._compared_at = after
 

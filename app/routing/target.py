@@ -67,7 +67,7 @@ def _values(query: bytes, name: str) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Destination:
     """Where a request is responded to. ``home``: another server, None: this one. ``looked_at``: the id of the
     server that its browser looks at from now on; empty: as before."""
 
@@ -75,16 +75,16 @@ class Place:
     looked_at: str = ""
 
 
-def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> Place:
+def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> Destination:
     """Where a request belongs that names ``bus`` or, where that is empty, ``server``. ``buses``: of the
     configuration. A bus without a home is shown here, where it has no worker; a server that is no home is
     passed over, so that a browser follows a bus to its next home."""
     if bus:
         home = homes.of(bus)
         is_elsewhere = home.server not in ("", homes.server) and not homes.is_here(bus)
-        return Place(home if is_elsewhere else None, home.server)
+        return Destination(home if is_elsewhere else None, home.server)
     if server == HERE:
-        return Place()
+        return Destination()
     by_server: dict[str, Home] = {}
     for home in map(homes.of, buses):
         if home.server:
@@ -93,4 +93,4 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
         wanted = server
     else:
         wanted = homes.server if homes.server in by_server else next(iter(by_server), homes.server)
-    return Place(None if wanted == homes.server else by_server[wanted])
+    return Destination(None if wanted == homes.server else by_server[wanted])

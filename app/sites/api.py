@@ -11,8 +11,8 @@ from typing_extensions import TypedDict
 from app.live.screen.fields import Translator
 from app.messages import DEFAULT
 from app.sites.board import LineOnBoard
-from app.sites.fleet import Fleet
-from app.sites.tile import shown_level, silence, verdict_text
+from app.sites.fleet import FleetLookup
+from app.sites.tile import no_report, shown_level, verdict_text
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
@@ -21,7 +21,6 @@ from app.web.templating import Templates
 from bus.instants import UnixTime, unix_now
 
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
-FleetService = Annotated[Fleet, service(Fleet)]
 TemplatesService = Annotated[Templates, service(Templates)]
 AlarmCount = Annotated[dict[str, int], Field(description="By priority; one without alarms is left out.")]
 
@@ -41,7 +40,7 @@ class LineOfSite(TypedDict):
 
     bus: str
     site: str | None
-    stale: Annotated[bool, Field(description="Its home is silent or has stopped: its state is not known.")]
+    stale: Annotated[bool, Field(description="Its home no longer reports it: its state is not known.")]
     age_s: Annotated[float | None, Field(description="Seconds since the report; null: there is none.")]
     home: Annotated[str | None, Field(description="The id of the server that owns the bus.")]
     epoch: int | None
@@ -69,7 +68,7 @@ class LinesOfSites(TypedDict):
 
 @router.get("/sites")
 async def get_sites(
-    _: Viewer, fleet: FleetService, templates: TemplatesService, site: str | None = None
+    _: Viewer, fleet: FleetLookup, templates: TemplatesService, site: str | None = None
 ) -> LinesOfSites:
     """Every line of every server, the worst first. ``site``: only those of the site of this name."""
     english = Translator(templates.languages[DEFAULT], templates.formats(DEFAULT))
@@ -87,7 +86,7 @@ def line_json(line: LineOnBoard, english: Translator, now: UnixTime) -> LineOfSi
         "stale": line.is_stale,
         "age_s": None if summary is None else round(line.age_s, 3),
         "level": shown_level(line) or None,
-        "verdict": message_shown(silence(line)),
+        "verdict": message_shown(no_report(line)),
     }
     if summary is None:
         names = ("site", "home", "epoch", "units", "states", "alarms", "scan_hz", "speeds")

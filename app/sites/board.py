@@ -1,7 +1,7 @@
 """Every line that any server has reported, each with its age: in the memory of this server.
 
 The age counts from the arrival of the report on this machine's monotonic clock, so no clock of another one
-matters. A line whose server is silent stays as it was last reported, and states since when.
+matters. A line whose server no longer reports stays as it was last reported, and states since when.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class _Reported:
 
 class LineBoard:
     """``configured``: the buses that are shown even before a server reports them; ``own``: the summaries of
-    the lines whose home is here, made when they are asked for."""
+    the lines whose home is here, made when they are wanted."""
 
     def __init__(
         self,

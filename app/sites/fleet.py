@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from app.live.screen.diff import Groups, put_fields
 from app.live.screen.fields import Fields, Translator
 from app.sites.board import LineBoard, LineOnBoard
 from app.sites.summary import LineSummary
 from app.sites.tile import line_key, tile_fields
+from app.web.services import service
 from bus.instants import Clock, UnixTime
 
 MINUTE_S = 60.0
@@ -76,3 +77,6 @@ class Fleet:
         else:
             self._worded[key] = _Worded(line.summary, minute, fields)
         return fields
+
+
+FleetLookup = Annotated[Fleet, service(Fleet)]

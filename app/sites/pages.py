@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
 from app.live.screen.fields import Translator
-from app.sites.fleet import Fleet
+from app.sites.fleet import FleetLookup
 from app.sites.tile import line_key
 from app.web.access import Viewer
-from app.web.services import service
 from app.web.templating import render, templates_of
 
 router = APIRouter(include_in_schema=False)
-FleetService = Annotated[Fleet, service(Fleet)]
 
 
 @router.get("/lines")
-async def lines_page(request: Request, _: Viewer, fleet: FleetService, site: str = "") -> Response:
+async def lines_page(request: Request, _: Viewer, fleet: FleetLookup, site: str = "") -> Response:
     """Every line of every server, the worst first; ``site``: only of this one, where there is one of its
     name."""
     templates = templates_of(request)

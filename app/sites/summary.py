@@ -24,7 +24,7 @@ POINT_S = 10.0
 _Name = Annotated[str, Meta(max_length=100)]
 _Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 Counts = dict[AlarmPriority, _Count]
-Speed = Annotated[float, Meta(ge=-1e9, le=1e9)]
+LineSpeed = Annotated[float, Meta(ge=-1e9, le=1e9)]
 
 
 class CauseSummary(msgspec.Struct, frozen=True):
@@ -58,7 +58,7 @@ class CauseSummary(msgspec.Struct, frozen=True):
 
 
 class LineSummary(msgspec.Struct, frozen=True):
-    """One line. ``verdict``: what is said of it while no ``cause`` is; ``place``: the unit or bus of the
+    """One line. ``verdict``: the text while there is no ``cause``; ``place``: the unit or bus of the
     cause. ``states``: units by state, and how many are ``online``; ``active`` and ``waiting`` (for an
     acknowledgement): alarms by priority; ``alarm``: the text of the first of them. ``speeds``: of the first
     unit, the newest last, in display units, None where none was read; ``scan_hz``: scans a second."""
@@ -78,7 +78,7 @@ class LineSummary(msgspec.Struct, frozen=True):
     alarm: Message | None = None
     alarm_priority: Level = ""
     scan_hz: float | None = None
-    speeds: Annotated[list[Speed | None], Meta(max_length=MAX_POINTS)] = []
+    speeds: Annotated[list[LineSpeed | None], Meta(max_length=MAX_POINTS)] = []
 
 
 class Notice(msgspec.Struct, frozen=True):

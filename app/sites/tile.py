@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import inf
 
 from app.conditions.priority import PRIORITIES
@@ -10,7 +9,7 @@ from app.live.diagnosis.cause import Level
 from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Fields, Translator
 from app.sites.board import LineOnBoard
-from app.sites.summary import MAX_POINTS, LineSummary
+from app.sites.summary import MAX_POINTS, Counts, LineSummary
 from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -27,10 +26,10 @@ STATES = {
     "off_speed": "line_n_off_speed",
 }
 """The text for how many units are in a state."""
-_SILENCE = (
-    (LONG_S, "line_silent_seconds", "line_ended_seconds", 1),
-    (LONG_MINUTES_S, "line_silent_minutes", "line_ended_minutes", MINUTE_S),
-    (inf, "line_silent_hours", "line_ended_hours", HOUR_S),
+_NO_REPORT: tuple[tuple[float, str, str, int], ...] = (
+    (LONG_S, "line_overdue_seconds", "line_ended_seconds", 1),
+    (LONG_MINUTES_S, "line_overdue_minutes", "line_ended_minutes", MINUTE_S),
+    (inf, "line_overdue_hours", "line_ended_hours", HOUR_S),
 )
 """Up to which age, the text for it while nothing is known and where its server has stopped, and in what."""
 _NEVER: Fields = {
@@ -62,7 +61,7 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
         "level_text": translator.t(level),
         "quality": "stale" if line.is_stale else "live",
         "place": "" if line.is_stale else place,
-        "verdict": translator.t(silence(line)) if line.is_stale else verdict,
+        "verdict": translator.t(no_report(line)) if line.is_stale else verdict,
         "last": translator.t(Message.of("line_was", verdict=before)) if line.is_stale else "",
         "counts": _counts(summary, translator),
         "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
@@ -84,7 +83,7 @@ def shown_level(line: LineOnBoard) -> Level:
 
 
 def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
-    """What is said of the line, after the name of the unit that it is about."""
+    """The verdict, after the name of the unit that it is about."""
     place, text = _place_and_verdict(summary, translator, now)
     return f"{place} · {text}" if place else text
 
@@ -97,13 +96,13 @@ def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTi
     return place, cause_texts(summary.cause.cause(summary.level), translator, now).line
 
 
-def silence(line: LineOnBoard) -> Message:
+def no_report(line: LineOnBoard) -> Message:
     """That the server of a line does not report it, and since when."""
     summary = line.summary
     if summary is None:
         return Message("line_never_reported")
-    silent, ended, unit_s = next(row for below_s, *row in _SILENCE if line.age_s < below_s)
-    code = ended if line.has_ended else silent
+    _, overdue, ended, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
+    code = ended if line.has_ended else overdue
     return Message.of(code, server=summary.server, n=int(line.age_s // unit_s))
 
 
@@ -141,7 +140,7 @@ def _alarms(summary: LineSummary, translator: Translator) -> str:
     return " · ".join(parts) or translator.t(Message("line_no_alarms"))
 
 
-def _by_priority(counts: Mapping[str, int], translator: Translator) -> list[str]:
+def _by_priority(counts: Counts, translator: Translator) -> list[str]:
     return [f"{counts[name]} {translator.t(name)}" for name in PRIORITIES if counts.get(name)]
 
 

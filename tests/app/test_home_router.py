@@ -73,12 +73,12 @@ async def test_each_route_refuses_as_the_home_does(site: TwoServers) -> None:
     there = {role: site.client(site.second, headers=site.credential(role)) for role in roles}
     for method, path in routes:
         # A write by one who may is in the other tests: without a body it might still be sent.
-        asking = [role for role in roles if method == "GET" or role is not Role.OPERATOR]
-        passed = await asyncio.gather(*(_status(here[role], method, path) for role in asking))
-        direct = await asyncio.gather(*(_status(there[role], method, path) for role in asking))
+        roles_of = [role for role in roles if method == "GET" or role is not Role.OPERATOR]
+        passed = await asyncio.gather(*(_status(here[role], method, path) for role in roles_of))
+        direct = await asyncio.gather(*(_status(there[role], method, path) for role in roles_of))
         assert passed == direct, (method, path)
-        assert passed[asking.index(None)] in (303, 401)
-        assert passed[asking.index(Role.WORKER)] == 403
+        assert passed[roles_of.index(None)] in (303, 401)
+        assert passed[roles_of.index(Role.WORKER)] == 403
     assert site.line.written == []
 
 
@@ -165,7 +165,7 @@ async def test_the_line_has_the_buses_of_all_homes(site: TwoServers) -> None:
     assert [(bus["name"], bus["worker"]) for bus in line["buses"]] == [("dry-end", False)]
 
 
-async def test_a_page_has_the_buses_of_its_own_server(site: TwoServers) -> None:
+async def test_a_page_has_the_buses_of_the_server_that_shows_it(site: TwoServers) -> None:
     """A bus of another home would be one without a worker here."""
     browser = site.browser(Role.VIEWER)
     assert "/units/dry-end/1" not in (await browser.get("/account")).text
@@ -226,7 +226,7 @@ async def test_without_the_time_of_the_store_no_command_is_passed_on(
 
 
 async def test_control_of_the_line_is_at_its_home(site: TwoServers) -> None:
-    """Whoever has it has it at all servers."""
+    """It is held at all servers by the same user."""
     first, second = site.program(Role.OPERATOR), site.program(Role.ENGINEER, site.second)
     taken = await first.post(f"{BUS}/control")
     assert (taken.status_code, taken.json()["code"]) == (409, "controlled")

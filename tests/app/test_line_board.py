@@ -44,7 +44,7 @@ def summary(
 
 @dataclass
 class Scene:
-    """A board on a clock of its own."""
+    """A board on a clock that the test sets."""
 
     configured: tuple[str, ...] = ()
     own: list[LineSummary] = field(default_factory=list)
@@ -70,7 +70,7 @@ def test_the_worst_line_comes_first() -> None:
     ]
 
 
-def test_a_silent_server_makes_its_lines_stale_and_never_well() -> None:
+def test_a_server_that_stops_reporting_makes_its_lines_stale_and_never_well() -> None:
     scene = Scene(own=[summary("here", server="app-1")])
     scene.report(summary("there"), summary("worse", "urgent"))
     assert not scene.line("there").is_stale
@@ -128,7 +128,7 @@ def test_a_line_that_no_server_has_reported_is_there() -> None:
     assert scene.board.is_fleet()
 
 
-def test_what_was_silent_for_a_day_is_forgotten() -> None:
+def test_a_line_without_a_report_for_a_day_is_forgotten() -> None:
     scene = Scene()
     scene.report(summary("old"))
     scene.now += FORGOTTEN_AFTER_S + 1

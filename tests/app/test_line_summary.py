@@ -60,7 +60,7 @@ def test_a_cause_of_the_bus_comes_before_its_units() -> None:
     assert found.scan_hz is None
 
 
-def test_a_block_has_its_reason_and_a_drift_a_text_of_its_own() -> None:
+def test_a_block_has_its_reason_and_a_drift_another_text() -> None:
     bus = line().buses["dry"]
     blocked = summarized(bus, 100.5, blocked=Message.of("block_by", reason="knife change", who="anna"))
     assert blocked.cause is not None

@@ -28,7 +28,7 @@ Change = Callable[["Elsewhere"], Coroutine[Any, Any, object]]
 
 
 class Elsewhere:
-    """A server, and another over the same store that gets its notices, but never looks by itself."""
+    """A server, and another over the same store that gets its notices, but never looks without one."""
 
     def __init__(self, database: Database) -> None:
         self.database, events = database, EventLog(database)
@@ -90,7 +90,7 @@ async def _served(database: Database) -> AsyncIterator[Elsewhere]:
         (lambda there: there.accounts.set_password("ann", "another good one", **BY), "ann"),
     ],
 )
-async def test_what_is_withdrawn_ends_at_once(elsewhere: Elsewhere, change: Change, account: str) -> None:
+async def test_a_withdrawn_right_ends_at_once(elsewhere: Elsewhere, change: Change, account: str) -> None:
     connection = asyncio.create_task(_open_connection(elsewhere, account))
     await until(lambda: elsewhere.rights.rechecks._open, "an open connection")
     await change(elsewhere)
@@ -135,7 +135,7 @@ async def test_an_own_new_password_withdraws_nothing(elsewhere: Elsewhere) -> No
 
 
 async def test_lost_notices_are_made_up_for(elsewhere: Elsewhere) -> None:
-    """The connection that listens was away: an empty text says so."""
+    """The connection that listens was away: an empty text states that."""
     connection = asyncio.create_task(_open_connection(elsewhere, "ann"))
     await until(lambda: elsewhere.rights.rechecks._open, "an open connection")
     elsewhere.rights.on_notice("")

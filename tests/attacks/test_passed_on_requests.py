@@ -222,7 +222,7 @@ async def test_a_request_is_one_request_at_the_home(
         # The home would have a second one by now: both came in one piece.
         await site.program(Role.VIEWER).get(BUS)
     assert all(head.startswith((b"PUT " + PARAMETER.encode(), b"GET ")) for head in home.heads)
-    assert all(b"smuggled" not in head + body for head, body in zip(home.heads, home.bodies, strict=True))
+    assert not any(b"smuggled" in each for each in (*home.heads, *home.bodies))
     for head in home.heads:
         lower = head.lower()
         assert lower.count(b"transfer-encoding:") + lower.count(b"content-length:") <= 1
@@ -270,7 +270,7 @@ async def test_a_response_that_is_none(site: TwoServers, response: bytes) -> Non
 
 
 async def test_a_home_that_never_responds(site: TwoServers) -> None:
-    """It accepts connections, as a halted process does: a page says so, and of a command the result is
+    """It accepts connections, as a halted process does: a page states it, and of a command the result is
     open."""
     home = FalseHome(b"", responds_to_probes=False)
     async with asyncio.timeout(WITHIN_S), home.listening(site):
