@@ -107,7 +107,7 @@ class HomeRouter:
         is_write = scope["type"] == "http" and scope["method"] not in SAFE_METHODS
         if PASSED_ON in scope:
             # Two servers that each believe the other to be the home would pass it on without end.
-            message = Message.of("home_moved", bus=home.bus, server=home.server)
+            message = Message.of("home_changes", bus=home.bus, server=home.server)
             code, extra = ("bus_closed", {"outcome": "not_sent"}) if is_write else ("home_away", {})
             raise Problem(503, code, message, **extra)  # type: ignore[arg-type]
         if not self._servers.is_clock_known:

@@ -209,7 +209,7 @@ async def test_a_loop_ends_at_the_second_server(site: TwoServers) -> None:
     """Each believes the other to be the home."""
     site.second.homes.put("dry-end", FIRST, site.first.url)
     program = site.program(Role.ENGINEER)
-    assert (await program.get(BUS)).json()["reason"] == "home_moved"
+    assert (await program.get(BUS)).json()["reason"] == "home_changes"
     refused = await program.put(PARAMETER, json={"raw": 70})
     assert (refused.status_code, refused.json()["code"]) == (503, "bus_closed")
     assert site.line.written == []
