@@ -20,5 +20,8 @@ class BusHomes(Protocol):
     def of(self, bus: str) -> Home:
         """The home of a bus, its server empty where that is not known."""
 
+    def epoch(self, bus: str) -> int:
+        """The epoch of the home of a bus where it is here."""
+
     def is_here(self, bus: str) -> bool:
         """Whether this server is its home."""

@@ -75,7 +75,7 @@ class OwnLines:
             )
             for number in bus.units
         ]
-        origin = LineOrigin(self.site, self.homes.server, self.homes.of(name).epoch)
+        origin = LineOrigin(self.site, self.homes.server, self.homes.epoch(name))
         trace = self._traces.get(name, SpeedTrace())
         return summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
 

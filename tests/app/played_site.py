@@ -19,6 +19,10 @@ class PlayedHomes:
         """As the rows of the store have it."""
         return self.homes.get(bus) or Home(bus)
 
+    def epoch(self, bus: str) -> int:
+        """As the row has it."""
+        return self.of(bus).epoch
+
     def is_here(self, bus: str) -> bool:
         """Whether this server has its row."""
         return self.of(bus).server == self.server
