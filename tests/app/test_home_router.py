@@ -192,7 +192,7 @@ async def test_a_home_that_is_away_is_named_and_nothing_is_sent(site: TwoServers
     assert (await program.get(BUS)).json()["code"] == "home_away"
     page = await browser.get("/bus/dry-end")
     assert page.status_code == 503
-    assert "app-2, the home of dry-end, does not respond" in page.text
+    assert "The home of dry-end, app-2, does not respond" in page.text
     assert 'href="/lines"' in page.text
     cookie = "; ".join(f"{name}={value}" for name, value in site.cookies[Role.VIEWER].items())
     url = f"{site.first.url.replace('http', 'ws')}/live?home="
