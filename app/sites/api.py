@@ -8,6 +8,7 @@ from fastapi import APIRouter
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from app.alarms.shown import AlarmPriorityShown
 from app.live.screen.fields import Translator
 from app.messages import DEFAULT
 from app.sites.board import LineOnBoard
@@ -31,7 +32,7 @@ class LineAlarmsShown(TypedDict):
     active: AlarmCount
     unacknowledged: AlarmCount
     first: Annotated[MessageShown | None, Field(description="Its text; null: there is none.")]
-    first_priority: Annotated[str | None, Field(description="urgent, high, medium or low.")]
+    first_priority: AlarmPriorityShown | None
 
 
 class LineOfSite(TypedDict):
@@ -43,10 +44,12 @@ class LineOfSite(TypedDict):
     stale: Annotated[bool, Field(description="Its home no longer reports it: its state is not known.")]
     age_s: Annotated[float | None, Field(description="Seconds since the report; null: there is none.")]
     home: Annotated[str | None, Field(description="The id of the server that owns the bus.")]
-    epoch: int | None
-    level: Annotated[str | None, Field(description="Priority of the verdict; null: nothing is abnormal.")]
+    epoch: Annotated[int | None, Field(description="Of the home; it grows with each that takes the bus.")]
+    level: Annotated[
+        AlarmPriorityShown | None, Field(description="Of the verdict; null: nothing is abnormal.")
+    ]
     verdict: MessageShown
-    units: int | None
+    units: Annotated[int | None, Field(description="How many are configured.")]
     states: Annotated[
         dict[str, int] | None,
         Field(description="How many units are online, at_speed, ramping, at_zero, off_speed."),
