@@ -25,7 +25,7 @@ from app.server.addresses import source_of
 from app.web.access import Role, address_of, person_of
 from app.web.arrival import SAFE_METHODS
 from app.web.problems import refuse_socket, respond, too_many_requests
-from app.web.security import PASSED_ON
+from app.web.security import PASSED_ON, REFUSED_AT_HOME
 from bus.messages import Message
 
 MAX_OF_ACCOUNT, MAX_OF_ADDRESS, MAX_IN_ALL = 64, 128, 300
@@ -66,16 +66,12 @@ class HomeRouter:
         await self._pass_on(place, connection, person.account, receive, send)
 
     def _place(self, connection: HTTPConnection, bus: str, *, via_session: bool) -> Destination:
-        """A program keeps no cookie: what names no bus is responded to by the server that it chose."""
-        if not bus and not via_session:
-            return Destination()
+        """A program keeps no cookie: what names no bus is responded to by the server that it chose. So is
+        what another server has passed on."""
         scope, servers = connection.scope, self._servers
-        server = named_server(
-            scope["query_string"],
-            connection.cookies.get(COOKIE, ""),
-            is_socket=scope["type"] == "websocket",
-        )
-        if PASSED_ON in scope and not bus:
+        cookie = connection.cookies.get(COOKIE, "") if via_session else ""
+        server = named_server(scope["query_string"], cookie, is_socket=scope["type"] == "websocket")
+        if not bus and (PASSED_ON in scope or not (via_session or server)):
             return Destination()
         return place_of(bus, server, servers.homes, servers.buses)
 
@@ -93,6 +89,7 @@ class HomeRouter:
                 target = target_of(scope)
                 headers = to_home(scope["headers"])
                 headers.append((HEADER.encode(), self._servers.seal(scope, target).encode()))
+                scope[REFUSED_AT_HOME] = True
                 carry = self._relay.carry if is_socket else self._courier.carry
                 await carry(home, target, headers, scope, receive, _remembering(place, connection, send))
         except Problem as problem:

@@ -110,6 +110,9 @@ def _unknown_coding(name: str, status: int) -> Problem:
 PASSED_ON = "lineside.passed_on"
 """Key in the scope of a request that another server of the site has passed on: the id of that server, which
 has checked the name under which it was reached."""
+REFUSED_AT_HOME = "lineside.refused_at_home"
+"""Key in the scope of a request whose response is that of another server of the site, which records what it
+refuses."""
 LOOPBACK = frozenset({"127.0.0.1", "::1", "localhost"})
 OPEN_PATH = "/healthz"
 """Probes request by address, and learn only that the server is up."""

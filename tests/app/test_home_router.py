@@ -24,6 +24,7 @@ from app.main import FEATURES
 from app.routing.store_clock import StoreClock
 from app.routing.target import COOKIE
 from app.web.access import Role
+from tests.app.complete_app import EVERY_ROLE
 from tests.app.stage import until
 from tests.app.two_servers import FIRST, SECOND, TwoServers, two_servers
 from tests.free_port import free_port
@@ -73,7 +74,8 @@ async def test_each_route_refuses_as_the_home_does(site: TwoServers) -> None:
     there = {role: site.client(site.second, headers=site.credential(role)) for role in roles}
     for method, path in routes:
         # A write by one who may is in the other tests: without a body it might still be sent.
-        roles_of = [role for role in roles if method == "GET" or role is not Role.OPERATOR]
+        is_read = method == "GET" and path.startswith("/api/")
+        roles_of = [role for role in roles if is_read or role is not Role.OPERATOR]
         passed = await asyncio.gather(*(_status(here[role], method, path) for role in roles_of))
         direct = await asyncio.gather(*(_status(there[role], method, path) for role in roles_of))
         assert passed == direct, (method, path)
@@ -139,6 +141,19 @@ async def test_the_socket_of_a_page_is_that_of_the_home(site: TwoServers) -> Non
     with pytest.raises(InvalidStatus) as refused:
         await connect(f"{url}/live?home={SECOND}", additional_headers={"Cookie": f"{COOKIE}={SECOND}"})
     assert refused.value.response.status_code == 401
+
+
+@pytest.mark.parametrize("role", [*EVERY_ROLE, None])
+async def test_a_socket_admits_whom_the_home_admits(site: TwoServers, role: Role | None) -> None:
+    statuses = []
+    for url in (f"{site.first.url}/live?home={SECOND}", f"{site.second.url}/live"):
+        try:
+            async with connect(url.replace("http", "ws"), additional_headers=site.credential(role)) as page:
+                assert json.loads(await page.recv())["f"]["dry-end"]["worker"] == "1"
+                statuses.append(101)
+        except InvalidStatus as refused:
+            statuses.append(refused.response.status_code)
+    assert statuses == [{Role.WORKER: 403, None: 401}.get(role, 101)] * 2
 
 
 async def test_a_stream_is_passed_on_as_it_comes_and_ends_with_its_reader(site: TwoServers) -> None:

@@ -155,6 +155,18 @@ async def test_no_one_else_names_the_client(site: TwoServers) -> None:
     assert refused.status_code == 403
     [event, *_], _ = await site.second.services[EventLog].page(Filter(kind="access_refused"), 5)
     assert event["origin"] == "127.0.0.1"
+    assert (await site.first.services[EventLog].page(Filter(kind="access_refused"), 5))[0] == []
+
+
+async def test_a_foreign_page_is_refused_also_by_way_of_another_server(site: TwoServers) -> None:
+    """The home compares the origin with the name under which the person reached the first server."""
+    browser = site.browser(Role.ENGINEER)
+    own = await browser.put(PARAMETER, json={"raw": 70}, headers={"Origin": site.first.url})
+    assert own.status_code == 200
+    for origin in ("http://evil.example", site.second.url, "null"):
+        foreign = await browser.put(PARAMETER, json={"raw": 71}, headers={"Origin": origin})
+        assert (foreign.status_code, foreign.json()["code"]) == (403, "foreign_origin")
+    assert site.line.written == [(1, 6, 70)]
 
 
 @pytest.mark.parametrize(
