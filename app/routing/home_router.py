@@ -20,7 +20,16 @@ from app.routing.hop import HEADER
 from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers, target_of
 from app.routing.socket_relay import SocketRelay
-from app.routing.target import COOKIE, Destination, is_own, named_bus, named_server, place_of, prefixes_of
+from app.routing.target import (
+    COOKIE,
+    SERVER_IN_HEADER,
+    Destination,
+    is_own,
+    named_bus,
+    named_server,
+    place_of,
+    prefixes_of,
+)
 from app.server.addresses import source_of
 from app.web.access import Role, address_of, person_of
 from app.web.arrival import SAFE_METHODS
@@ -69,8 +78,12 @@ class HomeRouter:
         """A program keeps no cookie: what names no bus is responded to by the server that it chose. So is
         what another server has passed on."""
         scope, servers = connection.scope, self._servers
-        cookie = connection.cookies.get(COOKIE, "") if via_session else ""
-        server = named_server(scope["query_string"], cookie, is_socket=scope["type"] == "websocket")
+        server = named_server(
+            scope["query_string"],
+            connection.cookies.get(COOKIE, "") if via_session else "",
+            connection.headers.get(SERVER_IN_HEADER, "") if via_session else "",
+            is_socket=scope["type"] == "websocket",
+        )
         if not bus and (PASSED_ON in scope or not (via_session or server)):
             return Destination()
         return place_of(bus, server, servers.homes, servers.buses)

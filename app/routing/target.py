@@ -12,9 +12,10 @@ from app.routing.homes import BusHomes
 
 COOKIE = "lineside_home"
 """Names the server that a browser looks at."""
+SERVER_IN_HEADER = "lineside-home"
+"""Names the server that has made a page, in its requests: another tab may look at another home."""
 SERVER_IN_QUERY, HERE = "home", "here"
-"""Names it too, for the socket of a page: another tab may look at another home. ``here``: the server at
-hand."""
+"""The same for the socket of a page. ``here``: the server at hand."""
 OWN_PATHS = frozenset(
     {
         *("/healthz", "/login", "/login/panel", "/logout", "/feed", "/lines", "/offline", "/sw.js"),
@@ -53,10 +54,10 @@ def named_bus(path: str, query: bytes, prefixes: Collection[str]) -> str:
     return named[0] if len(named) == 1 and _SLUG.fullmatch(named[0]) else ""
 
 
-def named_server(query: bytes, cookie: str, *, is_socket: bool) -> str:
+def named_server(query: bytes, cookie: str, header: str = "", *, is_socket: bool) -> str:
     """The server that a request names which names no bus; empty for none."""
     named = _values(query, SERVER_IN_QUERY) if is_socket else []
-    return named[0] if named else cookie
+    return named[0] if named else header or cookie
 
 
 def _values(query: bytes, name: str) -> list[str]:

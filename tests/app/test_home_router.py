@@ -125,6 +125,25 @@ async def test_a_page_of_a_bus_is_that_of_its_home_which_the_browser_looks_at_th
     assert browser.cookies[COOKIE] == FIRST
 
 
+async def test_a_request_of_a_page_goes_to_the_server_of_the_page(site: TwoServers) -> None:
+    """Another tab has looked at another home since: a form that has its bus in the body is not sent there."""
+    site.first.homes.put("other", FIRST)
+    servers = site.first.servers
+    servers.buses = (*servers.buses, "other")
+    browser = site.browser(Role.ENGINEER)
+    browser.cookies[COOKIE] = FIRST
+    form = {"bus": "dry-end", "new-1": "10"}
+    try:
+        here = await browser.post("/setpoints/review", data=form, headers={"HX-Request": "true"})
+        page = {"HX-Request": "true", "Lineside-Home": SECOND}
+        there = await browser.post("/setpoints/review", data=form, headers=page)
+    finally:
+        servers.buses = servers.buses[:-1]
+        site.first.homes.homes.pop("other")
+    assert "not connected" in here.text
+    assert "not connected" not in there.text
+
+
 async def test_the_socket_of_a_page_is_that_of_the_home(site: TwoServers) -> None:
     cookies = site.cookies[Role.VIEWER] | {COOKIE: SECOND}
     headers = {"Cookie": "; ".join(f"{name}={value}" for name, value in cookies.items())}

@@ -65,6 +65,10 @@ def test_a_socket_names_its_server_before_the_cookie() -> None:
     assert named_server(b"home=app-2", "app-1", is_socket=False) == "app-1"
 
 
+def test_a_page_names_its_server_before_the_cookie_of_all_tabs() -> None:
+    assert named_server(b"", "app-1", "app-2", is_socket=False) == "app-2"
+
+
 @pytest.mark.parametrize(
     ("bus", "server", "where", "looked_at"),
     [
