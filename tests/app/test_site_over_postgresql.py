@@ -23,7 +23,7 @@ from app.sites.summary import notices as notices_of
 from tests.app.played_site import PlayedHomes
 from tests.app.stage import until
 from tests.app.test_line_board import summary
-from tests.postgresql import emptied_database, needs_postgresql
+from tests.postgresql import fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
 BUSES = ("wet-end",)
@@ -31,7 +31,7 @@ BUSES = ("wet-end",)
 
 @pytest.fixture
 def two() -> Iterator[tuple[Database, Database]]:
-    with emptied_database() as store, ExitStack() as opened:
+    with fresh_database() as store, ExitStack() as opened:
         here, there = (
             opened.enter_context(closing(open_database(store, Path("lineside.db")))) for _ in range(2)
         )
