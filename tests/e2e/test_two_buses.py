@@ -239,7 +239,7 @@ def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
 ) -> None:
     """By keyboard alone, on a phone, a panel and a wall, in both languages and by day and night."""
     page = opened(shared_page("viewer", viewport={"width": 360, "height": 740}, locale=GERMAN), "/")
-    page.get_by_role("link", name="Linien").press("Enter")
+    page.get_by_role("link", name="Linien", exact=True).press("Enter")
     expect(page.locator("h1")).to_have_text("Linien")
     expect(page.locator("[data-line]")).to_have_count(2)
     expect(page.locator("[data-line='line_of/wet'] .fleet__counts")).to_contain_text("2/2 aktuell")
@@ -250,7 +250,7 @@ def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate("document.documentElement.scrollWidth") <= width
     assert flaws(page, GERMAN) == []
-    tile = page.get_by_role("link", name="wet")
+    tile = page.get_by_role("link", name="wet", exact=True)
     tile.focus()
     page.keyboard.press("Enter")
     expect(page).to_have_url(re.compile(r"/\?bus=wet$"))
