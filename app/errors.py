@@ -21,6 +21,7 @@ ProblemCode = Literal[
     "failed",
     "forbidden",
     "foreign_origin",
+    "home_away",
     "invalid",
     "lapsed",
     "late",

@@ -31,6 +31,11 @@ from app.live.browsers import feature as browsers
 from app.metrics import feature as metrics
 from app.notification import feature as notification
 from app.recipes import feature as recipes
+from app.routing import feature as routing
+from app.routing.home_router import HomeRouter
+from app.routing.hop_admission import HopAdmission
+from app.routing.peers import Peers
+from app.routing.site_servers import SiteServers
 from app.server import feature as server
 from app.server.admission import RequestAdmission
 from app.server.forwarded import Forwarded
@@ -38,6 +43,7 @@ from app.server.refusal_log import RefusalLog
 from app.server.security_headers import SecurityHeaders
 from app.sets import feature as sets
 from app.settings import Settings
+from app.sites import feature as sites
 from app.swap import feature as swap
 from app.web import feature as web
 from app.web import problems
@@ -55,6 +61,7 @@ FEATURES = (
     home.FEATURE,
     server.FEATURE,
     auth.FEATURE,
+    routing.FEATURE,
     live.FEATURE,
     feed.FEATURE,
     commands.FEATURE,
@@ -64,6 +71,7 @@ FEATURES = (
     alarms.FEATURE,
     notification.FEATURE,
     handover.FEATURE,
+    sites.FEATURE,
     browsers.FEATURE,
     metrics.FEATURE,
     keeping.FEATURE,
@@ -103,12 +111,14 @@ def create_app(
         services[Templates].permit({act.name: act.role for act in feature.acts})
     problems.install(app)
     app.add_middleware(HeadAsGet)
+    app.add_middleware(HomeRouter, servers=services[SiteServers], peers=services[Peers])
     app.add_middleware(AnonymousLimiter)
     app.add_middleware(Identify, identity=services[Identity], rechecks=services[Rechecks], demo=demo)
     app.add_middleware(RequestRules, allowed_hosts=settings.server.allowed_hosts)
     app.add_middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Forwarded, trusted=settings.server.trusted_proxies)
+    app.add_middleware(HopAdmission, servers=services[SiteServers])
     app.add_middleware(RequestAdmission)
     app.add_middleware(RecordRefusals, events=services[EventLog], log=services[RefusalLog])
     refuse_undeclared(app)

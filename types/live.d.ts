@@ -18,6 +18,7 @@ interface Fields {
   blocked?: string;
   counts?: string;
   level?: string;
+  rank?: string;
   link?: string;
   mode?: string;
   sound?: string;
@@ -43,4 +44,5 @@ interface Frame {
 type LiveMessage =
   | { is: "snapshot"; n: number; t: number; f: Groups }
   | { is: "changes"; p: number; n: number; t: number; f: Groups }
+  | { is: "lines"; f: Groups }
   | { is: "frames"; frames: Frame[] };

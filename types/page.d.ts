@@ -79,6 +79,8 @@ interface DOMStringMap {
   liveVar: string;
   liveTitle: string;
   liveHref: string;
+  livePath: string;
+  liveQuality: string;
   liveStep: string;
   unit: string;
   age: string;
@@ -113,6 +115,7 @@ interface DocumentEventMap {
   "lineside:done": CustomEvent<string>;
   "lineside:found": CustomEvent;
   "lineside:idle": CustomEvent;
+  "lineside:lines": CustomEvent<string[]>;
   "lineside:lost": CustomEvent;
   "htmx:after:swap": CustomEvent<{ ctx: HtmxRequest }>;
   "htmx:before:request": CustomEvent<{ ctx: HtmxRequest }>;

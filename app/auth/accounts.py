@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 from app.audit.act import Act
 from app.audit.log import EventLog
-from app.auth import acts, rules, store, strength
+from app.auth import acts, notices, rules, store, strength
+from app.auth.notices import Kind, RightsNotice
 from app.auth.passwords import hash_secret
 from app.auth.store import Token, User
 from app.database import Database, StoreConnection
@@ -137,7 +138,7 @@ class Accounts:
     async def revoke_token(self, name: str, *, by: Person) -> None:
         """Raises CallerError for one that is not there."""
         async with self._performing(acts.REVOKE_TOKEN, by, name=name):
-            if not await self._database.write(lambda connection: store.revoke_token(connection, name)):
+            if not await self._database.write(lambda connection: _revoke(connection, name)):
                 raise CallerError(Message.of("no_such_token", name=name[:80]))
 
     @asynccontextmanager
@@ -185,9 +186,12 @@ class Accounts:
             raise CallerError(Message.of("no_such_user", name=name[:80]))
         strength.check_secret(password, user=name, panel=found[0].panel, site=self.site)
         hashed = await hash_secret(password)
-        await self._change(name, lambda connection: store.set_secret(connection, name, hashed, keep))
+        kind: Kind = "kept" if keep else "changed"
+        await self._change(name, lambda c: store.set_secret(c, name, hashed, keep), kind)
 
-    async def _change(self, name: str, change: Callable[[StoreConnection], bool]) -> None:
+    async def _change(
+        self, name: str, change: Callable[[StoreConnection], bool], kind: Kind = "changed"
+    ) -> None:
         def guarded(connection: StoreConnection) -> None:
             lock(connection, ACCOUNTS)
             before = store.admins_left(connection)
@@ -195,8 +199,14 @@ class Accounts:
                 raise CallerError(Message.of("no_such_user", name=name[:80]))
             if before and not store.admins_left(connection):
                 raise CallerError(Message.of("last_admin", name=name))
+            notices.announce(connection, RightsNotice(kind, name))
 
         await self._database.write(guarded)
+
+
+def _revoke(connection: StoreConnection, name: str) -> bool:
+    notices.announce(connection, RightsNotice("changed", account_of(name, token=True)))
+    return store.revoke_token(connection, name)
 
 
 def check_is_user(person: Person) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from app.audit.log import EventLog
-from app.auth import api, pages, users
+from app.auth import api, notices, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
 from app.auth.identity import Identity
@@ -24,8 +26,15 @@ def make(services: Services) -> None:
     services.lifespan.add("rights", rights.watch)
     sessions = settings.server.sessions
     sign_in = services.add(SignIn(database, events, sessions, site=site, rechecks=rechecks))
+    services.lifespan.add("notices of rights", start=partial(_listen, database, rights, sign_in))
     services.add(RefusalLog())
     services.add(Identity(database, sign_in, services.worker_tokens))
+
+
+async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:
+    """Before the first request: no change is missed."""
+    database.listen(notices.CHANNEL, rights.on_notice)
+    database.listen(notices.CHANNEL, sign_in.on_notice)
 
 
 FEATURE = Feature(make, (api.router, pages.router, users.router), ACTS)

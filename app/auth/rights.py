@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import InitVar, dataclass, field
 
 import structlog
 
-from app.auth import store
+from app.auth import notices, store
 from app.auth.lasting import Rechecks
 from app.database import Database, StoreConnection
 from app.errors import Problem, StoreError
@@ -63,6 +64,8 @@ class Rights:
     _standings: Mapping[str, Standing] = field(default_factory=dict)
     _read_at: Monotonic = Monotonic(float("-inf"))
     _withdrawn: list[AccountSubscriber] = field(default_factory=list)
+    _noticed: asyncio.Event = field(default_factory=asyncio.Event)
+    _kept: str = ""
 
     def __post_init__(self, on_changed: Callable[[AccountSubscriber], None]) -> None:
         on_changed(self._on_account_change)
@@ -106,18 +109,31 @@ class Rights:
         self.rechecks.now()
         await self.refresh(kept)
 
+    def on_notice(self, text: str) -> None:
+        """Another server, or this one, has changed an account: look again at once."""
+        notice = notices.read(text)
+        self.rechecks.now(notice.account or None)
+        if notice.kind == "kept":
+            self._kept = notice.account
+        self._noticed.set()
+
     async def watch(self) -> None:
-        """Run until canceled: apply what the command line changes in the store."""
+        """Run until canceled: apply what the command line and other servers change in the store, by their
+        notices or, where none comes, by looking twice a second."""
         fault = ""
         while True:
             try:
-                await self.refresh()
+                kept, self._kept = self._kept, ""
+                await self.refresh(kept)
                 fault = ""
             except StoreError as error:
                 if str(error) != fault:
                     _log.error("rights not read", error=str(error))
                 fault = str(error)
-            await asyncio.sleep(WATCH_EVERY_S)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(WATCH_EVERY_S):
+                    await self._noticed.wait()
+            self._noticed.clear()
 
     def _why_withdrawn(self, person: Person) -> Message | None:
         return why_withdrawn(person, self._standings.get(person.account))

@@ -9,9 +9,10 @@ from math import ceil
 
 from app.audit.kinds import EventKind
 from app.audit.log import EventLog
-from app.auth import rules, store, strength
+from app.auth import notices, rules, store, strength
 from app.auth.acts import LOG_OUT
 from app.auth.lasting import Rechecks
+from app.auth.notices import RightsNotice
 from app.auth.passwords import hash_secret, is_outdated, verify_secret
 from app.auth.settings import Sessions
 from app.auth.store import User
@@ -66,6 +67,7 @@ class SignIn:
         default_factory=lambda: FairQueue(MAX_HASHED_AT_ONCE, 1, MAX_WAITING_OF_PLACE, MAX_WAITING)
     )
     _signed_out: list[AccountSubscriber] = field(default_factory=list)
+    _following: set[asyncio.Task[None]] = field(default_factory=set)
 
     def on_signed_out(self, subscriber: AccountSubscriber) -> None:
         """Call ``subscriber`` with the name of a user whose last session has ended."""
@@ -122,12 +124,34 @@ class SignIn:
     async def end(self, hash_: bytes, name: str) -> None:
         """End the session with this hash, of this user."""
         now = self._clock()
-        was_last = await self._database.write(
-            lambda connection: store.end_session(connection, hash_, name, now)
-        )
+
+        def end(connection: StoreConnection) -> bool:
+            was_last = store.end_session(connection, hash_, name, now)
+            notices.announce(connection, RightsNotice("signed-out" if was_last else "changed", name))
+            return was_last
+
+        was_last = await self._database.write(end)
         self.rechecks.now(name)
         if was_last:
-            await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
+            await self._notify_signed_out(name)
+
+    def on_notice(self, text: str) -> None:
+        """Another server, or this one, has ended the last session of a user."""
+        notice = notices.read(text)
+        if notice.kind == "signed-out":
+            task = asyncio.create_task(self._follow_sign_out(notice.account))
+            self._following.add(task)
+            task.add_done_callback(self._following.discard)
+
+    async def _follow_sign_out(self, name: str) -> None:
+        """Unless the user has signed in again meanwhile."""
+        now = self._clock()
+        with suppress(StoreError):
+            if not await self._database.read(lambda connection: store.has_session(connection, name, now)):
+                await self._notify_signed_out(name)
+
+    async def _notify_signed_out(self, name: str) -> None:
+        await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""

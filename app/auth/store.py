@@ -230,8 +230,13 @@ def prolong_session(connection: StoreConnection, hash_: bytes, now: UnixTime, en
 def end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:
     """Sign out. Whether it was the user's last session."""
     connection.execute("DELETE FROM sessions WHERE hash = ?", (hash_,))
+    return not has_session(connection, name, now)
+
+
+def has_session(connection: StoreConnection, name: str, now: UnixTime) -> bool:
+    """Whether a user is signed in anywhere."""
     query = "SELECT 1 FROM sessions WHERE name = ? AND expires_at > ?"
-    return connection.execute(query, (name, now)).fetchone() is None
+    return connection.execute(query, (name, now)).fetchone() is not None
 
 
 def end_sessions_of(connection: StoreConnection, name: str, keep: bytes = b"") -> None:

@@ -31,6 +31,15 @@ class PageHead:
     alarms: Callable[[Language], Mapping[str, Any]]
 
 
+@dataclass(frozen=True, slots=True)
+class PageFleet:
+    """What a page has beside its own line. ``has_lines``: whether there are others to choose from;
+    ``server``: the id of this server where there are others, else empty."""
+
+    has_lines: Callable[[], bool]
+    server: str
+
+
 class Compiled(FileSystemBytecodeCache):
     """To compile what the first page needs takes a tenth of a second; one changed file is compiled again.
 
@@ -55,8 +64,9 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path``, ``head_alarms()`` and ``may()``, whether the person may send a command
-    or perform an act, by its name. ``kept_in``: where they stay compiled from one start to the next."""
+    ``person``, ``request``, ``path``, ``head_alarms()``, ``has_lines()``, ``home_server()`` and ``may()``,
+    whether the person may send a command or perform an act, by its name. ``kept_in``: where they stay
+    compiled from one start to the next."""
 
     def __init__(
         self,
@@ -155,6 +165,8 @@ def render(
         "path": request.url.path,
         "now": time(),
         # Called by a page with a head, and by no fragment.
+        "has_lines": lambda: service_of(request, PageFleet).has_lines(),
+        "home_server": lambda: service_of(request, PageFleet).server,
         "head_alarms": lambda: service_of(request, PageHead).alarms(language),
         **context,
     }

@@ -6,6 +6,8 @@
 //   data-live-var="off=dry-end/1.off …"   custom properties of its style, here --off; for bars
 //   data-live-title="dry-end/1.cause"     the text that a pointer at rest shows
 //   data-live-href="line_summary.at"        where a link leads; no link while the text is empty
+//   data-live-path="line_of/dry-end.spark"  the path of a drawing
+//   data-live-quality="line_of/dry-end.quality"  data-quality, for CSS
 //   data-live-step="dry-end/1.off"        data-step, the nearest of 48 steps from 0 to 1; for bars in great number
 import { soon } from "./pace.js";
 import { mayWait } from "./visibility.js";
@@ -74,6 +76,13 @@ function hrefOf(element) {
   };
 }
 
+/** @param {HTMLElement} element @param {string} name @returns {Write} */
+function attributeOf(element, name) {
+  return (value) => {
+    if (element.getAttribute(name) !== value) element.setAttribute(name, value);
+  };
+}
+
 /** @param {HTMLElement} element @returns {Write} */
 function stepOf(element) {
   /** @type {string | null} */
@@ -114,6 +123,8 @@ const KINDS = {
   },
   "data-live-title": (element) => add(element.dataset.liveTitle, titleOf(element)),
   "data-live-href": (element) => add(element.dataset.liveHref, hrefOf(element)),
+  "data-live-path": (element) => add(element.dataset.livePath, attributeOf(element, "d")),
+  "data-live-quality": (element) => add(element.dataset.liveQuality, attributeOf(element, "data-quality")),
   "data-live-step": (element) => add(element.dataset.liveStep, stepOf(element)),
 };
 

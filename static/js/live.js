@@ -26,8 +26,10 @@ let lostSince = 0;
 let cause = "closed";
 let tries = 0;
 let retry = 0;
-/** @type {{ units: string[], trace: string }} */
+/** @type {{ units: string[], trace: string, lines?: true }} */
 let interest = { units: [], trace: "" };
+/** Whether the page shows all lines of all servers; see lines.js. */
+const showsLines = document.querySelector("[data-lines]") !== null;
 /** @type {(frames: Frame[]) => void} */
 let frames = () => {};
 
@@ -37,7 +39,7 @@ export const isLive = () => link() === "live";
 /** Send to the server which units this page shows and whose frames it follows.
  * @param {string[]} units @param {string} [trace] @param {(frames: Frame[]) => void} [onFrames] */
 export function follow(units, trace = "", onFrames = () => {}) {
-  interest = { units, trace };
+  interest = showsLines ? { units, trace, lines: true } : { units, trace };
   frames = onFrames;
   if (socket?.readyState === WebSocket.OPEN) sendInterest();
 }
@@ -69,6 +71,7 @@ function again() {
 function receive(message) {
   receivedAt = performance.now();
   if (message.is === "frames") return frames(message.frames);
+  if (message.is === "lines") return onLines(message.f);
   clock.received(message.t);
   if (message.is === "snapshot") return onSnapshot(message);
   if (number < 0) return;
@@ -79,6 +82,12 @@ function receive(message) {
   number = message.n;
   show(message.f);
   beat(message.t);
+}
+
+/** @param {Groups} lines */
+function onLines(lines) {
+  show(lines);
+  document.dispatchEvent(new CustomEvent("lineside:lines", { detail: Object.keys(lines) }));
 }
 
 /** @param {LiveMessage & { is: "snapshot" }} snapshot */

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from app.live.screen.fields import Translator
+from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
 from bus.messages import Message
 
@@ -56,6 +56,21 @@ class NoAlarms:
         """Never."""
 
 
+class NoLines:
+    """There is no other line."""
+
+    def shown(self, _translator: Translator) -> dict[str, Fields]:
+        """Nothing."""
+        return {}
+
+    def changes(self, _translator: Translator) -> dict[str, Fields]:
+        """Nothing."""
+        return {}
+
+    def forget(self, _tag: str) -> None:
+        """Nothing is kept."""
+
+
 class NoRecipes:
     """No recipe was loaded."""
 
@@ -73,4 +88,6 @@ def played_sources(
     controls, blocks = {} if controls is None else controls, {} if blocks is None else blocks
     guards = {bus: PlayedGuards(bus, blocks, controls) for bus in buses}
     drift = {bus: NoGoldenSets() for bus in guards}
-    return Sources(guards, drift, NoRecipes(), NoAlarms(), lambda _translator, _now: "", lambda: None)
+    return Sources(
+        guards, drift, NoRecipes(), NoAlarms(), NoLines(), lambda _translator, _now: "", lambda: None
+    )

@@ -40,6 +40,9 @@ from app.live.change_recorder import ChangeRecorder
 from app.live.screen.sources import Sources
 from app.live.state.bus_live import LiveState
 from app.pipeline import Pipeline
+from app.routing.other_lines import OtherLines
+from app.routing.peers import Peers
+from app.routing.site_servers import SiteServers
 from app.settings import Settings, Site
 from app.web.access import Person, Role, Via
 from app.web.assets import Assets, static_dir, templates_dir
@@ -69,7 +72,8 @@ from bus.contract import (
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
 from tests.app.played_rights import PlayedRights
-from tests.app.played_sources import NoAlarms, NoGoldenSets, NoRecipes
+from tests.app.played_site import PlayedHomes
+from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
 from tests.app.screens import translator
 from tests.stores import open_store
 
@@ -250,15 +254,17 @@ class Stage:
             {settings.name: NoGoldenSets()},
             NoRecipes(),
             NoAlarms(),
+            NoLines(),
             lambda _translator, _now: "",
             lambda: self.history.status.message,
         )
         configuration = Settings(site=Site(name="Test line"), bus=(settings,))
         view = LineView(configuration.site.name, self.live, sources, translator())
+        alone = SiteServers(PlayedHomes(is_shared=False), ())
         self.app.state.services = Registry(
             (
                 *(configuration, _templates(), view),
-                *(self.live, self.workers, self.events, Turns()),
+                *(self.live, self.workers, self.events, Turns(), OtherLines(alone, Peers())),
             ),
             {settings.name: (bus, self.commands, self.guards)},
         )

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import GERMAN, OpensPages
 from tests.e2e.site import AT_REST, Line, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -232,3 +232,41 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")
+
+
+def test_all_lines_are_on_one_page_and_one_press_leads_to_one(
+    shared_page: OpensPages, flaws: Callable[..., list[str]]
+) -> None:
+    """By keyboard alone, on a phone, a panel and a wall, in both languages and by day and night."""
+    page = opened(shared_page("viewer", viewport={"width": 360, "height": 740}, locale=GERMAN), "/")
+    page.get_by_role("link", name="Linien", exact=True).press("Enter")
+    expect(page.locator("h1")).to_have_text("Linien")
+    expect(page.locator("[data-line]")).to_have_count(2)
+    expect(page.locator("[data-line='line_of/wet'] .fleet__counts")).to_contain_text("2/2 aktuell")
+    for width, height in ((1920, 1080), (1280, 800), (360, 740)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function("width => innerWidth === width", arg=width)
+        for scheme in ("dark", "light"):
+            page.emulate_media(color_scheme=scheme)
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert flaws(page, GERMAN) == []
+    tile = page.get_by_role("link", name="wet", exact=True)
+    tile.focus()
+    page.keyboard.press("Enter")
+    expect(page).to_have_url(re.compile(r"/\?bus=wet$"))
+    expect(page.locator("#bus-wet")).to_be_visible()
+
+
+def test_a_tile_follows_its_line(site: Site, shared_page: OpensPages) -> None:
+    page = opened(shared_page("viewer", viewport=PANEL), "/lines")
+    tile = page.locator("[data-line='line_of/wet']")
+    expect(tile).to_have_attribute("data-quality", "live")
+    wet(site).remote.do("input", unit=2, input="estop", on=True)
+    try:
+        expect(tile).to_have_attribute("data-is", "urgent")
+        expect(tile.locator(".fleet__text")).to_contain_text("emergency stop active")
+        page.reload()
+        expect(page.locator("[data-line]").first).to_have_attribute("data-line", "line_of/wet")
+    finally:
+        wet(site).remote.do("input", unit=2, input="estop", on=False)
+    expect(tile).not_to_have_attribute("data-is", "urgent")

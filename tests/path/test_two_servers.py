@@ -109,9 +109,11 @@ class Host:
         return self.get("/healthz") is not None
 
     def shows_live(self) -> bool:
-        """Whether its own live state has units that respond."""
-        line = self.get("/api/v1/line")
-        return line is not None and all(unit["link"] == "online" for unit in line["buses"][0]["units"])
+        """Whether it is the home of the bus, and its units respond."""
+        found = self.get("/api/v1/sites")
+        line = found["lines"][0] if found else {"home": None}
+        is_home = line["home"] == self.name and not line["stale"]
+        return is_home and line["states"].get("online") == line["units"]
 
     def pids(self) -> list[int]:
         """The server and its workers."""

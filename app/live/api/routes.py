@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter
+from starlette.requests import HTTPConnection
 
 from app.live.api.figures import BusStatistics, figures_json
 from app.live.api.schemas import BusShown, Line, UnitShown
 from app.live.api.view import LineView
 from app.live.lookup import bus_or_404, unit_or_404
 from app.live.state.bus_live import LiveState
+from app.routing.other_lines import OtherLines
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
@@ -19,12 +21,18 @@ from bus.instants import unix_now
 router = APIRouter(prefix="/api/v1", tags=["line"], route_class=ApiRoute)
 Live = Annotated[LiveState, service(LiveState)]
 LineViewService = Annotated[LineView, service(LineView)]
+OtherLinesService = Annotated[OtherLines, service(OtherLines)]
 
 
 @router.get("/line", response_model=Line)
-async def get_line(_: Viewer, view: LineViewService) -> dict[str, Any]:
-    """Current state of every bus and unit. ``history``: why no values are stored, null while they are."""
-    return view.line(unix_now())
+async def get_line(
+    connection: HTTPConnection, _: Viewer, view: LineViewService, others: OtherLinesService
+) -> dict[str, Any]:
+    """Current state of every bus and unit, also of those at other servers. ``history``: why no values are
+    stored, null while they are."""
+    elsewhere = await others.buses(connection)
+    line = view.line(unix_now())
+    return line | {"buses": [elsewhere.get(bus["name"], bus) for bus in line["buses"]]}
 
 
 @router.get("/buses/{bus}", response_model=BusShown)

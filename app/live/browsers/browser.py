@@ -67,6 +67,18 @@ class Diff:
         return self._since[before]
 
 
+@dataclass(eq=False)
+class LinesUpdate:
+    """Fields of lines that changed, the same object for all of a language that follow them."""
+
+    groups: Groups
+
+    @cached_property
+    def text(self) -> str:
+        """Encoded once for all browsers."""
+        return encode({"is": "lines", "f": self.groups}).decode()
+
+
 @dataclass(eq=False, slots=True)
 class Browser:
     """What one open page wants and has not had yet. ``units``: the pages' own, for the worker's schedule."""
@@ -77,11 +89,14 @@ class Browser:
     outlet: ClientConnection = field(default_factory=NoClientConnection)
     units: frozenset[tuple[str, int]] = frozenset()
     trace: str = ""
+    lines: bool = False
+    """It shows all lines of all servers."""
     _idle: bool = False
     """All messages are with the transport: the browser's task waits for the next."""
     _waiting: list[Diff] = field(default_factory=list)
     _snapshot: dict[str, Any] | None = None
     _frames: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
+    _lines: LinesUpdate | None = None
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
 
     def send_diff(self, diff: Diff) -> None:
@@ -106,6 +121,12 @@ class Browser:
         self._frames.extend(frames)
         self._has_something()
 
+    def show_lines(self, update: LinesUpdate) -> None:
+        """Send what changed of the lines, with what has not been sent."""
+        held = self._lines
+        self._lines = update if held is None else LinesUpdate(merge_groups({}, held.groups, update.groups))
+        self._has_something()
+
     async def next(self) -> list[str]:
         """Wait for messages that could not go at once; return all, in order. A second call means
         that the first ones have been sent."""
@@ -118,6 +139,9 @@ class Browser:
             *earlier, newest = self._waiting
             self._waiting.clear()
             texts.append(newest.after_all(earlier).text)
+        if self._lines is not None:
+            texts.append(self._lines.text)
+            self._lines = None
         if self._frames:
             texts.append(encode({"is": "frames", "frames": list(self._frames)}).decode())
             self._frames.clear()

@@ -28,7 +28,9 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
+from app.routing.site_servers import SiteServers
 from app.sets.drift import BusDrift
+from app.sites.fleet import Fleet
 from app.web.templating import Templates
 from bus.instants import UnixTime, unix_now
 
@@ -57,8 +59,10 @@ def _make_sources(services: Services) -> Sources:
         drift=services.of_buses(BusDrift),
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
+        lines=services[Fleet],
         notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
+        is_elsewhere=services[SiteServers].is_elsewhere,
     )
 
 

@@ -13,7 +13,7 @@ from functools import partial
 
 from app.live.admission import Admission
 from app.live.browsers.broadcast import Broadcast
-from app.live.browsers.browser import Browser
+from app.live.browsers.browser import Browser, LinesUpdate
 from app.live.browsers.watched import Watched
 from app.live.command_ids import key_of
 from app.live.screen.diff import Groups, merge_groups
@@ -122,8 +122,13 @@ class Hub:
         """Everything, to a page that opened or missed a number."""
         self._broadcasts[browser.language].send_snapshot(browser)
 
-    def follow(self, browser: Browser, keys: tuple[str, ...], trace: str) -> None:
-        """Note the units that a page shows, by their keys, and the bus whose trace it follows."""
+    def follow(self, browser: Browser, keys: tuple[str, ...], trace: str, *, lines: bool = False) -> None:
+        """Note the units that a page shows, by their keys, the bus whose trace it follows, and whether it
+        shows all lines."""
+        if lines and not browser.lines:
+            translator = self._broadcasts[browser.language].screen.translator
+            browser.show_lines(LinesUpdate(self._sources.lines.shown(translator)))
+        browser.lines = lines
         units, trace = self._pages.known(keys), trace if trace in self.live.buses else ""
         if (units, trace) == (browser.units, browser.trace):
             return
@@ -171,12 +176,27 @@ class Hub:
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            held_by = {bus: guards.holder() for bus, guards in self._sources.guards.items()}
+            held_by = {
+                bus: guards.holder()
+                for bus, guards in self._sources.guards.items()
+                if not self._sources.is_elsewhere(bus)
+            }
             notices = self._sources.notices(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), "memory": notices}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
             groups = merge_groups(screen.settle(now), screen.put(LINE_GROUP, totals), *held_fields)
             broadcast.publish(groups, always=True)
+            self._show_lines(broadcast)
+
+    def _show_lines(self, broadcast: Broadcast) -> None:
+        followers = [browser for browser in broadcast.browsers if browser.lines]
+        translator = broadcast.screen.translator
+        if not followers:
+            self._sources.lines.forget(translator.language.tag)
+        elif changed := self._sources.lines.changes(translator):
+            update = LinesUpdate(changed)
+            for browser in followers:
+                browser.show_lines(update)
 
     # --- what the workers report -------------------------------------------------------------------
 

@@ -39,11 +39,12 @@ SNAPSHOTS_A_SECOND, MAX_SNAPSHOTS_AT_ONCE = 0.5, 3
 
 class PageMessage(msgspec.Struct, forbid_unknown_fields=True):
     """The message of a page. ``units``: the units it shows, as ``bus/unit``; ``trace``: a bus to follow, for
-    an engineer, because the frames show every value that passed."""
+    an engineer, because the frames show every value that passed; ``lines``: it shows all lines."""
 
     want: Literal["", "snapshot"] = ""
     units: Annotated[list[Annotated[str, msgspec.Meta(max_length=48)]], msgspec.Meta(max_length=512)] = []
     trace: Annotated[str, msgspec.Meta(max_length=40)] = ""
+    lines: bool = False
 
 
 _decoder = msgspec.json.Decoder(PageMessage)
@@ -114,5 +115,5 @@ def _follow(hub: Hub, browser: Browser, text: str) -> bool:
     """Apply a message of a page; whether it requests a snapshot too. Raises msgspec.DecodeError."""
     message = _decoder.decode(text)
     may_trace = Role(browser.role).includes(Role.ENGINEER)
-    hub.follow(browser, tuple(message.units), message.trace if may_trace else "")
+    hub.follow(browser, tuple(message.units), message.trace if may_trace else "", lines=message.lines)
     return message.want == "snapshot"

@@ -69,15 +69,35 @@ class LoadedRecipes(Protocol):
         """The recipe loaded last and the names of the units that differ from it since; None without one."""
 
 
+class FleetLines(Protocol):
+    """All lines of all servers, as fields in the reader's language."""
+
+    def shown(self, translator: Translator) -> dict[str, Fields]:
+        """Those of each line now, by its group."""
+
+    def changes(self, translator: Translator) -> dict[str, Fields]:
+        """Those that differ from the last call for this language."""
+
+    def forget(self, tag: str) -> None:
+        """No page in this language follows them."""
+
+
+def _nowhere(_bus: str) -> bool:
+    return False
+
+
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is."""
+    is stored, None while it is; ``is_elsewhere``: whether another server is the home of a bus, whose state is
+    not known here."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     recipes: LoadedRecipes
     alarms: AlarmMarks
+    lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
+    is_elsewhere: Callable[[str], bool] = _nowhere

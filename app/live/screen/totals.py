@@ -12,7 +12,7 @@ from app.live.diagnosis.cause import Cause, Level, bus_cause
 from app.live.screen.cause_text import cause_texts
 from app.live.screen.fields import Fields, Translator, scan_text, unit_key
 from app.live.state.age import figures_now
-from app.live.state.bus_live import LiveState
+from app.live.state.bus_live import BusLive
 from app.web.formats import UNKNOWN
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -44,10 +44,12 @@ class AbnormalItem:
         return f"/units/{self.key}" if "/" in self.key else f"/bus/{self.key}"
 
 
-def entries_of(live: LiveState, views: Views, translator: Translator, now: UnixTime) -> list[AbnormalItem]:
+def entries_of(
+    buses: Mapping[str, BusLive], views: Views, translator: Translator, now: UnixTime
+) -> list[AbnormalItem]:
     """Everything abnormal, the worst first, in floor order; one cause is named once."""
     found: list[tuple[str, str, Cause]] = []
-    for name, bus in live.buses.items():
+    for name, bus in buses.items():
         of_bus = [(key, views[key]) for number in bus.units if (key := unit_key(name, number)) in views]
         cause = bus_cause(bus, now) or all_offline(bus, now)
         if cause is not None:
@@ -76,14 +78,18 @@ def strip_of(entries: list[AbnormalItem]) -> list[AbnormalItem]:
 
 
 def line_fields(
-    live: LiveState, views: Views, entries: list[AbnormalItem], translator: Translator, now: UnixTime
+    buses: Mapping[str, BusLive],
+    views: Views,
+    entries: list[AbnormalItem],
+    translator: Translator,
+    now: UnixTime,
 ) -> Fields:
     """The fields of the line. The verdict is the worst cause, after the name of its unit."""
     counts = state_counts(views.values())
     worst = entries[0] if entries else None
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(_all_well(len(views), counts)),
+        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(all_well(len(views), counts)),
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(entries))) if worst else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},
@@ -92,10 +98,10 @@ def line_fields(
         ],
         "abnormal": f"{len(entries)}",
         "named": _named(entries, views, translator),
-    } | _figures(live, translator, now)
+    } | _figures(buses, translator, now)
 
 
-def _all_well(units: int, counts: Counter[str]) -> Message:
+def all_well(units: int, counts: Counter[str]) -> Message:
     """The verdict while nothing is abnormal."""
     if units == 0:
         return Message("line_no_units")
@@ -137,9 +143,9 @@ def _named(entries: list[AbnormalItem], views: Views, translator: Translator) ->
     return " · ".join(buses + blocks)
 
 
-def _figures(live: LiveState, translator: Translator, now: UnixTime) -> Fields:
+def _figures(buses: Mapping[str, BusLive], translator: Translator, now: UnixTime) -> Fields:
     """The slowest scan and the fullest wire of all buses."""
-    known = [figures for bus in live.buses.values() if (figures := figures_now(bus, now)) is not None]
+    known = [figures for bus in buses.values() if (figures := figures_now(bus, now)) is not None]
     if not known:
         return {"scan": UNKNOWN, "wire": UNKNOWN}
     number = translator.formats.number

@@ -1,0 +1,56 @@
+"""All lines of all servers."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from app.alarms.line_alarms import LineAlarms
+from app.commands.safeguards.service import Safeguards
+from app.database import Database
+from app.feature import Feature, Services
+from app.home.homes import Homes
+from app.live.screen.fields import Translator
+from app.live.state.bus_live import LiveState
+from app.messages import DEFAULT
+from app.sets.drift import BusDrift
+from app.sites import api, pages
+from app.sites.board import LineBoard
+from app.sites.fleet import Fleet
+from app.sites.own_lines import OwnLines
+from app.sites.publisher import CHANNEL, SummaryPublisher, notify_lines
+from app.web.templating import PageFleet, Templates
+from bus.instants import unix_now
+
+
+def make(services: Services) -> None:
+    templates, homes = services[Templates], services[Homes]
+    own = OwnLines(
+        services.settings.site.name,
+        services[LiveState],
+        services[LineAlarms],
+        services.of_buses(Safeguards),
+        services.of_buses(BusDrift),
+        homes,
+        Translator(templates.languages[DEFAULT], templates.formats(DEFAULT)),
+    )
+    board = LineBoard(services.buses, own.summaries)
+    services.add(Fleet(board, unix_now))
+    server = homes.server if homes.is_shared else ""
+    services.add(PageFleet(lambda: homes.is_shared or board.is_fleet(), server))
+    services.lifespan.add("speeds of lines", own.trace)
+    if homes.is_shared:
+        _share(services, own, board)
+
+
+def _share(services: Services, own: OwnLines, board: LineBoard) -> None:
+    """Exchange the summaries with the other servers."""
+    database = services[Database]
+    publisher = SummaryPublisher(own, partial(notify_lines, database))
+
+    async def listen() -> None:
+        database.listen(CHANNEL, lambda text: board.take(text) if text else None)
+
+    services.lifespan.add("lines of the site", publisher.publish, start=listen, end=publisher.end)
+
+
+FEATURE = Feature(make, (api.router, pages.router))

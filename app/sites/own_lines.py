@@ -1,0 +1,87 @@
+"""The summaries of the lines whose home is this server."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from app.alarms.alarm import Alarm
+from app.alarms.line_alarms import LineAlarms
+from app.live.screen.fields import Translator
+from app.live.screen.sources import GoldenDrift, UnitGuards
+from app.live.state.bus_live import LiveState
+from app.routing.homes import BusHomes
+from app.sites.summarize import LineOrigin, SpeedTrace, summary_of, view_of
+from app.sites.summary import LineSummary
+from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
+from bus.messages import Message
+
+FRESH_S = 0.9
+"""A summary of this age serves another reader."""
+TRACE_S = 1.0
+
+
+@dataclass(eq=False, repr=False)
+class OwnLines:
+    """``site``: its name. ``english``: for what only has to be known to differ."""
+
+    site: str
+    live: LiveState
+    alarms: LineAlarms
+    guards: Mapping[str, UnitGuards]
+    drift: Mapping[str, GoldenDrift]
+    homes: BusHomes
+    english: Translator
+    clock: Clock = unix_now
+    monotonic: MonotonicClock = monotonic_now
+    _traces: dict[str, SpeedTrace] = field(default_factory=dict)
+    _made: list[LineSummary] = field(default_factory=list)
+    _made_at: Monotonic = Monotonic(float("-inf"))
+
+    def summaries(self) -> list[LineSummary]:
+        """Each line whose home is here now, less than a second old."""
+        now = self.monotonic()
+        if now - self._made_at > FRESH_S:
+            self._made = [self._summary(bus) for bus in self.live.buses if self.homes.is_here(bus)]
+            self._made_at = now
+        return self._made
+
+    async def trace(self) -> None:
+        """Run until canceled: take the points of the speeds."""
+        while True:
+            self.note_speeds()
+            await asyncio.sleep(TRACE_S)
+
+    def note_speeds(self) -> None:
+        """One look at each line; of one whose home is elsewhere nothing is kept."""
+        now = self.clock()
+        for name, bus in self.live.buses.items():
+            if self.homes.is_here(name):
+                self._traces.setdefault(name, SpeedTrace()).note(bus, now)
+            else:
+                self._traces.pop(name, None)
+
+    def _summary(self, name: str) -> LineSummary:
+        bus, now = self.live.buses[name], self.clock()
+        guards, drift = self.guards[name], self.drift[name]
+        views = [
+            view_of(
+                bus,
+                number,
+                guards.block_reason(number),
+                drift.summary(number, self.english, now).words,
+                now,
+            )
+            for number in bus.units
+        ]
+        origin = LineOrigin(self.site, self.homes.server, self.homes.epoch(name))
+        trace = self._traces.get(name, SpeedTrace())
+        return summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
+
+    def _alarms_of(self, bus: str) -> Iterator[tuple[Alarm, Message]]:
+        for alarm in self.alarms.annunciated():
+            definition = alarm.definition
+            if definition.bus == bus:
+                place = self.alarms.place(bus, definition.unit)
+                yield alarm, Message.of("line_alarm_at", place=place, name=definition.name)

@@ -1,0 +1,112 @@
+"""The summary of a line from its live state and its alarms. Pure: the time is passed in."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from decimal import Decimal
+from itertools import islice
+
+from app.alarms.alarm import Alarm
+from app.alarms.line_alarms import rank
+from app.conditions.priority import PRIORITIES
+from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
+from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.screen.totals import LEVELS, all_well
+from app.live.state.age import figures_now, unit_link_now
+from app.live.state.bus_live import BusLive, speed_decimals
+from app.sites.summary import MAX_POINTS, POINT_S, CauseSummary, Counts, LineSummary
+from bus.instants import UnixTime
+from bus.messages import Message
+
+
+@dataclass(slots=True)
+class SpeedTrace:
+    """The speed of the first unit of a line in the last ten minutes."""
+
+    points: deque[float | None] = field(default_factory=lambda: deque(maxlen=MAX_POINTS))
+    _next_at: UnixTime = UnixTime(0.0)
+
+    def note(self, bus: BusLive, now: UnixTime) -> None:
+        """Take a point when one is due; after a pause, what lies between is unknown."""
+        if now < self._next_at:
+            return
+        missed = int((now - self._next_at) // POINT_S) if self.points else 0
+        self.points.extend([None] * min(missed, MAX_POINTS))
+        self.points.append(_line_speed(bus, now))
+        self._next_at = now + POINT_S
+
+
+def _line_speed(bus: BusLive, now: UnixTime) -> float | None:
+    first = next(islice(bus.units.values(), 1), None)
+    if first is None or first.reading is None or unit_link_now(bus, first, now) != "online":
+        return None
+    return float(Decimal(first.reading.actual).scaleb(-(speed_decimals(bus, first) or 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class LineOrigin:
+    """Where a line is summarized: the name of its site, its server, and the epoch of its home."""
+
+    site: str
+    server: str
+    epoch: int
+
+
+def summary_of(
+    bus: BusLive,
+    views: list[UnitView],
+    alarms: Iterable[tuple[Alarm, Message]],
+    speeds: Iterable[float | None],
+    origin: LineOrigin,
+    now: UnixTime,
+) -> LineSummary:
+    """``views``: how each unit looks; ``alarms``: those of the line that a person is to know of, each with
+    its text."""
+    place, cause = _worst(bus, views, now)
+    counts = state_counts(views)
+    known = sorted(alarms, key=lambda entry: rank(entry[0]))
+    figures = figures_now(bus, now)
+    first = known[0] if known else None
+    return LineSummary(
+        bus.settings.name,
+        origin.site,
+        origin.server,
+        origin.epoch,
+        cause.level if cause else "",
+        all_well(len(views), counts),
+        len(views),
+        dict(counts),
+        _by_priority(alarm for alarm, _ in known if alarm.facts.active),
+        _by_priority(alarm for alarm, _ in known if alarm.is_unacknowledged),
+        place=place,
+        cause=CauseSummary.of(cause) if cause else None,
+        alarm=first[1] if first else None,
+        alarm_priority=first[0].definition.priority if first else "",
+        scan_hz=None if figures is None else figures.scan_hz,
+        speeds=list(speeds),
+    )
+
+
+def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
+    """How a unit looks."""
+    unit = bus.units[number]
+    cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted)
+    return UnitView(unit, unit_link_now(bus, unit, now), cause)
+
+
+def _worst(bus: BusLive, views: list[UnitView], now: UnixTime) -> tuple[str, Cause | None]:
+    """What the verdict names: a cause of the bus, else that of the first unit of the highest priority."""
+    of_bus = bus_cause(bus, now) or all_offline(bus, now)
+    if of_bus is not None:
+        return bus.settings.name, of_bus
+    found = [(view.unit.settings.name, view.cause) for view in views if view.cause and view.level]
+    if not found:
+        return "", None
+    return min(found, key=lambda entry: LEVELS.index(entry[1].level))
+
+
+def _by_priority(alarms: Iterable[Alarm]) -> Counts:
+    counted = Counter(alarm.definition.priority for alarm in alarms)
+    return {priority: counted[priority] for priority in PRIORITIES if counted[priority]}

@@ -1,0 +1,149 @@
+"""One line as a tile shows it, in the reader's language: fields, as those of a unit. Pure."""
+
+from __future__ import annotations
+
+from math import inf
+
+from app.conditions.priority import PRIORITIES
+from app.live.diagnosis.cause import Level
+from app.live.screen.cause_text import cause_texts
+from app.live.screen.fields import Fields, Translator
+from app.sites.board import LineOnBoard
+from app.sites.summary import MAX_POINTS, Counts, LineSummary
+from app.web.formats import UNKNOWN
+from bus.instants import UnixTime
+from bus.messages import Message
+
+WIDTH, HEIGHT = 240, 40
+MIN_REACH = 0.02
+"""The height of the drawing, as a part of the value, at least: noise is not to look like movement."""
+MINUTE_S, HOUR_S = 60, 3600
+LONG_S, LONG_MINUTES_S = 2 * MINUTE_S, 2 * HOUR_S
+STATES = {
+    "at_speed": "line_n_at_speed",
+    "ramping": "line_n_ramping",
+    "at_zero": "line_n_at_zero",
+    "off_speed": "line_n_off_speed",
+}
+"""The text for how many units are in a state."""
+_NO_REPORT: tuple[tuple[float, str, str, int], ...] = (
+    (LONG_S, "line_overdue_seconds", "line_ended_seconds", 1),
+    (LONG_MINUTES_S, "line_overdue_minutes", "line_ended_minutes", MINUTE_S),
+    (inf, "line_overdue_hours", "line_ended_hours", HOUR_S),
+)
+"""Up to which age, the text for it while nothing is known and where its server has stopped, and in what."""
+_NEVER: Fields = {
+    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "home", "spark"), ""),
+    "speed": UNKNOWN,
+    "scan": UNKNOWN,
+}
+
+
+def line_key(bus: str) -> str:
+    """The group of the fields of a line: a name that no unit can have (a slug holds no underscore)."""
+    return f"line_of/{bus}"
+
+
+def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fields:
+    """``quality``: whether it is of the present; ``last``: of one that is not, what it was."""
+    summary = line.summary
+    if summary is None:
+        return _NEVER | {
+            "level": "high",
+            "level_text": translator.t("high"),
+            "quality": "stale",
+            "verdict": translator.t(Message("line_never_reported")),
+        }
+    place, verdict, level = *_place_and_verdict(summary, translator, now), shown_level(line)
+    before = f"{place} · {verdict}" if place else verdict
+    return {
+        "level": level,
+        "level_text": translator.t(level),
+        "quality": "stale" if line.is_stale else "live",
+        "place": "" if line.is_stale else place,
+        "verdict": translator.t(no_report(line)) if line.is_stale else verdict,
+        "last": translator.t(Message.of("line_was", verdict=before)) if line.is_stale else "",
+        "counts": _counts(summary, translator),
+        "alarm": translator.t(summary.alarm) if summary.alarm is not None else "",
+        "alarm_mark": summary.alarm_priority,
+        "alarms": _alarms(summary, translator),
+        "home": summary.server,
+        "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
+        "speed": _speed(summary, translator),
+        "spark": outline(summary.speeds),
+    }
+
+
+def shown_level(line: LineOnBoard) -> Level:
+    """Its priority; of one whose present state is not known high at least."""
+    if line.summary is None:
+        return "high"
+    level = line.summary.level
+    return "high" if line.is_stale and level not in ("urgent", "high") else level
+
+
+def verdict_text(summary: LineSummary, translator: Translator, now: UnixTime) -> str:
+    """The verdict, after the name of the unit that it is about."""
+    place, text = _place_and_verdict(summary, translator, now)
+    return f"{place} · {text}" if place else text
+
+
+def _place_and_verdict(summary: LineSummary, translator: Translator, now: UnixTime) -> tuple[str, str]:
+    """The place is empty where the verdict is about the line itself."""
+    if summary.cause is None:
+        return "", translator.t(summary.verdict)
+    place = "" if summary.place == summary.bus else summary.place
+    return place, cause_texts(summary.cause.cause(summary.level), translator, now).line
+
+
+def no_report(line: LineOnBoard) -> Message:
+    """That the server of a line does not report it, and since when."""
+    summary = line.summary
+    if summary is None:
+        return Message("line_never_reported")
+    _, overdue, ended, unit_s = next(row for row in _NO_REPORT if line.age_s < row[0] or row[0] == inf)
+    code = ended if line.has_ended else overdue
+    return Message.of(code, server=summary.server, n=int(line.age_s // unit_s))
+
+
+def outline(speeds: list[float | None]) -> str:
+    """An SVG path over ten minutes, the newest at the right; an unknown value lifts the pen."""
+    known = [speed for speed in speeds if speed is not None]
+    if not known:
+        return ""
+    middle = (min(known) + max(known)) / 2
+    reach = max(max(known) - min(known), abs(middle) * MIN_REACH) or 1.0
+    path, pen = "", "M"
+    for place, speed in enumerate(speeds, MAX_POINTS - len(speeds)):
+        if speed is None:
+            pen = "M"
+            continue
+        x = place * WIDTH / (MAX_POINTS - 1)
+        y = HEIGHT / 2 - (speed - middle) / reach * (HEIGHT - 4)
+        path += f"{pen}{x:.0f} {y:.1f}"
+        pen = "L"
+    return path
+
+
+def _counts(summary: LineSummary, translator: Translator) -> str:
+    states = summary.states
+    parts = [Message.of("line_live_of", n=states.get("online", 0), units=summary.units)]
+    parts += [Message.of(code, n=states[state]) for state, code in STATES.items() if states.get(state)]
+    return " · ".join(map(translator.t, parts))
+
+
+def _alarms(summary: LineSummary, translator: Translator) -> str:
+    """How many are active, by priority, and how many wait for an acknowledgement."""
+    parts = _by_priority(summary.active, translator)
+    if waiting := sum(summary.waiting.values()):
+        parts.append(translator.t(Message.of("line_alarms_waiting", n=waiting)))
+    return " · ".join(parts) or translator.t(Message("line_no_alarms"))
+
+
+def _by_priority(counts: Counts, translator: Translator) -> list[str]:
+    return [f"{counts[name]} {translator.t(name)}" for name in PRIORITIES if counts.get(name)]
+
+
+def _speed(summary: LineSummary, translator: Translator) -> str:
+    newest = summary.speeds[-1] if summary.speeds else None
+    return UNKNOWN if newest is None else translator.formats.point(f"{newest:g}")
