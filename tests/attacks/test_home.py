@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 from structlog.testing import capture_logs
 
@@ -11,7 +9,7 @@ from app.home.homes import MAX_EPOCHS_MISSED, Homes
 from app.home.lease import Lease
 from bus.contract import MAX_EPOCH, Hello, MalformedMessageError, decode_from_worker, encode
 from bus.contract.clock_offset import ClockOffset
-from bus.instants import monotonic_now
+from bus.instants import monotonic_now, unix_now
 from bus.worker.outbox import Outbox
 from bus.worker.uplink import Uplink
 from tests.app.stage import hello
@@ -24,7 +22,7 @@ async def test_a_server_that_names_itself_as_the_home_gets_no_token() -> None:
     with capture_logs() as logs:
         async with FakeApp() as first, FakeApp() as stranger:
             first.refuses, first.home = "not here", stranger.url
-            uplink = Uplink([first.url], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), time.time)
+            uplink = Uplink([first.url], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), unix_now)
             for _ in range(3):
                 assert await uplink._attempt()
             assert stranger.messages == []
