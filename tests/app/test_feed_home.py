@@ -90,7 +90,9 @@ async def test_a_lease_is_confirmed_for_the_time_that_is_left(stage: Stage) -> N
     await until(lambda: LeaseLeft(78.0, 0.0) in worker.received, "the end of the lease")
 
 
-async def test_an_open_command_is_unverified_and_the_worker_leaves_when_the_home_is_lost(stage: Stage) -> None:
+async def test_an_open_command_is_unverified_and_the_worker_leaves_when_the_home_is_lost(
+    stage: Stage,
+) -> None:
     at(stage, PlayedHome())
     async with stage.feed.at_home():
         worker = await stage.worker()

@@ -52,7 +52,7 @@ class Server:
     """One server on the store: its homes, and in order what began and ended."""
 
     def __init__(self, path: Path, name: str, *, automatic: bool = True, permitted: bool = True) -> None:
-        self.database = SqliteDatabase(path)
+        self.path, self.database = path, SqliteDatabase(path)
         self.happened: list[str] = []
         self.events = Events()
         self.fails_to_start = False
@@ -87,7 +87,7 @@ class Server:
 
     def request(self, reason: str) -> bool:
         """As ``lineside home take`` does at this server, in another process."""
-        with closing(SqliteDatabase(self.database.file, checkpoints=False)) as database:
+        with closing(SqliteDatabase(self.path, checkpoints=False)) as database:
             return request_home(database, BUS, self.homes.server, who="anna", reason=reason)
 
     def of_bus(self) -> list[str]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from types import ModuleType
 
 import pytest
 
+from app.home import homes, lease, store
+from app.home.keeping import keeper
 from app.home.lease import (
     LEASE_S,
     MARGIN_S,
@@ -252,3 +255,10 @@ def test_no_history_has_two_homes_at_one_moment() -> None:
             world.step()
         taken += world.taken
     assert taken > 3 * HISTORIES, "homes are taken, lost and taken again"
+
+
+@pytest.mark.parametrize("module", [lease, store, homes, keeper])
+def test_clocks_of_servers_that_differ_by_an_hour_have_no_effect(module: ModuleType) -> None:
+    """None is read: the store's clock comes with each look, and all else is monotonic."""
+    names = set(vars(module))
+    assert names.isdisjoint({"unix_now", "time", "datetime"})

@@ -239,18 +239,6 @@ async def test_a_worker_goes_to_the_home_that_is_among_its_apps() -> None:
         await asyncio.gather(running, return_exceptions=True)
 
 
-async def test_a_worker_follows_no_address_that_it_was_not_started_with() -> None:
-    """An attacker's server could else collect tokens by naming itself."""
-    with capture_logs() as logs:
-        async with FakeApp() as a, FakeApp() as stranger:
-            a.refuses, a.home = "not here", stranger.url
-            uplink = Uplink([a.url], TOKEN, Outbox(), FakeReceiver(), ClockOffset(), time.time)
-            for _ in range(3):
-                assert await uplink._attempt()
-            assert stranger.messages == []
-    assert f"its home is {stranger.url}" in logs[0]["why"]
-
-
 async def test_a_former_home_is_refused_by_the_worker() -> None:
     with capture_logs() as logs:
         async with FakeApp() as app:
