@@ -67,8 +67,8 @@ def sign_in(plant: Dashboard) -> None:
 
 
 def set_a_speed(plant: Dashboard, unit: Unit) -> None:
-    answered = plant.bus("POST", "/units/1/speed", {"raw": 1234, "execute": True}, "operator")
-    assert (answered.status_code, answered.json()["outcome"]) == (200, "verified")
+    response = plant.bus("POST", "/units/1/speed", {"raw": 1234, "execute": True}, "operator")
+    assert (response.status_code, response.json()["outcome"]) == (200, "verified")
     assert unit.commanded == 1234
 
 
