@@ -96,6 +96,7 @@ ACKNOWLEDGE = AlarmAct(
     path="acknowledge",
     means="Acknowledge the occurrence that the id names.",
     change=changes.acknowledge,
+    locally=True,
 )
 SILENCE = AlarmAct(
     "silence_alarm",
@@ -105,6 +106,7 @@ SILENCE = AlarmAct(
     path="silence",
     means="End the sound of the occurrence that the id names. It is still to be acknowledged.",
     change=changes.silence,
+    locally=True,
 )
 RESET = AlarmAct(
     "reset_alarm",
@@ -114,6 +116,7 @@ RESET = AlarmAct(
     path="reset",
     means="Reset an acknowledged alarm that is latched.",
     change=changes.reset,
+    locally=True,
 )
 SHELVE = AlarmAct(
     "shelve_alarm",
@@ -124,6 +127,7 @@ SHELVE = AlarmAct(
     means="Hide it until a time. It is still detected and recorded.",
     body=AlarmShelveRequest,
     change=changes.shelve,
+    locally=True,
     hides=True,
 )
 UNSHELVE = AlarmAct(
@@ -135,6 +139,7 @@ UNSHELVE = AlarmAct(
     means="Annunciate it again before its time.",
     body=AlarmReturnRequest,
     change=changes.unshelve,
+    locally=True,
 )
 REMOVE = AlarmAct(
     "remove_alarm_from_service",
@@ -145,6 +150,7 @@ REMOVE = AlarmAct(
     means="Hide it until it is returned to service. It is still detected and recorded.",
     body=AlarmOutOfServiceRequest,
     change=changes.remove_from_service,
+    locally=True,
     hides=True,
 )
 RETURN = AlarmAct(
@@ -156,11 +162,14 @@ RETURN = AlarmAct(
     means="Annunciate it again.",
     body=AlarmReturnRequest,
     change=changes.return_to_service,
+    locally=True,
 )
 ALARM_ACTS = (ACKNOWLEDGE, SILENCE, RESET, SHELVE, UNSHELVE, REMOVE, RETURN)
 """The acts on one alarm; each has its routes."""
 
-SILENCE_SOUNDING = Act("silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced")
+SILENCE_SOUNDING = Act(
+    "silence_sounding_alarms", Role.OPERATOR, "alarm", "event_alarms_silenced", locally=True
+)
 """With all that sound; of one alone :data:`SILENCE` is recorded."""
 ADD_OWN = Act("add_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_added")
 CHANGE_OWN = Act("change_own_alarm", Role.ENGINEER, "alarm", "event_own_alarm_changed")

@@ -16,10 +16,13 @@ from app.alarms.simulation.simulator import Simulator
 from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import Anchoring
+from app.audit.local_log.notice import away_notice
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
+from app.auth.break_glass import BreakGlass
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
+from app.database.availability import Availability
 from app.feature import Feature, Services
 from app.history.service import History
 from app.home.lease import SITE
@@ -36,7 +39,7 @@ from bus.messages import Message
 
 def make(services: Services) -> None:
     settings, database, events = services.settings, services[Database], services[EventLog]
-    store = AlarmStore(database)
+    store = AlarmStore(database, events)
     for name, bus in services.buses.items():
         _make_of_bus(services, name, bus, store)
     of_site = services.add(_alarms_of_site(services, store))
@@ -80,6 +83,8 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         lambda: anchoring.status,
         services.add(FailingEndpoints()),
         expiry,
+        lambda: services[Availability].is_away,
+        (lambda: services[BreakGlass].signed_in) if services[Database].availability else tuple,
     )
     return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 
@@ -97,8 +102,12 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
     def alarms_in(language: Language) -> Fields:
         return banner.banner(Translator(language, templates.formats(language.tag)), unix_now())
 
+    def away_in(language: Language) -> str:
+        notice = away_notice(services[Availability], templates.formats(language.tag), unix_now())
+        return "" if notice is None else language.t(notice)
+
     services.add(banner)
-    services.add(PageHead(alarms_in))
+    services.add(PageHead(alarms_in, away_in))
 
 
 FEATURE = Feature(

@@ -17,7 +17,7 @@ from app.conditions.catalogue import SERVER_ALARMS
 from app.history.intake.clock_watch import ClockWatch
 from app.history.status import HistoryStatus
 from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
-from bus.messages import Message, number
+from bus.messages import Message, listed, number
 
 SiteCondition = Callable[[], Message | bool | None]
 """Whether it holds, or what it is about where it names one thing; None: not known."""
@@ -32,6 +32,8 @@ def site_conditions(
     anchor: Callable[[], AnchorStatus],
     failing_endpoints: FailingEndpoints,
     expiry: ExpiryWatch,
+    store_is_away: Callable[[], bool] = lambda: False,
+    break_glass: Callable[[], Sequence[str]] = tuple,
 ) -> dict[str, SiteCondition]:
     """The condition of each alarm of the site but that of its clock."""
     return {
@@ -41,9 +43,16 @@ def site_conditions(
             anchor() != AnchorStatus(since=anchor().since)
         ),
         "notification_failed": lambda: of_server.NOTIFICATION_FAILED.holds(failing_endpoints),
+        "store_unavailable": lambda: of_server.STORE_UNAVAILABLE.holds(store_is_away()),
+        "break_glass_used": lambda: _listed(break_glass()),
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
     }
+
+
+def _listed(names: Sequence[str]) -> Message | bool:
+    """Names as one thing that an alarm is about."""
+    return listed([*names]) if of_server.BREAK_GLASS_USED.holds(names) else False
 
 
 class SiteAlarms:

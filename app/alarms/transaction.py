@@ -10,7 +10,7 @@ from typing_extensions import Unpack
 from app.alarms.alarm import Alarm
 from app.alarms.alarm_list import AlarmList
 from app.alarms.rules.changes import Changed
-from app.alarms.store import journal_writing
+from app.alarms.store import alarm_part
 from app.audit.kinds import EventKind
 from app.audit.log import Also, EventFields, EventLog
 from app.database import StoreConnection
@@ -40,19 +40,26 @@ class ActTransaction:
         self.alarms.append(alarm)
 
     async def record(
-        self, events: EventLog, *beside: Also, kind: EventKind, **fields: Unpack[EventFields]
+        self,
+        events: EventLog,
+        *beside: Also,
+        kind: EventKind,
+        locally: bool = False,
+        **fields: Unpack[EventFields],
     ) -> None:
         """Record the act in the audit log, with the journal and what is written ``beside`` it. Raises
         StoreError; every alarm is then as it was before, unless it has changed since."""
         taken = [(each, *each.take_unwritten()) for each in self._lists]
-        parts = [*(journal_writing(entries, alarms) for _, entries, alarms in taken), *beside]
+        parts = [alarm_part(entries, alarms) for _, entries, alarms in taken]
 
         def write(connection: StoreConnection) -> None:
-            for part in parts:
-                part(connection)
+            for each in beside:
+                each(connection)
 
         try:
-            await events.record(kind=kind, **fields, also=write)
+            await events.record(
+                kind=kind, locally=locally, **fields, also=write if beside else None, parts=parts
+            )
         except StoreError:
             for each, entries, alarms in taken:
                 each.give_back([entry for entry in entries if entry.who != self._who], alarms)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
 from fastapi import Depends
@@ -19,6 +19,7 @@ class Performed(TypedDict):
     who: str | Message
     origin: str | Message
     what: Message
+    locally: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,8 @@ class Act:
     role: Role
     kind: EventKind
     event: str
+    locally: bool = field(default=False, kw_only=True)
+    """Whether it is also done while the database is away, and logged locally first."""
 
     def __post_init__(self) -> None:
         if self.event not in TEXTS:
@@ -47,4 +50,5 @@ class Act:
 
     def by(self, person: Person, **params: ParamValue) -> Performed:
         """What the audit log records of it: ``events.record(**RETIRE.by(person, name=name), bus=bus)``."""
-        return {"kind": self.kind, **person.author, "what": Message.of(self.event, **params)}
+        what = Message.of(self.event, **params)
+        return {"kind": self.kind, **person.author, "what": what, "locally": self.locally}

@@ -59,6 +59,13 @@ class EventShown(BaseModel):
 
     id: int
     time: Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: not readable.")]
+    entered_at: Annotated[
+        MaybeInstant,
+        Field(
+            description="When it came into the audit log, ISO 8601 in UTC, milliseconds, where it was logged"
+            " locally first, while the database was away; else null."
+        ),
+    ]
     kind: str
     who: str
     origin: Annotated[str, Field(description="Which way it came: page, api, command line, restore …")]
@@ -117,6 +124,7 @@ def shown(event: Event) -> dict[str, Any]:
     return {
         **{name: event[name] for name in (*COLUMNS, "unreadable", "messages")},
         "time": iso(event["time"]) if is_moment(event["time"]) else None,
+        "entered_at": iso(event["entered_at"]) if event["entered_at"] else None,
         "count": event["count"] or 1,
         "frames": [{**frame, "at": iso(frame["at"])} for frame in json.loads(event["frames"])],
     }

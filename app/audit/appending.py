@@ -26,7 +26,7 @@ from app.database.engine import lock, upsert
 from bus.instants import UnixTime
 from bus.messages import Message
 
-_COLUMNS = (*FIELDS, "count", "messages", "chain", "key", "previous", "hash", "seal")
+_COLUMNS = (*FIELDS, "count", "messages", "entered_at", "chain", "key", "previous", "hash", "seal")
 """A further column must allow NULL and stand here; the hash covers it wherever it is not NULL."""
 _INSERT = f"INSERT INTO events ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' * len(_COLUMNS))})"
 _NOTE_HEAD = upsert("events_head", ("chain",), ("id", "hash", "key", "seal"))

@@ -101,6 +101,8 @@ def readable(row: Mapping[str, Any]) -> Event:
     event["messages"] = {name: message for name, message in messages.items() if message.code in _KNOWN}
     if None in parts:
         event["unreadable"] = True
+    if event["entered_at"] is not None and not is_moment(event["entered_at"]):
+        event |= {"entered_at": None, "unreadable": True}
     if not has_time:
         event["time"] = 0.0
     if frames is None:

@@ -9,11 +9,14 @@ from functools import partial
 from app.audit import api, pages
 from app.audit.anchoring import Anchoring
 from app.audit.configuration import change_since_last
-from app.audit.keys import open_keys
+from app.audit.keys import Keys, open_keys
+from app.audit.local_log.file import LocalFile
+from app.audit.local_log.local_log import LocalLog
 from app.audit.log import EventLog
 from app.audit.store import heads_of
 from app.database import Database
 from app.database.migration import FIRST, Migration
+from app.database.reserve import Reserve
 from app.feature import Feature, Services
 from app.home.lease import SITE
 from app.settings import Settings
@@ -23,7 +26,8 @@ from bus.messages import Message
 def make(services: Services) -> None:
     settings, database, lifespan = services.settings, services[Database], services.lifespan
     keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
-    events = services.add(EventLog(database, keys=keys))
+    local = _local_log(services, keys)
+    events = services.add(EventLog(database, keys=keys, local=local))
     is_configured = settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)
@@ -34,6 +38,19 @@ def make(services: Services) -> None:
         services.at_home(bus).add(f"open commands of {bus or 'the site'}", start=close)
     record_all = partial(events.repeated.record_due, everything=True)
     lifespan.add("repeated events", events.repeated.follow, end=record_all)
+
+
+def _local_log(services: Services, keys: Keys) -> LocalLog | None:
+    """Where the database may be away. What the last run left in it comes into the audit log first."""
+    database, availability = services[Database], services[Database].availability
+    if availability is None:
+        return None
+    file = LocalFile(services.settings.server.data, services[Reserve])
+    local = services.add(LocalLog(database, availability, file, keys))
+    watch = partial(availability.watch, database.probe)
+    end = partial(availability.end, database.probe, database.interrupt)
+    services.lifespan.add("local log", watch, local.forget, start=local.load, end=end)
+    return local
 
 
 async def _record_start(settings: Settings, database: Database, events: EventLog) -> None:
@@ -50,7 +67,7 @@ async def _record_start(settings: Settings, database: Database, events: EventLog
 
 
 async def _record_end(events: EventLog) -> None:
-    await events.record(kind="server", what=Message("event_server_ended"))
+    await events.record(kind="server", what=Message("event_server_ended"), locally=True)
 
 
 def _store_changed(steps: Sequence[Migration]) -> Message:

@@ -29,7 +29,7 @@ class RepeatedEvents:
     seconds, ``now`` measures the minutes."""
 
     def __init__(
-        self, record: Callable[..., Awaitable[int]], clock: Clock, now: MonotonicClock = monotonic_now
+        self, record: Callable[..., Awaitable[object]], clock: Clock, now: MonotonicClock = monotonic_now
     ) -> None:
         self._record = record
         self._clock = clock

@@ -21,7 +21,7 @@ CHUNK = 500
 _FOLDED = """
 SELECT e.id, e.time, e.kind, e.who, e.origin, e.bus, e.unit, e.what, e.old, e.new, e.old_raw, e.new_raw,
        COALESCE(f.outcome, e.outcome) AS outcome, COALESCE(f.message, e.message) AS message,
-       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at,
+       COALESCE(f.frames, e.frames) AS frames, e.count, f.time AS concluded_at, e.entered_at,
        e.messages, f.messages AS concluded_messages
 FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL

@@ -8,10 +8,12 @@ from app.audit.log import EventLog
 from app.auth import api, notices, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
+from app.auth.break_glass import BreakGlass, path_in
 from app.auth.identity import Identity
+from app.auth.known import KnownCredentials
 from app.auth.lasting import Rechecks
 from app.auth.rights import Rights
-from app.auth.signin import SignIn
+from app.auth.signin import SESSION_ENDED, SignIn, write_session_ended
 from app.database import Database
 from app.feature import Feature, Services
 from app.server.refusal_log import RefusalLog
@@ -25,10 +27,27 @@ def make(services: Services) -> None:
     rights = services.add(Rights(database, accounts.on_changed, rechecks))
     services.lifespan.add("rights", rights.watch)
     sessions = settings.server.sessions
-    sign_in = services.add(SignIn(database, events, sessions, site=site, rechecks=rechecks))
+    known = break_glass = None
+    if database.availability is not None:
+        known = services.add(KnownCredentials(database))
+        services.lifespan.add("known credentials", known.watch)
+        break_glass = BreakGlass(path_in(settings.server.data), database.availability)
+        services.add(break_glass)
+        events.add_writer(SESSION_ENDED, write_session_ended)
+    sign_in = services.add(
+        SignIn(
+            database,
+            events,
+            sessions,
+            site=site,
+            rechecks=rechecks,
+            known=known,
+            break_glass=break_glass,
+        )
+    )
     services.lifespan.add("notices of rights", start=partial(_listen, database, rights, sign_in))
     services.add(RefusalLog())
-    services.add(Identity(database, sign_in, services.worker_tokens))
+    services.add(Identity(database, sign_in, services.worker_tokens, known=known, break_glass=break_glass))
 
 
 async def _listen(database: Database, rights: Rights, sign_in: SignIn) -> None:

@@ -16,7 +16,7 @@ import structlog
 from app.auth import notices, store
 from app.auth.lasting import Rechecks
 from app.database import Database, StoreConnection
-from app.errors import Problem, StoreError
+from app.errors import Problem, StoreError, StoreUnavailableError
 from app.web.access import AccountSubscriber, Person, Role, account_of
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
 from bus.messages import Message
@@ -76,11 +76,14 @@ class Rights:
 
     async def check(self, person: Person) -> None:
         """Raises Problem 403 ``rights_withdrawn`` when the account of a person may no longer do what it could
-        when the person was authenticated; StoreError when that cannot be known."""
+        when the person was authenticated; StoreError when that cannot be known. While the database is away,
+        what was read last holds."""
         if not person.has_account:
             return
         if self.monotonic() - self._read_at > FRESH_S or self._why_withdrawn(person):
-            await self.refresh()
+            # What was withdrawn before the database went away stays so.
+            with suppress(StoreUnavailableError):
+                await self.refresh()
         reason = self._why_withdrawn(person)
         if reason:
             raise Problem(403, "rights_withdrawn", reason, outcome="rights_withdrawn")

@@ -6,11 +6,15 @@ import asyncio
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
+from typing import Any
 
 from app.audit.kinds import EventKind
+from app.audit.local_log.transaction import StoredPart
 from app.audit.log import EventLog
 from app.auth import notices, rules, store, strength
 from app.auth.acts import LOG_OUT
+from app.auth.break_glass import BreakGlass, BreakGlassUser
+from app.auth.known import KnownCredentials
 from app.auth.lasting import Rechecks
 from app.auth.notices import RightsNotice
 from app.auth.passwords import hash_secret, is_outdated, verify_secret
@@ -18,12 +22,12 @@ from app.auth.settings import Sessions
 from app.auth.store import User
 from app.auth.throttle import Attempt, Throttle
 from app.database import Database, StoreConnection
-from app.errors import Problem, StoreError
+from app.errors import Problem, StoreError, StoreUnavailableError
 from app.server.addresses import source_of
 from app.server.fair_queue import FairQueue, TooManyWaitingError
 from app.web.access import AccountSubscriber, Person
 from bus.errors import CallerError
-from bus.instants import Clock, MonotonicClock, monotonic_now, unix_now
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 
 _WRONG = {False: Message("name_or_password_wrong"), True: Message("name_or_pin_wrong")}
@@ -33,6 +37,10 @@ MAX_HASHED_AT_ONCE = 2
 MAX_WAITING_OF_PLACE = 5
 MAX_WAITING = 200
 """Two seconds' worth; half of them at most from places that never signed in."""
+
+
+SESSION_ENDED = "session_ended"
+"""The kind of the part that ends a session; its data is the hash, the name and the time."""
 
 
 class WrongSecretError(Problem):
@@ -60,6 +68,8 @@ class SignIn:
     _monotonic: MonotonicClock = monotonic_now
     site: str = ""
     rechecks: Rechecks = field(default_factory=Rechecks)
+    known: KnownCredentials | None = None
+    break_glass: BreakGlass | None = None
     _throttle: Throttle = field(default_factory=Throttle)
     _has_users: bool = False
     """Once true it stays so: the last admin cannot be removed."""
@@ -118,19 +128,18 @@ class SignIn:
 
     async def has_no_users(self) -> bool:
         if not self._has_users:
-            self._has_users = bool(await self._database.read(store.users))
+            with suppress(StoreUnavailableError):
+                self._has_users = bool(await self._database.read(store.users))
+                return not self._has_users
+            return False
         return not self._has_users
 
     async def end(self, hash_: bytes, name: str) -> None:
         """End the session with this hash, of this user."""
-        now = self._clock()
-
-        def end(connection: StoreConnection) -> bool:
-            was_last = store.end_session(connection, hash_, name, now)
-            notices.announce(connection, RightsNotice("signed-out" if was_last else "changed", name))
-            return was_last
-
-        was_last = await self._database.write(end)
+        if self.break_glass is not None and self.break_glass.end(hash_):
+            was_last = name not in self.break_glass.signed_in
+        else:
+            was_last = await self._end(hash_, name)
         self.rechecks.now(name)
         if was_last:
             await self._notify_signed_out(name)
@@ -152,6 +161,19 @@ class SignIn:
 
     async def _notify_signed_out(self, name: str) -> None:
         await asyncio.gather(*(subscriber(name) for subscriber in self._signed_out))
+
+    async def _end(self, hash_: bytes, name: str) -> bool:
+        """End a session; whether it was the user's last. While the database is away, it ends there later."""
+        now = self._clock()
+        if self.known is not None:
+            self.known.note_session(hash_, None)
+        try:
+            return await self._database.write(lambda connection: _end_session(connection, hash_, name, now))
+        except StoreUnavailableError:
+            if self.known is None:
+                raise
+            await self._events.store_parts([StoredPart(SESSION_ENDED, [hash_.hex(), name, float(now)])])
+            return not self.known.is_signed_in(name)
 
     def lifetime_of(self, user: User) -> rules.Lifetime:
         """How long the sessions of this user last."""
@@ -176,9 +198,11 @@ class SignIn:
 
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
-        is_own, is_used = await self._database.read(
-            lambda connection: store.are_places(connection, name, browser, network)
-        )
+        is_own = is_used = False
+        with suppress(StoreUnavailableError):
+            is_own, is_used = await self._database.read(
+                lambda connection: store.are_places(connection, name, browser, network)
+            )
         if device and is_own:
             return Attempt(name, browser, panel, own_browser=True)
         return Attempt(name, network, panel, used_network=is_used)
@@ -189,8 +213,13 @@ class SignIn:
             raise _too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
-        user, stored = await self._user_or_decoy(name)
         secret = secret[: strength.LONGEST_PASSWORD + 1]
+        try:
+            user, stored = await self._user_or_decoy(name)
+        except StoreUnavailableError:
+            if panel or self.break_glass is None:
+                raise
+            return await self.break_glass.verified(name, secret)
         if not await verify_secret(stored, secret):
             return None
         if user is None or user.panel is not panel or user.disabled:
@@ -214,6 +243,9 @@ class SignIn:
 
     async def _begin(self, user: User, secret: str, address: str, device: str) -> SignedIn:
         session, device, now = rules.new_secret(), device or rules.new_secret(), self._clock()
+        if isinstance(user, BreakGlassUser):
+            await self._begin_break_glass(user, rules.secret_hash(session), address)
+            return SignedIn(session, device, user)
         hash_, ends = rules.secret_hash(session), self.lifetime_of(user).ends_at(now, now)
         weak, places = self._is_weak(user, secret), (source_of(address), _browser(device))
 
@@ -227,6 +259,13 @@ class SignIn:
         )
         return SignedIn(session, device, user)
 
+    async def _begin_break_glass(self, user: BreakGlassUser, hash_: bytes, address: str) -> None:
+        """Begin a session of a break-glass account, once that is logged."""
+        assert self.break_glass is not None
+        what = Message.of("event_break_glass_used", role=term(user.role))
+        await self._events.record(kind="login", what=what, who=user.name, origin=address, locally=True)
+        self.break_glass.begin(hash_, user)
+
     def _is_weak(self, user: User, secret: str) -> bool:
         """Whether today's rules refuse the secret; it works until it is changed; the admin is notified."""
         try:
@@ -238,10 +277,35 @@ class SignIn:
     async def note_refusal(self, name: str, address: str) -> None:
         """Count a wrong secret in the events. It is written to the disk for some names and not for others, so
         only once the refusal is sent: its time must not reveal which names exist."""
-        known = await self._database.read(lambda connection: store.user(connection, name))
+        try:
+            known = await self._database.read(lambda connection: store.user(connection, name))
+        except StoreUnavailableError:
+            await self._note_break_glass_refusal(name, address)
+            return
         # A password typed into the field for the name must not end up in the log.
         who = name if known else Message("unknown_name")
         await count_refusal(self._events, "login_refused", Message("event_sign_in_refused"), who, address)
+
+    async def _note_break_glass_refusal(self, name: str, address: str) -> None:
+        """A wrong password of an account that exists is logged; the limits of signing in bound how many."""
+        with suppress(StoreError):
+            if self.break_glass is not None and name in self.break_glass.accounts():
+                what = Message("event_sign_in_refused")
+                await self._events.record(
+                    kind="login_refused", what=what, who=name, origin=source_of(address), locally=True
+                )
+
+
+def write_session_ended(connection: StoreConnection, data: Any, _late: bool, /) -> None:
+    """Write the part :data:`SESSION_ENDED`."""
+    hash_, name, now = data
+    _end_session(connection, bytes.fromhex(hash_), name, now)
+
+
+def _end_session(connection: StoreConnection, hash_: bytes, name: str, now: UnixTime) -> bool:
+    was_last = store.end_session(connection, hash_, name, now)
+    notices.announce(connection, RightsNotice("signed-out" if was_last else "changed", name))
+    return was_last
 
 
 async def count_refusal(

@@ -89,6 +89,8 @@ _USER = (
 )
 _TOKEN = "id, name, role, created_by, created_at, used_at, bus, expires_at"
 
+_TOKENS_BY_HASH = f"SELECT {_TOKEN}, hash FROM tokens"
+
 
 def _user(row: StoreRow) -> User:
     """The user in the columns `_USER`, the first of a row."""
@@ -99,8 +101,8 @@ def _user(row: StoreRow) -> User:
 
 
 def _token(row: StoreRow) -> Token:
-    """The token in the columns `_TOKEN`."""
-    number, name, role, *others = row
+    """The token in the columns `_TOKEN`, the first of a row."""
+    number, name, role, *others = tuple(row)[:8]
     return Token(number, name, Role(role), *others)
 
 
@@ -222,6 +224,19 @@ def session(connection: StoreConnection, hash_: bytes) -> Session | None:
     return Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
 
 
+def sessions(connection: StoreConnection, limit: int) -> dict[bytes, Session]:
+    """The sessions that were used last, by their hash."""
+    query = (
+        f"SELECT {_USER}, s.hash, s.created_at AS begun_at, s.used_at, s.expires_at "
+        "FROM sessions s JOIN users u USING (name) ORDER BY s.used_at DESC LIMIT ?"
+    )
+    rows = connection.execute(query, (limit,))
+    return {
+        bytes(row["hash"]): Session(_user(row), row["begun_at"], row["used_at"], row["expires_at"])
+        for row in rows
+    }
+
+
 def prolong_session(connection: StoreConnection, hash_: bytes, now: UnixTime, ends: UnixTime) -> None:
     change = "UPDATE sessions SET used_at = ?, expires_at = ? WHERE hash = ?"
     connection.execute(change, (now, ends, hash_))
@@ -251,6 +266,11 @@ def tokens(connection: StoreConnection) -> list[Token]:
 def token(connection: StoreConnection, hash_: bytes) -> Token | None:
     row = connection.execute(f"SELECT {_TOKEN} FROM tokens WHERE hash = ?", (hash_,)).fetchone()
     return _token(row) if row else None
+
+
+def tokens_by_hash(connection: StoreConnection) -> dict[bytes, Token]:
+    """Every token by its hash."""
+    return {bytes(row["hash"]): _token(row) for row in connection.execute(_TOKENS_BY_HASH)}
 
 
 def add_token(connection: StoreConnection, hash_: bytes, token: Token) -> None:

@@ -70,6 +70,25 @@ def remove_user(name: UserName, config: Config = LINESIDE_TOML) -> None:
     with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
 
+@user.command(name="break-glass")
+def break_glass(
+    name: UserName,
+    role: Annotated[str, typer.Option(help="operator or engineer.")] = Role.OPERATOR,
+    password_stdin: FromInput = False,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the account.")] = False,
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Make an account that can sign in only while the database is away, or give it another password."""
+    from app.auth.break_glass_book import BreakGlassBook
+
+    settings = load(config)
+    password = "" if remove else _password(password_stdin)
+    with site_log(settings) as (database, events):
+        book = BreakGlassBook(settings.server.data, Accounts(database, events), events, settings.site.name)
+        work = book.remove(name, by=console()) if remove else book.put(name, role, password, by=console())
+        asyncio.run(work)
+
+
 def _password(from_input: bool) -> str:
     """Whether it may be chosen is judged where it is stored, for the pages alike. A terminal is prompted in
     any case: it must not wait without a prompt."""

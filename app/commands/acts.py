@@ -8,9 +8,9 @@ from app.web.access import Role
 SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")
 BLOCK = Act("block_commands", Role.OPERATOR, "block", "event_unit_blocked")
 UNBLOCK = Act("unblock_commands", Role.OPERATOR, "block", "event_block_lifted")
-TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_taken")
+TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_taken", locally=True)
 HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_control_handed_over")
 FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
 """Handing over what another user holds."""
-RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back")
+RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back", locally=True)
 ACTS = (SET_LIMITS, BLOCK, UNBLOCK, TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL)

@@ -22,6 +22,7 @@ from app.commands.rules.setpoint import (
     of_write_parameter,
     staged_setpoints,
 )
+from app.commands.rules.slowing import slows_all
 from app.commands.wording import Wording
 from app.live.state.bus_live import BusLive
 from app.web.access import Role
@@ -92,6 +93,9 @@ class CommandKind(Generic[A]):
     """Whether its frames carry a secret (#21)."""
     is_event: Callable[[A], bool] = lambda action: action.writes
     """Whether it is recorded before it is sent."""
+    only_slows: Callable[[A, BusLive], bool] = lambda _, _bus: False
+    """Whether it can only make units slower, or stop them, as they were last read: such a command is sent
+    also while the database is away, logged locally first."""
 
 
 SET_SPEED = CommandKind(
@@ -101,6 +105,7 @@ SET_SPEED = CommandKind(
         Message("event_set_speed" if action.execute else "event_stage_speed"), bus, action.unit, action.raw
     ),
     setpoints=lambda action, _: [NewSetpoint(action.unit, action.raw, is_staged=not action.execute)],
+    only_slows=lambda action, bus: action.execute and slows_all({action.unit: action.raw}, bus),
 )
 EXECUTE_SPEED = CommandKind(
     ExecuteSpeed,
@@ -134,6 +139,8 @@ SET_LINE = CommandKind(
     units_written=lambda action, bus: sorted({*action.setpoints, *staged_setpoints(bus)}),
     setpoints=lambda action, _: by_unit(action.setpoints),
     check=action_checks.check_line,
+    # Its broadcast executes what other units hold staged, too.
+    only_slows=lambda action, bus: slows_all({**staged_setpoints(bus), **action.setpoints}, bus),
     timeout_s=lambda action, bus: timeout_s_for(bus, len(action.setpoints)),
 )
 WRITE_OUTPUT = CommandKind(

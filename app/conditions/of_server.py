@@ -38,6 +38,20 @@ HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
     means="readings are not stored",
     tuning=Tuning(on_delay_s=5),
 )
+STORE_UNAVAILABLE: Condition[Callable[[object], bool]] = Condition(
+    "store_unavailable",
+    ("severe", "half_hour"),
+    holds=bool,
+    means="the database of `[store] url` does not respond, or cannot be written",
+    tuning=Tuning(on_delay_s=2),
+)
+BREAK_GLASS_USED: Condition[Callable[[object], bool]] = Condition(
+    "break_glass_used",
+    ("severe", "shift"),
+    holds=bool,
+    means="a user is signed in by a break-glass account",
+    latching=True,
+)
 DISK_LOW: Condition[StatePredicate] = Condition(
     "disk_low",
     ("major", "shift"),
@@ -81,6 +95,8 @@ TOKEN_EXPIRING: Condition[Callable[[UnixTime, UnixTime | None, UnixTime | None, 
 
 OF_SERVER = (
     HISTORY_DEGRADED,
+    STORE_UNAVAILABLE,
+    BREAK_GLASS_USED,
     AUDIT_DEGRADED,
     DISK_LOW,
     NOTIFICATION_FAILED,

@@ -126,6 +126,9 @@ class SqliteDatabase(Database):
     def listen(self, channel: str, callback: Listener) -> None:
         self._listeners.append((channel, asyncio.get_running_loop(), callback))
 
+    def interrupt(self) -> None:
+        """No other machine has the store."""
+
     def give_back(self, pages: int) -> None:
         vacuum = f"PRAGMA incremental_vacuum({pages})"
         self.write_now(lambda connection: connection.execute(vacuum).fetchall())

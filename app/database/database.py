@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from app.database.availability import Availability, in_time
 from app.database.migration import Migration
 from app.database.store_connection import StoreConnection
 from app.errors import StoreError
@@ -32,6 +33,8 @@ class Database(ABC):
     """Where the store is a file of this machine."""
     migrated: list[Migration]
     """The steps that opening took."""
+    availability: Availability | None = None
+    """Where another machine has the store: whether it responds."""
 
     def __init__(self, name: str, label: str) -> None:
         self.name = name
@@ -50,6 +53,19 @@ class Database(ABC):
     async def read_costly(self, work: Work[T]) -> T:
         """Run a read that may take long, apart from all others. Raises TooCostlyError after `COSTLY_S`."""
         return await self._run(self._costly, self._read_within, work)
+
+    async def attempt(self, work: Work[T]) -> T:
+        """Run ``work`` in one transaction also while the database is known to be away. Raises
+        StoreUnavailableError where it takes too long; it may still be stored."""
+        return await in_time(self._begin(self._writer, self.write_now, work))
+
+    def probe(self) -> asyncio.Future[object]:
+        """Begin a trivial read, also while the database is known to be away."""
+        return self._begin(self._readers, self.read_now, _look)
+
+    @abstractmethod
+    def interrupt(self) -> None:
+        """End every wait for a database that does not respond, of all stores. For the end of the server."""
 
     @abstractmethod
     def write_now(self, work: Work[T]) -> T:
@@ -84,8 +100,19 @@ class Database(ABC):
     def _read_within(self, work: Work[T]) -> T: ...
 
     async def _run(self, pool: ThreadPoolExecutor, run: Callable[[Work[T]], T], work: Work[T]) -> T:
+        if self.availability is None:
+            return await self._begin(pool, run, work)
+        self.availability.refuse_while_away()
+        return await self.availability.within(self._begin(pool, run, work))
+
+    def _begin(
+        self, pool: ThreadPoolExecutor, run: Callable[[Work[T]], T], work: Work[T]
+    ) -> asyncio.Future[T]:
         try:
-            future = asyncio.get_running_loop().run_in_executor(pool, run, work)
+            return asyncio.get_running_loop().run_in_executor(pool, run, work)
         except RuntimeError as error:
             raise StoreError(Message.of("store_closed", path=self.name)) from error
-        return await future
+
+
+def _look(connection: StoreConnection) -> object:
+    return connection.execute("SELECT 1").fetchone()

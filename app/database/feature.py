@@ -6,6 +6,7 @@ import asyncio
 from functools import partial
 
 from app.database import Database
+from app.database.availability import Availability
 from app.database.opening import open_database
 from app.database.private import make_private
 from app.database.reserve import Reserve
@@ -18,7 +19,9 @@ def make(services: Services) -> None:
     make_private(server.data)
     reserve = services.add(Reserve(server.data))
     lifespan.add("disk reserve", end=partial(asyncio.to_thread, reserve.close))
-    database = services.add(open_database(services.settings.store, server.store, reserve=reserve), Database)
+    store, availability = services.settings.store, services.add(Availability())
+    opened = open_database(store, server.store, reserve=reserve, availability=availability)
+    database = services.add(opened, Database)
     lifespan.add("store", end=partial(asyncio.to_thread, database.close))
 
 

@@ -7,6 +7,7 @@ from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
+from app.database.availability import Availability
 from app.database.connection import SqliteDatabase, Synchronous, open_for_reading
 from app.database.database import Database
 from app.database.migration import MIGRATIONS
@@ -30,6 +31,7 @@ def open_database(
     *,
     checkpoints: bool = True,
     reserve: Reserve | None = None,
+    availability: Availability | None = None,
 ) -> Database:
     """Open a store: ``file``, or the schema of this name in the database. Raises StoreError."""
     if not store.url:
@@ -38,7 +40,17 @@ def open_database(
     from app.database.postgresql.database import PostgresqlDatabase
 
     schema = MAIN if migrations == MIGRATIONS else file.stem
-    return PostgresqlDatabase(store, schema, migrations)
+    return PostgresqlDatabase(store, schema, migrations, availability)
+
+
+def look_at(store: StoreSettings) -> None:
+    """Connect to the database, and leave. Raises StoreError."""
+    require_driver()
+    from app.database.postgresql.connection import connect
+    from app.database.postgresql.words import in_words
+
+    with in_words(store.shown):
+        connect(store, MAIN).close()
 
 
 def main_presence(store: StoreSettings, file: Path) -> Presence:

@@ -18,6 +18,7 @@ from app.errors import Problem
 from app.messages.languages import Languages
 from app.notification.acknowledge_link import acknowledge_link, check_link
 from app.notification.acts import SEND_TEST
+from app.notification.away import AwayNotification
 from app.notification.compose import Composer
 from app.notification.dispatcher import Dispatcher
 from app.notification.endpoints import EndpointKind, NotificationPlan
@@ -82,12 +83,14 @@ class Notification:
             self.store, events, settings.notify.maintenance, zone, self.buses, clock
         )
         self.local_time = local_time
+        self.events = events
         self._clock = clock
         self._key = b""
         language = languages[settings.site.language]
         formats = Formats(language.locale, settings.site.zone)
         composer = Composer(settings.site.name, language, formats, self._link)
         senders = Senders(settings.notify.smtp, composer)
+        self.away = AwayNotification(self.plan, senders, events, clock)
         self.dispatcher = Dispatcher(self.plan, self.outbox, senders, events, failing, local_time, clock)
 
     async def load(self) -> None:

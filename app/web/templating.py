@@ -26,9 +26,10 @@ from app.web.services import service_of
 @dataclass(frozen=True, slots=True)
 class PageHead:
     """What the head of a page shows from its first paint, before a script has run. ``alarms``: the fields of
-    the alarms in the language of a reader."""
+    the alarms in the language of a reader; ``away``: that the database is away, empty while it is there."""
 
     alarms: Callable[[Language], Mapping[str, Any]]
+    away: Callable[[Language], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +65,9 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path``, ``head_alarms()``, ``has_lines()``, ``home_server()`` and ``may()``,
-    whether the person may send a command or perform an act, by its name. ``kept_in``: where they stay
-    compiled from one start to the next."""
+    ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``, ``has_lines()``, ``home_server()``
+    and ``may()``, whether the person may send a command or perform an act, by its name. ``kept_in``: where
+    they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -168,6 +169,7 @@ def render(
         "has_lines": lambda: service_of(request, PageFleet).has_lines(),
         "home_server": lambda: service_of(request, PageFleet).server,
         "head_alarms": lambda: service_of(request, PageHead).alarms(language),
+        "head_away": lambda: service_of(request, PageHead).away(language),
         **context,
     }
     html = templates.text(language.tag, name, **context)

@@ -9,6 +9,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings
 from app.alarms.store import AlarmStore
+from app.audit.log import EventLog
 from app.database import Database
 from app.live.state.bus_live import LiveState
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
@@ -34,7 +35,8 @@ class AlarmBus:
         self.step_s = 0.0
         self.drifted: set[int] = set()
         self.left_control: Callable[[], Message | None] = lambda: None
-        self.store = AlarmStore(database)
+        self.events = EventLog(database)
+        self.store = AlarmStore(database, self.events)
         settings = [
             AlarmSettings(**{"name": f"Own {i}", "bus": BUS, "unit": 1, **o}) for i, o in enumerate(own)
         ]

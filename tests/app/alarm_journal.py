@@ -8,6 +8,7 @@ from pathlib import Path
 
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.store import AlarmStore
+from app.audit.log import EventLog
 from app.database import Database
 from bus.instants import UnixTime
 from tests.stores import open_store
@@ -21,7 +22,7 @@ class Journal:
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self.store = AlarmStore(database)
+        self.store = AlarmStore(database, EventLog(database))
         self.spans = [ObservedSpan(UnixTime(T), UnixTime(T + 1800))]
 
     def observed(self) -> list[ObservedSpan]:

@@ -29,6 +29,7 @@ from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
 from app.commands.service.record import CommandRecord
+from app.database import Database
 from app.feed.bus_feed import BusFeed
 from app.feed.channel import Channel
 from app.feed.socket import router as feed_router
@@ -71,6 +72,7 @@ from bus.contract import (
 )
 from bus.messages import term
 from bus.settings import BusSettings, UnitSettings
+from tests.app.away_store import AwayDatabase, event_log
 from tests.app.played_rights import PlayedRights
 from tests.app.played_site import PlayedHomes
 from tests.app.played_sources import NoAlarms, NoGoldenSets, NoLines, NoRecipes
@@ -216,10 +218,17 @@ class Stage:
     """Everything between the browser and the worker. ``http`` sends requests as a role."""
 
     def __init__(
-        self, folder: Path, settings: BusSettings, *, control: bool = False, missed_ticks: int = 1000
+        self,
+        folder: Path,
+        settings: BusSettings,
+        *,
+        control: bool = False,
+        missed_ticks: int = 1000,
+        may_be_away: bool = False,
     ) -> None:
-        self.database = open_store(folder / "lineside.db")
-        self.events = EventLog(self.database)
+        self.away = AwayDatabase(folder / "lineside.db") if may_be_away else None
+        self.database: Database = self.away or open_store(folder / "lineside.db")
+        self.events = event_log(self.away, folder) if self.away else EventLog(self.database)
         self.live = LiveState([settings], time.time())
         self.history = History()
         self.skipped_s = 0.0
@@ -356,10 +365,21 @@ class _ByHeader:
 
 @asynccontextmanager
 async def staged(
-    folder: Path, *, control: bool = False, missed_ticks: int = 1000, **bus: Any
+    folder: Path,
+    *,
+    control: bool = False,
+    missed_ticks: int = 1000,
+    may_be_away: bool = False,
+    **bus: Any,
 ) -> AsyncIterator[Stage]:
-    """The stage, served on a free port."""
-    stage = Stage(folder, bus_settings(**bus), control=control, missed_ticks=missed_ticks)
+    """The stage, served on a free port. ``may_be_away``: its store is one over a network."""
+    stage = Stage(
+        folder,
+        bus_settings(**bus),
+        control=control,
+        missed_ticks=missed_ticks,
+        may_be_away=may_be_away,
+    )
     await stage.guards.load()
     config = uvicorn.Config(
         _ByHeader(stage.app), port=0, lifespan="off", log_level="critical", ws="websockets-sansio"

@@ -19,7 +19,6 @@ from app.alarms.acts import (
 )
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.site_alarms import SiteAlarms
-from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.database import Database
 from app.errors import Problem
@@ -39,7 +38,7 @@ class ActiveAlarm:
         self.bus = AlarmBus(database)
         self.bus.connect()
         self.alarm = self.bus.alarm("1.estop_active")
-        self.events = EventLog(database)
+        self.events = self.bus.events
         site = SiteAlarms({}, self.bus.store, lambda: UnixTime(self.bus.now))
         self.alarms = LineAlarms({BUS: self.bus.alarms}, site, self.bus.store, self.events, self.clock)
         self.bus.now += 1

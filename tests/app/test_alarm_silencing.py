@@ -8,7 +8,6 @@ import pytest
 
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.site_alarms import SiteAlarms
-from app.audit.log import EventLog
 from app.database import Database
 from app.errors import StoreError
 from app.web.access import Person, Role
@@ -27,7 +26,7 @@ class StandingAlarms:
         self.bus = AlarmBus(database, units=UNITS)
         self.bus.connect()
         site = SiteAlarms({}, self.bus.store, lambda: UnixTime(self.bus.now))
-        events = EventLog(database)
+        events = self.bus.events
         self.alarms = LineAlarms(
             {BUS: self.bus.alarms}, site, self.bus.store, events, lambda: UnixTime(self.bus.now)
         )

@@ -13,6 +13,7 @@ from app.alarms.expiry_watch import ExpiryWatch
 from app.alarms.site_alarms import FailingEndpoints, SiteAlarms, site_conditions
 from app.alarms.store import AlarmStore
 from app.audit.anchoring import AnchorStatus
+from app.audit.log import EventLog
 from app.auth.store import Token
 from app.conditions.catalogue import CONDITIONS
 from app.conditions.of_server import DAY_S, certificate_expires, token_expires
@@ -183,7 +184,7 @@ def test_that_the_clock_was_set_is_an_alarm_with_the_step(database: Database) ->
     now, step = 1000.0, 0.0
     site = SiteAlarms(
         {},
-        AlarmStore(database),
+        AlarmStore(database, EventLog(database)),
         lambda: UnixTime(now + step),
         lambda: now,  # type: ignore
     )
@@ -229,7 +230,7 @@ async def test_the_token_and_the_certificate_that_end_first_are_named(
 
     expiry = ExpiryWatch(stored, [certificate(tmp_path), tmp_path / "none.pem"], lambda: now)
     conditions = site_conditions(lambda: HistoryStatus(), AnchorStatus, FailingEndpoints(), expiry)
-    site = SiteAlarms(conditions, AlarmStore(database))
+    site = SiteAlarms(conditions, AlarmStore(database, EventLog(database)))
     site.tick()
     token, authority = (site.list.alarms[f"_.{code}"] for code in ("token_expiring", "certificate_expiring"))
     assert (token.holds, authority.holds) == (None, None)

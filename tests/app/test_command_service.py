@@ -55,7 +55,7 @@ async def test_the_intent_is_on_disk_before_anything_is_sent(stage: Stage, worke
 async def test_what_cannot_be_written_down_is_not_sent(
     stage: Stage, worker: PlayedWorker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def full(*_: object) -> list[int]:
+    async def full(*_: object, **__: object) -> list[int]:
         raise StoreError(Message.of("system_error", error="the disk is full"))
 
     monkeypatch.setattr(stage.events, "intend_together", full)

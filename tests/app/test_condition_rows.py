@@ -149,6 +149,8 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     "audit_degraded": ([(True,)], [(False,)], NEVER),
     "disk_low": ([("low",), ("scarce",), ("paused",)], [("ok",), ("failed",)], NEVER),
     "notification_failed": ([(True,)], [(False,)], NEVER),
+    "store_unavailable": ([(True,)], [(False,)], NEVER),
+    "break_glass_used": ([(["spare"],)], [([],)], NEVER),
     "clock_stepped": ([(-1.0,)], [(0.0,)], NEVER),
     "certificate_expiring": ([(NOW + 29 * DAY, NOW), (NOW - DAY, NOW)], [(NOW + 31 * DAY, NOW)], NEVER),
     "token_expiring": (

@@ -161,9 +161,10 @@ class Table:
         result = Result("id", now, "verified", read_back=17, units=[UnitOutcome(1, "verified", read_back=17)])
 
         def work(connection: sqlite3.Connection) -> None:
-            idempotency.begin(connection, request, self._ring, now)
-            if ends:
-                idempotency.end(connection, request, without_secret(request.action, result))
+            for part in idempotency.begun(request, self._ring, now):
+                idempotency.write_begun(connection, part.data, False)
+            for part in idempotency.ended(request, without_secret(request.action, result)) if ends else ():
+                idempotency.write_ended(connection, part.data, False)
 
         await self._database.write(work)
 

@@ -227,6 +227,7 @@ def _columns_but_id() -> str:
             "0031_audit_seals.sql",
             "0050_event_messages.sql",
             "0140_audit_chains.sql",
+            "0155_local_log.sql",
         ):
             connection.executescript((MIGRATIONS / step).read_text())
         return ", ".join(row[1] for row in connection.execute("PRAGMA table_info(events)") if row[1] != "id")

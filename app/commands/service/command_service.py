@@ -168,6 +168,7 @@ class CommandService:
             raise controlled(Message.of("nothing_sent", reason=objection))
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
+        self._record.refuse_unlogged(action, self._live)
         context = RuleContext(
             bus=self._live,
             limits=self._guards.limits.of,

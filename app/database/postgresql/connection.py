@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
+from weakref import WeakSet
 
 import psycopg
 from psycopg import RawCursor
@@ -27,6 +31,8 @@ DEFAULTS = {
     "tcp_user_timeout": LOST_MS,
     "application_name": "lineside",
 }
+
+_open: WeakSet[psycopg.Connection[NamedRow]] = WeakSet()
 
 
 class PostgresqlConnection:
@@ -70,6 +76,7 @@ def connect(store: StoreSettings, schema: str, **options: str | int) -> psycopg.
     connection: psycopg.Connection[NamedRow] = psycopg.connect(
         connection_string(store), autocommit=True, row_factory=named_row, context=_Adapted()
     )
+    _open.add(connection)
     try:
         for name, value in session.items():
             connection.execute("SELECT set_config(%s, %s, false)", (name, str(value)))
@@ -77,6 +84,14 @@ def connect(store: StoreSettings, schema: str, **options: str | int) -> psycopg.
         connection.close()
         raise
     return connection
+
+
+def interrupt_all() -> None:
+    """End every wait of this process for a database that does not respond: the process could not end before.
+    Each raises StoreUnavailableError."""
+    for connection in tuple(_open):
+        with suppress(psycopg.Error, OSError), socket.socket(fileno=os.dup(connection.fileno())) as wire:
+            wire.shutdown(socket.SHUT_RDWR)
 
 
 class _Adapted:

@@ -9,9 +9,10 @@ from typing import TypeVar
 
 import psycopg
 
+from app.database.availability import Availability
 from app.database.database import COSTLY_S, Database, Listener, Work
 from app.database.migration import MIGRATIONS
-from app.database.postgresql.connection import PostgresqlConnection, connect, name_of
+from app.database.postgresql.connection import PostgresqlConnection, connect, interrupt_all, name_of
 from app.database.postgresql.listening import Listening
 from app.database.postgresql.migrating import bring_up_to_date, is_unfinished
 from app.database.postgresql.rows import NamedRow
@@ -30,10 +31,17 @@ WRITING = {"idle_in_transaction_session_timeout": 5000, "lock_timeout": 10_000}
 class PostgresqlDatabase(Database):
     """Each thread has its connection, which is opened when it is needed and again where it was lost."""
 
-    def __init__(self, store: StoreSettings, schema: str, migrations: Path = MIGRATIONS) -> None:
+    def __init__(
+        self,
+        store: StoreSettings,
+        schema: str,
+        migrations: Path = MIGRATIONS,
+        availability: Availability | None = None,
+    ) -> None:
         self._store = store
         self._schema = schema
         self.file = None
+        self.availability = availability
         name = name_of(store, schema)
         with in_words(name):
             driver = connect(store, schema, **WRITING)
@@ -63,6 +71,9 @@ class PostgresqlDatabase(Database):
     def listen(self, channel: str, callback: Listener) -> None:
         self._listening.add(channel, callback)
 
+    def interrupt(self) -> None:
+        interrupt_all()
+
     def give_back(self, pages: int) -> None:
         """PostgreSQL vacuums on its own."""
 
@@ -80,6 +91,8 @@ class PostgresqlDatabase(Database):
         driver: Driver | None = getattr(self._local, kind, None)
         if driver is None or not is_usable(driver):
             if driver is not None:
+                # Before the next one, which may fail.
+                setattr(self._local, kind, None)
                 self._opened.remove(driver)
                 driver.close()
             driver = self._connect(default_transaction_read_only="on", **options)

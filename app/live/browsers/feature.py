@@ -9,7 +9,9 @@ from app.alarms.banner import AlarmBanner
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.shown import alarm_json
 from app.audit.anchoring import Anchoring, anchor_notice
+from app.audit.local_log.notice import away_notice
 from app.commands.safeguards.service import Safeguards
+from app.database.availability import Availability
 from app.database.reserve import Reserve
 from app.feature import Feature, Services
 from app.feed.bus_feed import BusFeed
@@ -63,7 +65,13 @@ def _make_sources(services: Services) -> Sources:
         notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
         is_elsewhere=services[SiteServers].is_elsewhere,
+        away=partial(_away, services[Availability]),
     )
+
+
+def _away(availability: Availability, translator: Translator, now: UnixTime) -> str:
+    notice = away_notice(availability, translator.formats, now)
+    return "" if notice is None else translator.t(notice)
 
 
 def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:

@@ -26,7 +26,7 @@ from app.live.state.bus_live import Audience, LiveState, changed_by
 from app.web.templating import Templates
 from bus.bucket import Bucket
 from bus.contract import BusFigures, Frame, Frames, Progress, Update
-from bus.instants import Clock, monotonic_now
+from bus.instants import Clock, UnixTime, monotonic_now
 
 HEARTBEAT_S = 1.0
 MINUTE_S = 60.0
@@ -93,9 +93,16 @@ class Hub:
             # event loop milliseconds, and some hundred may open at once.
             now = self._clock()
             screen.refresh(now)
-            screen.put(LINE_GROUP, {"memory": self._sources.notices(screen.translator, now)})
+            screen.put(LINE_GROUP, self._faults(screen.translator, now))
             screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
         return screen
+
+    def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
+        """Faults of the records, and that the database is away."""
+        return {
+            "memory": self._sources.notices(translator, now),
+            "away": self._sources.away(translator, now),
+        }
 
     def _new_screen(self, language: str) -> Screen:
         translator = Translator(self._templates.languages[language], self._templates.formats(language))
@@ -181,8 +188,8 @@ class Hub:
                 for bus, guards in self._sources.guards.items()
                 if not self._sources.is_elsewhere(bus)
             }
-            notices = self._sources.notices(screen.translator, now)
-            totals = {"holder": holders(held_by, screen.translator), "memory": notices}
+            faults = self._faults(screen.translator, now)
+            totals = {"holder": holders(held_by, screen.translator), **faults}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
             groups = merge_groups(screen.settle(now), screen.put(LINE_GROUP, totals), *held_fields)
             broadcast.publish(groups, always=True)

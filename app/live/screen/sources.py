@@ -91,7 +91,7 @@ class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
     is stored, None while it is; ``is_elsewhere``: whether another server is the home of a bus, whose state is
-    not known here."""
+    not known here; ``away``: that the database is away, for the head of every page; empty while it is not."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -101,3 +101,4 @@ class Sources:
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
     is_elsewhere: Callable[[str], bool] = _nowhere
+    away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""

@@ -1,0 +1,106 @@
+"""Alarms of the time without the database: in the journal once and in order, and notified once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from app.alarms.acts import ACKNOWLEDGE
+from app.alarms.bus_alarms import BusAlarms
+from app.alarms.line_alarms import LineAlarms
+from app.notification.notifier import AlarmNotifier
+from app.notification.service import Notification
+from app.web.access import Person, Role
+from tests.app.away_store import AwayDatabase, away_house
+from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mail_server, receiver
+from tests.app.played_line import BUS, played_line
+from tests.app.test_notification_path import Path_, notify
+
+ANNA = Person("anna", Role.OPERATOR, "demo")
+
+
+@asynccontextmanager
+async def running(
+    folder: Path, mail: PlayedMailServer, hooks: PlayedReceiver
+) -> AsyncIterator[tuple[Path_, AwayDatabase]]:
+    async with away_house(folder, notify=notify(mail, hooks, folder)) as (house, database):
+        await played_line(house.services)
+        house.services.buses[BUS][BusAlarms].tick()
+        path = Path_(house, mail, hooks)
+        await path.advance()
+        yield path, database
+        if database.is_away:
+            await database.come_back()
+
+
+@pytest.fixture
+async def servers() -> AsyncIterator[tuple[PlayedMailServer, PlayedReceiver]]:
+    async with mail_server() as mail, receiver() as hooks:
+        yield mail, hooks
+
+
+async def transitions(path: Path_) -> list[tuple[str, str]]:
+    found = await path.house.services[LineAlarms].store.journal(50, alarm=f"{BUS}.1.estop_active")
+    return [(entry.trigger, entry.after) for entry in reversed(found)]
+
+
+async def test_an_alarm_of_the_time_without_the_database(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    async with running(tmp_path, *servers) as (path, database):
+        alarms = path.house.services[LineAlarms]
+        database.leave()
+        await path.estop(active=True)
+        assert (await path.mail.mail())["Subject"] == "urgent: Unwind · Emergency stop"
+        assert (await path.hooks.body())["alarm"]["code"] == "estop_active"
+        [alarm] = [each for each in alarms.present() if each.definition.code == "estop_active"]
+        await alarms.act(ANNA, ACKNOWLEDGE, alarm.id)
+        assert alarm.facts.state == "ack_active"
+        await path.estop(active=False)
+        assert (await path.hooks.body(2))["kind"] == "clear"
+        assert "cleared" in str((await path.mail.mail(2))["Subject"]).lower()
+        await _sent(path)
+        await database.come_back()
+        assert await transitions(path) == [
+            ("rise", "unack_active"),
+            ("acknowledge", "ack_active"),
+            ("clear", "normal"),
+        ]
+        [event] = await path.house.events("alarm")
+        assert (event["who"], event["entered_at"] is not None) == ("anna", True)
+        await path.advance()
+        await path.advance()
+        notification = path.house.services[Notification]
+        assert await notification.outbox.waiting() == {}, "what was sent is not sent again"
+        states = [each.state for each in await notification.outbox.deliveries(50, None)]
+        assert states == ["delivered"] * 4
+
+
+async def test_an_alarm_that_stands_is_not_notified_again_after_a_restart(
+    tmp_path: Path, servers: tuple[PlayedMailServer, PlayedReceiver]
+) -> None:
+    mail, hooks = servers
+    async with running(tmp_path, *servers) as (path, database):
+        database.leave()
+        await path.estop(active=True)
+        await mail.mail()
+        await hooks.body()
+        await _sent(path)
+    # The server has ended without the database; the next one brings all of it there first.
+    async with away_house(tmp_path, notify=notify(mail, hooks, tmp_path)) as (house, _):
+        notifier = house.services.buses[BUS][AlarmNotifier]
+        await notifier.advance()
+        await notifier.notify_standing()
+        notification = house.services[Notification]
+        assert await notification.outbox.waiting() == {}
+        assert len(await notification.outbox.deliveries(50, None)) == 2
+
+
+async def _sent(path: Path_) -> None:
+    async with asyncio.timeout(20):
+        for task in tuple(path.house.services[Notification].away._serving):
+            await task
