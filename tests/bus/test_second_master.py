@@ -6,7 +6,7 @@ import asyncio
 
 from bus.contract import BusFigures, SetLine, SetSpeed
 from bus.instants import Monotonic
-from bus.line.statistics.second_master import CLEAR_AFTER_S, SecondMaster
+from bus.line.statistics.second_master import CLEAR_AFTER_S, MAX_OUTSTANDING, SecondMaster
 from bus.settings import Dialect
 from bus.wire.framing import encode_frame
 from tests.bus.virtual_line import VirtualLine, run
@@ -25,6 +25,21 @@ def test_three_within_two_seconds_are_another_host_and_ten_seconds_without_are_i
     host.note(Monotonic(9.0))
     assert host.is_present(Monotonic(9.0 + CLEAR_AFTER_S - 0.1))
     assert not host.is_present(Monotonic(9.0 + CLEAR_AFTER_S))
+
+
+def test_a_request_explains_one_response_and_the_newest_is_awaited() -> None:
+    host = SecondMaster()
+    assert not host.explains(2, is_requested=False)
+    for _ in range(2):
+        host.requested(2)
+    assert host.explains(2, is_requested=True), "the late response to the first"
+    assert not host.explains(2, is_requested=True), "one response too many"
+    assert not host.explains(3, is_requested=False)
+    host.responded(2)
+    assert not host.explains(2, is_requested=False)
+    for _ in range(100):
+        host.requested(2)
+    assert sum(host.explains(2, is_requested=False) for _ in range(100)) == MAX_OUTSTANDING, "it was off"
 
 
 async def respond_to_another(line: VirtualLine) -> None:

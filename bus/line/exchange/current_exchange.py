@@ -24,6 +24,8 @@ class CurrentExchange(msgspec.Struct):
     """Whether the response came alone, at a time at which it is expected."""
     garbled: bool = False
     unexpected: bool = False
+    unrequested: bool = False
+    """Whether a unit responded to what this host has not requested."""
     late: int = 0
     overdue: tuple[int, ...] = ()
 

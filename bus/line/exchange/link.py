@@ -198,8 +198,10 @@ class Link:
 
     def _count(self, ended: CurrentExchange) -> None:
         exchange = ended.exchange
-        if ended.unexpected and exchange.reply is not None:
-            self.second_master.note(ended.ended)
+        if exchange.reply is not None:
+            self.second_master.responded(exchange.request.unit)
+            if ended.unrequested:
+                self.second_master.note(ended.ended)
         self.counts.busy_s += self._least_s(exchange)
         if exchange.reply is not None:
             self._last_response = exchange.frame
@@ -247,6 +249,7 @@ class Link:
         longest_s = longest_reply_bytes(exchange.request, exchange.dialect) * self._byte_s
         last_moment = window_ends + (longest_s + MARGIN_S if has_response else 0.0)
         self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
+        self.second_master.requested(exchange.request.unit)
         self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
 
@@ -277,16 +280,28 @@ class Link:
                 self.counts.echoes += 1
             case Duplicate() | Late():
                 self._count_late(addressed)
+                self.second_master.responded(addressed)
                 if self._current is not None:
                     self._current.late += 1
             case Foreign() if self._is_another_s_late(event):
                 self._count_late(event.unit)
+                self.second_master.responded(event.unit)
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
-                if self._current is None and isinstance(event, Foreign):
-                    self.second_master.note(now)
+                self._judge_sender(event, addressed, now)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
+
+    def _judge_sender(self, event: Unexpected | Foreign, addressed: int, now: Monotonic) -> None:
+        """Note a response that no request of this host explains; beside an exchange once that has ended."""
+        current = self._current
+        unit = event.unit if isinstance(event, Foreign) else addressed
+        if self.second_master.explains(unit, is_requested=current is not None and unit == addressed):
+            return
+        if current is not None:
+            current.unrequested = True
+        elif isinstance(event, Foreign):
+            self.second_master.note(now)
 
     def _is_another_s_late(self, event: Foreign) -> bool:
         """Whether another unit's frame is late: that unit has not responded to an earlier request, or this is
