@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,11 +33,12 @@ PATIENCE_S = 60.0
 
 @dataclass
 class Cluster:
-    """``first`` begins as the primary, ``second`` as its standby. ``folder`` is removed in the end."""
+    """``first`` begins as the primary, ``second`` as its standby."""
 
-    folder: Path
     first: Machine
     second: Machine
+    folder: Path = field(default_factory=lambda: Path(tempfile.mkdtemp(prefix="lineside-campaign-")))
+    """Not a folder of pytest, which other users may not enter. ``close`` removes it."""
     running: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     @property
@@ -45,7 +47,6 @@ class Cluster:
 
     def start(self) -> None:
         """Make both and wait until they replicate."""
-        self.folder.mkdir(mode=0o755)
         shutil.chown(self.folder, "postgres")
         data = self._data(self.first)
         self._as_postgres(self.first, "initdb", "--no-sync", "--auth=trust", "-D", data)
@@ -61,6 +62,10 @@ class Cluster:
         self._configure(self.first, standby="*")
         self._sql("SELECT pg_reload_conf()")
         self.wait_until_synchronous()
+
+    def close(self) -> None:
+        """Remove what it kept, once nothing of it runs."""
+        shutil.rmtree(self.folder)
 
     def begin(self, machine: Machine) -> None:
         """Start the server of a machine, also after it was killed, and wait until it accepts connections."""

@@ -59,6 +59,7 @@ class Campaign:
     def run(self, count: int) -> int:
         """Run ``count`` faults; return the exit code of the checker."""
         with ExitStack() as opened:
+            opened.callback(lambda: self.cluster and self.cluster.close())
             opened.enter_context(self.network)
             self._start()
             begun = time.monotonic()
@@ -76,7 +77,7 @@ class Campaign:
         self.device = Device(self.folder, self.machine("device"))
         self.device.start(self.seed)
         if self.servers > 1:
-            self.cluster = Cluster(self.folder / "postgresql", self.machine("db-1"), self.machine("db-2"))
+            self.cluster = Cluster(self.machine("db-1"), self.machine("db-2"))
             self.cluster.start()
         store = self.cluster.url if self.cluster else ""
         for name in sorted(SERVERS)[: self.servers]:
