@@ -14,7 +14,7 @@ from typing import Any
 
 SUBNET = "10.77.0"
 NOWHERE = "02:00:00:00:00:01"
-"""A hardware address that no machine has: what is sent there is lost, and nobody is told."""
+"""A hardware address that no machine has: what is sent there is lost without a notice."""
 
 
 def unusable() -> str:

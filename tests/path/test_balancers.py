@@ -31,7 +31,7 @@ DRY, WET = "dry-end", "wet-end"
 
 
 class _Named(BaseHTTPRequestHandler):
-    """Responds with the name of its server and with what it was told of the client."""
+    """Responds with the name of its server and with what it learned of the client."""
 
     protocol_version = "HTTP/1.1"
 
@@ -40,8 +40,8 @@ class _Named(BaseHTTPRequestHandler):
             return self._upgrade()
         if self.path.startswith("/api/v1/stream"):
             return self._stream()
-        told = [self.headers[f"X-Forwarded-{name}"] for name in ("Host", "Proto", "For")]
-        body = "|".join([self.server.name, *map(str, told)]).encode()  # type: ignore[attr-defined]
+        learned = [self.headers[f"X-Forwarded-{name}"] for name in ("Host", "Proto", "For")]
+        body = "|".join([self.server.name, *map(str, learned)]).encode()  # type: ignore[attr-defined]
         self.send_response(200)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
@@ -182,9 +182,9 @@ def test_a_request_goes_to_the_home_of_its_bus_or_of_its_cookie(folder: Path, na
         for server in ("app-1", "app-2"):
             assert _name(client, "/alarms", cookie=f"a=b; lineside_home={server}") == server
         assert _name(client, "/bus/dry-end-2", cookie="lineside_home=app-2") == "app-2"
-        told = client.get(f"/bus/{WET}", headers={"X-Forwarded-For": "10.9.9.9"}).text.split("|")
-        assert told[1:3] == [str(client.base_url.netloc, "ascii"), "https"]
-        assert "10.9.9.9" not in told[3]
+        learned = client.get(f"/bus/{WET}", headers={"X-Forwarded-For": "10.9.9.9"}).text.split("|")
+        assert learned[1:3] == [str(client.base_url.netloc, "ascii"), "https"]
+        assert "10.9.9.9" not in learned[3]
         _streams_and_sockets_pass(client)
         servers[0].end()
         eventually(lambda: _name(client, f"/bus/{DRY}") == "app-2", "the other server takes the requests")
