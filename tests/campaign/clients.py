@@ -72,7 +72,7 @@ class Clients:
             if response.status_code == 200:
                 key, _, occurrence = alarm["id"].rpartition(".")
                 row = {"alarm": key, "occurrence": int(occurrence), "trigger": "acknowledge"}
-                self.write("acknowledged", **row, after="ack_active")
+                self.write("acknowledged", **row, after="")
 
     async def _look(self, url: str) -> None:
         """A unit with a value that is live, by the age that the server states: its clock may be wrong."""

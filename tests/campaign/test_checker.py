@@ -55,7 +55,7 @@ def good() -> Logs:
     journal = {"bus": "line", "alarm": "line/1.deviation", "occurrence": 1}
     logs["clients"] = [
         command(),
-        {"kind": "acknowledged", **journal, "trigger": "acknowledge", "after": "ack_active"},
+        {"kind": "acknowledged", **journal, "trigger": "acknowledge", "after": ""},
         {"kind": "transition", **journal, "trigger": "rise", "after": "unack_active"},
         {"kind": "live", "at": 107.2, "read_at": 107.1, "bus": "line", "server": "app-2"},
     ]

@@ -9,6 +9,8 @@ from typing import Any
 
 from tests.campaign.checker.records import JournalRow
 
+SCHEMA = "main"
+"""Where PostgreSQL has these tables."""
 COMMANDS = """
 SELECT e.unit, e.new_raw, COALESCE(f.outcome, e.outcome) FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.kind = 'command' AND e.about IS NULL AND e.new_raw IS NOT NULL AND e.bus = '{bus}'
@@ -21,7 +23,7 @@ def query(store: str, statement: str) -> Sequence[tuple[Any, ...]]:
     if store.startswith("postgresql://"):
         import psycopg
 
-        with psycopg.connect(store) as connection:
+        with psycopg.connect(store, options=f"-c search_path={SCHEMA}") as connection:
             return connection.execute(statement.encode()).fetchall()
     return sqlite3.connect(f"file:{store}?mode=ro", uri=True).execute(statement).fetchall()
 
