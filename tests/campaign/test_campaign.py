@@ -64,7 +64,6 @@ def test_one_server_keeps_what_it_acknowledged(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("seed", [1, 2])
-def test_two_servers_keep_what_they_acknowledged(tmp_path: Path, seed: int) -> None:
+def test_two_servers_keep_what_they_acknowledged(tmp_path: Path) -> None:
     unpacked.program("ser2net")
-    assert Campaign(tmp_path, seed=seed).run(50) == 0
+    assert Campaign(tmp_path, seed=1).run(50) == 0
