@@ -24,8 +24,10 @@ TIMEOUT_S = 2.0
 """How long a command may wait to be sent: what the API takes where nothing else is given."""
 CALL_S = 8.0
 MAX_RAW = 1999
-WORD_OF_SERVER = {"verified", "acknowledged", "refused", "unverified", "not_sent", "bus_closed"}
+OUTCOMES = {"verified", "acknowledged", "refused", "unverified", "not_sent", "bus_closed"}
 FROM_A_PROXY = (502, 504)
+UNKNOWN_AT_HOME = "home_silent_unverified"
+"""The server that passed the command on had no response of the home, which may have got it or not."""
 
 
 class Clients:
@@ -55,13 +57,13 @@ class Clients:
     async def _set_speed(self) -> None:
         """One speed that no other command has, to one unit, on any server."""
         unit, raw = next(self._next)
-        began, outcome = time.time(), None
+        began, outcome, reason = time.time(), None, ""
         url = f"{random.choice(self._urls)}/api/v1/buses/{self._bus}/units/{unit}/speed"
         headers = {"Lineside-Sent-At": _instant(began), "Idempotency-Key": uuid4().hex}
         with suppress(httpx.HTTPError):
-            outcome = _outcome(await self._client.post(url, json={"raw": raw}, headers=headers))
+            outcome, reason = _outcome(await self._client.post(url, json={"raw": raw}, headers=headers))
         row = {"sent_at": began, "responded_at": time.time(), "unit": unit, "raw": raw}
-        self.write("command", **row, timeout_s=TIMEOUT_S, outcome=outcome)
+        self.write("command", **row, timeout_s=TIMEOUT_S, outcome=outcome, reason=reason)
 
     async def _acknowledge(self) -> None:
         """Every alarm that waits for it."""
@@ -120,16 +122,19 @@ def _unused(units: int) -> Iterator[tuple[int, int]]:
     return iter(pairs)
 
 
-def _outcome(response: httpx.Response) -> str | None:
-    """The outcome as the server states it; every other refusal is ``refused_here``, unless a proxy may have
-    passed the command on before it lost the server."""
+def _outcome(response: httpx.Response) -> tuple[str | None, str]:
+    """The outcome as the home of the bus states it, and why; None: it did not state one.
+
+    Every other refusal is ``refused_here``.
+    """
     try:
-        code = response.json().get("code")
+        body = response.json()
     except json.JSONDecodeError:
-        return None
-    if code in WORD_OF_SERVER:
-        return str(code)
-    return None if response.status_code in FROM_A_PROXY else "refused_here"
+        return None, ""
+    code, reason = body.get("code"), body.get("reason", "")
+    if reason == UNKNOWN_AT_HOME or (code not in OUTCOMES and response.status_code in FROM_A_PROXY):
+        return None, reason
+    return (code if code in OUTCOMES else "refused_here"), reason
 
 
 def _instant(at: float) -> str:

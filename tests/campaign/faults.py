@@ -8,29 +8,25 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["kill", "stop", "kill_worker", "stop_worker", "cut", "separate", "clock"]
-SETTLE_S = 6.0
-"""Least time after a fault until the next."""
+SETTLE_S = 8.0
+"""Least time after a fault until the next: a server that is back has watched a lease for five seconds."""
 TAKE_OVER_S = 14.0
 """How long a server is gone whose lines another has to take over within ten seconds."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """``kind`` happens to ``target`` at ``at`` (seconds of the campaign) and ends ``lasts_s`` later.
+    """``kind`` happens to ``target`` for ``lasts_s``, once the fault before it has been over for ``after_s``.
 
     ``other``: from which machine ``separate`` separates it. ``step_s``: how far ``clock`` moves its clock.
     """
 
-    at: float
+    after_s: float
     kind: Kind
     target: str
     lasts_s: float
     other: str = ""
     step_s: float = 0.0
-
-    @property
-    def ends(self) -> float:
-        return self.at + self.lasts_s
 
     @property
     def takes_a_holder(self) -> bool:
@@ -65,20 +61,17 @@ _SEPARATED_FROM = frozenset(("db-1", "device", "app-1", "app-2"))
 def schedule(seed: int, count: int, machines: frozenset[str]) -> Iterator[Fault]:
     """``count`` faults of these machines, one after the other; the same seed gives the same ones."""
     chance = random.Random(seed)
-    at = SETTLE_S
     choices = [choice for choice in _CHOICES if machines & choice[2]]
     weights = [weight for weight, *_ in choices]
     for _ in range(count):
         ((_, kind, targets, lasts),) = chance.choices(choices, weights)
         target = chance.choice(sorted(targets & machines))
         others = sorted(_SEPARATED_FROM & machines - {target}) if kind == "separate" else [""]
-        fault = Fault(
-            round(at, 2),
+        yield Fault(
+            round(chance.uniform(SETTLE_S, 1.5 * SETTLE_S), 2),
             kind,
             target,
             round(chance.uniform(*lasts), 2),
             chance.choice(others),
             chance.choice((-3600.0, -40.0, -3.0, 3.0, 40.0, 3600.0)) if kind == "clock" else 0.0,
         )
-        yield fault
-        at = fault.ends + chance.uniform(SETTLE_S, 2 * SETTLE_S)

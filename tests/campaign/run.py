@@ -62,9 +62,8 @@ class Campaign:
             opened.callback(lambda: self.cluster and self.cluster.close())
             opened.enter_context(self.network)
             self._start()
-            begun = time.monotonic()
             for fault in schedule(self.seed, count, frozenset(self.network.machines)):
-                time.sleep(max(0.0, begun + fault.at - time.monotonic()))
+                time.sleep(fault.after_s)
                 self._inject(fault)
             time.sleep(QUIET_S)
             self.machine("people").signal(signal.SIGTERM)
@@ -163,6 +162,7 @@ class Campaign:
             self.device.start_server()
         elif machine.name in self.apps:
             self.apps[machine.name].start()
+            self.apps[machine.name].wait_until_it_serves()
         elif self.cluster is not None:
             self.cluster.begin(machine)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -21,11 +20,11 @@ def namespaces() -> None:
         pytest.skip(reason)
 
 
-def test_a_seed_gives_one_schedule_without_overlap() -> None:
+def test_a_seed_gives_one_schedule() -> None:
     faults = list(schedule(7, 100, MACHINES))
     assert faults == list(schedule(7, 100, MACHINES))
     assert faults != list(schedule(8, 100, MACHINES))
-    assert all(later.at >= earlier.ends + SETTLE_S - 0.02 for earlier, later in pairwise(faults))
+    assert all(fault.after_s >= SETTLE_S for fault in faults)
     assert len({(fault.kind, fault.target in SERVERS) for fault in faults}) > 8
     assert sum(fault.takes_a_holder for fault in faults) > 10
 

@@ -32,6 +32,7 @@ class SentCommand:
     raw: int
     timeout_s: float
     outcome: str | None
+    reason: str = ""
 
     @property
     def deadline(self) -> float:
