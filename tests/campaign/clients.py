@@ -26,7 +26,7 @@ CALL_S = 8.0
 MAX_RAW = 1999
 OUTCOMES = {"verified", "acknowledged", "refused", "unverified", "not_sent", "bus_closed"}
 FROM_A_PROXY = (502, 504)
-UNKNOWN_AT_HOME = "home_silent_unverified"
+UNKNOWN_AT_HOME = "home_unverified"
 """The server that passed the command on had no response of the home, which may have got it or not."""
 
 
