@@ -26,6 +26,8 @@ PASSWORD = "collect house bakery stable"
 QUIET_S = 15.0
 """After the last fault: what is open concludes."""
 PATIENCE_S = 60.0
+RESUME_S = 0.5
+"""What a process that was halted takes to pass on what has come meanwhile."""
 
 
 @dataclass
@@ -114,8 +116,11 @@ class Campaign:
             url = self.apps[fault.target].url
             self._record(kind="holder_death", bus=BUS, at=time.time(), server=url)
         begin, end = self._acts(fault)
+        begun = time.time()
         begin()
         time.sleep(fault.lasts_s)
+        if (fault.kind, fault.target) == ("stop", "device"):
+            self._record(kind="device_halt", begin=begun, end=time.time() + RESUME_S)
         end()
 
     def _record(self, **row: object) -> None:

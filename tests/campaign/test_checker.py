@@ -112,6 +112,21 @@ def interleaved(logs: Logs) -> None:
     first["data"] = (WRITE[:5] + READ + WRITE[5:]).hex()
 
 
+def held(*, halted: bool = True, late_s: float = 0.0) -> Callable[[Logs], None]:
+    """The write is on the wire six seconds after it came to the device server, ``late_s`` later than good."""
+
+    def forge(logs: Logs) -> None:
+        for row in logs["wire-line"]:
+            row["at"] = max(row["at"], 106.0)
+        for row in logs["connections-line"][:2]:
+            row["at"] += late_s
+        logs["clients"][0]["outcome"] = None
+        if halted:
+            logs["faults"].append({"kind": "device_halt", "begin": 99.0, "end": 106.1})
+
+    return forge
+
+
 FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
     "a frame inside another": (interleaved, "bytes of no frame"),
     "the first writer comes back": (add(*sent(108.0, READ, A)), "writes after"),
@@ -120,6 +135,8 @@ FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
         "no connection carried",
     ),
     "after its deadline": (changed(0, sent_at=90.0), "after its deadline"),
+    "held back without a halt": (held(halted=False), "after its deadline"),
+    "after its deadline, then held back": (held(late_s=5.0), "after its deadline"),
     "too often": (
         add(*(row for n in range(4) for row in sent(100.01 + n / 100, WRITE))),
         "on the wire 5 times",
@@ -146,6 +163,13 @@ def test_a_forged_record_fails(tmp_path: Path, name: str) -> None:
     lines = found(write(tmp_path, logs))
     assert any(expected in line for line in lines), lines
     assert main(str(tmp_path), str(tmp_path / "store.db"), "line") == 1
+
+
+def test_what_a_halted_device_server_held_back_came_in_time(tmp_path: Path) -> None:
+    store(tmp_path)
+    logs = good()
+    held()(logs)
+    assert found(write(tmp_path, logs)) == []
 
 
 def test_an_event_that_the_database_lost_fails(tmp_path: Path) -> None:

@@ -81,6 +81,8 @@ class Records:
     shown: list[JournalRow]
     live: list[LiveValue]
     deaths: list[HolderDeath]
+    halts: list[tuple[float, float]]
+    """When the device server was halted: begin and end."""
 
 
 def lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -115,6 +117,7 @@ def read(folder: Path, bus: str) -> Records:
             for row in lines(folder / FAULTS)
             if row["kind"] == "holder_death" and row["bus"] == bus
         ],
+        [(row["begin"], row["end"]) for row in lines(folder / FAULTS) if row["kind"] == "device_halt"],
     )
 
 

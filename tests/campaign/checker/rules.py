@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from tests.campaign.checker.frames import SET_AND_EXECUTE, Piece, WireFrame, decode
 from tests.campaign.checker.records import HolderDeath, JournalRow, LiveValue, SentCommand
+from tests.campaign.checker.writers import OwnedFrame
 
 MAX_ATTEMPTS = 4
 """The first write and its three retries."""
@@ -17,52 +18,62 @@ NOTHING_SENT = {"not_sent", "bus_closed", "refused_here"}
 """Outcomes after which the wire must not carry the command; ``refused_here``: any refusal before sending."""
 CONCLUDED = {"verified", "acknowledged", "refused", "unverified"}
 """Outcomes that the database must hold, for the command was sent or may have been."""
-Owned = tuple[WireFrame, str | None]
+Span = tuple[float, float]
+"""Begin and end, Unix time."""
 
 
 def commands_on_the_wire(
-    commands: Sequence[SentCommand], frames: Sequence[Owned], slack_s: float
+    commands: Sequence[SentCommand], frames: Sequence[OwnedFrame], halts: Sequence[Span], slack_s: float
 ) -> Iterator[str]:
     """None after its deadline, none more often than a write is retried, none by two writers, none refused.
 
     ``slack_s``: what a frame may take from the worker to the wire: its bytes, the network, the recorder.
+    ``halts``: when the device server stood still, and held back what had arrived in time.
     """
-    sent: dict[tuple[int, int], list[Owned]] = {}
-    for frame, owner in frames:
-        if frame.command == SET_AND_EXECUTE:
-            sent.setdefault((frame.unit, frame.value), []).append((frame, owner))
+    sent: dict[tuple[int, int], list[OwnedFrame]] = {}
+    for owned in frames:
+        if owned.frame.command == SET_AND_EXECUTE:
+            sent.setdefault((owned.frame.unit, owned.frame.value), []).append(owned)
     for command in commands:
         found = sent.get((command.unit, command.raw), [])
         name = f"unit {command.unit} = {command.raw}"
-        for frame, _ in found:
-            if frame.began > command.deadline + slack_s:
-                yield f"{frame.began:.3f}: {name} {frame.began - command.deadline:.3f} s after its deadline"
+        for owned in found:
+            late_s = owned.frame.began - command.deadline
+            if late_s > slack_s and not is_held(owned, command.deadline + slack_s, halts):
+                yield f"{owned.frame.began:.3f}: {name} {late_s:.3f} s after its deadline"
         if len(found) > MAX_ATTEMPTS:
-            yield f"{found[-1][0].began:.3f}: {name} on the wire {len(found)} times"
-        if len({owner for _, owner in found}) > 1:
-            yield f"{found[-1][0].began:.3f}: {name} written by two connections"
+            yield f"{found[-1].frame.began:.3f}: {name} on the wire {len(found)} times"
+        if len({owned.owner for owned in found}) > 1:
+            yield f"{found[-1].frame.began:.3f}: {name} written by two connections"
         if found and command.outcome in NOTHING_SENT:
-            yield f"{found[0][0].began:.3f}: {name} on the wire, reported as {command.outcome}"
+            yield f"{found[0].frame.began:.3f}: {name} on the wire, reported as {command.outcome}"
 
 
-def latest_s(commands: Iterable[SentCommand], frames: Sequence[Owned]) -> float | None:
-    """How long before (negative) or after its deadline the latest command was on the wire; None of none."""
+def is_held(owned: OwnedFrame, limit: float, halts: Iterable[Span]) -> bool:
+    """Whether a frame that came to the device server by ``limit`` was held there, for it was halted then."""
+    return owned.arrived <= limit and any(
+        begin <= owned.frame.began and owned.arrived <= end for begin, end in halts
+    )
+
+
+def latest_s(commands: Iterable[SentCommand], frames: Sequence[OwnedFrame]) -> float | None:
+    """How long before (negative) or after its deadline the latest command left for the wire; None of none."""
     deadlines = {(command.unit, command.raw): command.deadline for command in commands}
     return max(
         (
-            frame.began - deadlines[frame.unit, frame.value]
-            for frame, _ in frames
-            if frame.command == SET_AND_EXECUTE and (frame.unit, frame.value) in deadlines
+            owned.arrived - deadlines[owned.frame.unit, owned.frame.value]
+            for owned in frames
+            if owned.frame.command == SET_AND_EXECUTE and (owned.frame.unit, owned.frame.value) in deadlines
         ),
         default=None,
     )
 
 
 def verified_commands(
-    commands: Iterable[SentCommand], frames: Sequence[Owned], responses: Iterable[Piece]
+    commands: Iterable[SentCommand], frames: Sequence[OwnedFrame], responses: Iterable[Piece]
 ) -> Iterator[str]:
     """A verified one was shown by its unit after it was written, before that was reported."""
-    writes = [frame for frame, _ in frames if frame.command == SET_AND_EXECUTE]
+    writes = [owned.frame for owned in frames if owned.frame.command == SET_AND_EXECUTE]
     shown = [item for item in decode(responses) if isinstance(item, WireFrame) and item.commanded is not None]
     times = [item.ended for item in shown]
     for command in commands:

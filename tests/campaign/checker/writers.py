@@ -30,11 +30,20 @@ class _Writer:
         return None
 
 
+@dataclass(frozen=True)
+class OwnedFrame:
+    """A frame of the wire with its connection, and when it arrived on it; "": no connection carried it."""
+
+    frame: WireFrame
+    owner: str
+    arrived: float
+
+
 @dataclass
 class Ownership:
-    """Each frame of the wire with its connection (None: no connection carried it), and what is wrong."""
+    """Each frame of the wire with its connection, and what is wrong."""
 
-    owners: list[tuple[WireFrame, str | None]] = field(default_factory=list)
+    owners: list[OwnedFrame] = field(default_factory=list)
     violations: list[str] = field(default_factory=list)
 
 
@@ -47,9 +56,10 @@ def attribute(requests: Iterable[Piece], connections: Mapping[str, list[Piece]])
         if isinstance(item, Stray):
             result.violations.append(f"{item.at:.3f}: bytes of no frame on the wire: {item.data.hex(' ')}")
             continue
-        owner = _owner(item, writers, current)
-        result.owners.append((item, owner))
-        if owner is None:
+        owned = _owned(item, writers, current)
+        owner = owned.owner
+        result.owners.append(owned)
+        if not owner:
             result.violations.append(f"{item.ended:.3f}: no connection carried {item.body.hex(' ')}")
         elif owner != current:
             if owner in ended:
@@ -59,16 +69,16 @@ def attribute(requests: Iterable[Piece], connections: Mapping[str, list[Piece]])
     return result
 
 
-def _owner(item: WireFrame, writers: Mapping[str, _Writer], current: str) -> str | None:
-    """The one that writes now where it sent this frame, else the one that sent it last."""
+def _owned(item: WireFrame, writers: Mapping[str, _Writer], current: str) -> OwnedFrame:
+    """By the one that writes now where it sent this frame, else by the one that sent it last."""
     found = {peer: place for peer, writer in writers.items() if (place := writer.find(item)) is not None}
     if not found:
-        return None
+        return OwnedFrame(item, "", item.began)
     peer = (
         current if current in found else max(found, key=lambda peer: writers[peer].frames[found[peer]].began)
     )
     writers[peer].place = found[peer] + 1
-    return peer
+    return OwnedFrame(item, peer, writers[peer].frames[found[peer]].began)
 
 
 def _frames(pieces: list[Piece]) -> Iterator[WireFrame]:
