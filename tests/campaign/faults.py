@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["kill", "stop", "kill_worker", "stop_worker", "cut", "separate", "clock"]
+Kind = Literal["kill", "stop", "kill_worker", "stop_worker", "cut", "separate", "clock", "fail_over"]
 SETTLE_S = 8.0
 """Least time after a fault until the next: a server that is back has watched a lease for five seconds."""
 TAKE_OVER_S = 14.0
@@ -19,6 +19,7 @@ class Fault:
     """``kind`` happens to ``target`` for ``lasts_s``, once the fault before it has been over for ``after_s``.
 
     ``other``: from which machine ``separate`` separates it. ``step_s``: how far ``clock`` moves its clock.
+    ``fail_over`` is of the machine that has the primary database then.
     """
 
     after_s: float
@@ -50,6 +51,7 @@ _CHOICES: tuple[tuple[int, Kind, frozenset[str], tuple[float, float]], ...] = (
     (1, "stop", DEVICE, SHORT),
     (1, "kill", FIRST, SHORT),
     (1, "stop", FIRST, SHORT),
+    (1, "fail_over", FIRST, SHORT),
     (1, "cut", FIRST, SHORT),
     (1, "kill", STANDBY, SHORT),
     (1, "cut", STANDBY, SHORT),

@@ -147,6 +147,8 @@ class Campaign:
                     lambda: signal_all(stopped, signal.SIGSTOP),
                     lambda: signal_all(stopped, signal.SIGCONT),
                 )
+            case "fail_over" if self.cluster:
+                return self.cluster.fail_over, self.cluster.add_standby
             case "kill":
                 return lambda: self._signal(machine, signal.SIGKILL), lambda: self._begin_again(machine)
             case _:
