@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.database.settings import StoreSettings
+from tests.postgresql import binaries
 
-PROGRAMS = Path("/usr/lib/postgresql")
 USER = "lineside"
 START_S = 30.0
 TICKS_A_SECOND = os.sysconf("SC_CLK_TCK")
@@ -57,7 +57,8 @@ def _ticks(process: int) -> tuple[int, ...]:
 @contextmanager
 def database_server() -> Iterator[DatabaseServer]:
     """Start one in a new folder; afterwards nothing of it is left."""
-    programs = max(PROGRAMS.glob("*/bin"), key=lambda path: int(path.parts[-2]))
+    programs = binaries()
+    assert programs is not None, "PostgreSQL is not installed (Debian: postgresql)"
     folder = Path(tempfile.mkdtemp(prefix="lineside-database-"))
     user = "postgres" if os.geteuid() == 0 else None
     if user:

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.campaign.network import SUBNET, Machine, call
+from tests.postgresql import binaries
 
-BINARIES = Path("/usr/lib/postgresql/15/bin")
+BINARIES = binaries() or Path()
 AS_POSTGRES = ("runuser", "-u", "postgres", "--")
 CONFIGURATION = """\
 listen_addresses = '*'

@@ -10,6 +10,7 @@ from tests import unpacked
 from tests.campaign.faults import SERVERS, SETTLE_S, schedule
 from tests.campaign.network import Network, call, unusable
 from tests.campaign.run import Campaign
+from tests.postgresql import needs_postgresql
 
 MACHINES = SERVERS | {"device", "people", "db-1", "db-2"}
 
@@ -63,6 +64,7 @@ def test_one_server_keeps_what_it_acknowledged(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
+@needs_postgresql
 def test_two_servers_keep_what_they_acknowledged(tmp_path: Path) -> None:
     unpacked.program("ser2net")
     assert Campaign(tmp_path, seed=1).run(50) == 0

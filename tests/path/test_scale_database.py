@@ -22,11 +22,10 @@ from app.database.settings import StoreSettings
 from app.errors import StoreUnavailableError
 from tests.certificates import certificates
 from tests.free_port import free_port
+from tests.postgresql import binaries, needs_postgresql
 from tests.test_architecture import ROOT, text_of
 
-PROGRAMS = max(
-    Path("/usr/lib/postgresql").glob("*/bin"), key=lambda path: int(path.parts[-2]), default=Path()
-)
+PROGRAMS = binaries() or Path()
 TEXT = text_of(ROOT / "docs" / "scale.md")
 BLOCKS = {kind: re.findall(rf"```{kind}\n(.*?)```", TEXT, re.S) for kind in ("ini", "sh", "toml")}
 FOLDERS = ("/var/backups/lineside", "/etc/lineside/certificates", "/var/lib/postgresql/15/main")
@@ -36,7 +35,7 @@ COUNT = "SELECT count(*) FROM written"
 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="only root starts PostgreSQL as its user"),
-    pytest.mark.skipif(not PROGRAMS.is_dir(), reason="PostgreSQL is not installed (Debian: postgresql)"),
+    needs_postgresql,
 ]
 
 
