@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -35,13 +34,6 @@ connection: &{bus}
 """
 
 
-def as_hardware(process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
-    """What stands for units, cables and their server is in time, whatever the load of this computer."""
-    with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, -10)
-    return process
-
-
 def started(machine: Machine, *words: object, log: Path, **environment: str) -> subprocess.Popen[bytes]:
     """A program of this tree on a machine."""
     return machine.start(*words, log=log, env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
@@ -58,12 +50,12 @@ class Device:
     def start(self, seed: int) -> None:
         log, link = self.folder / "device.log", self.folder / "tty"
         units = ("--units", UNITS, "--tcp", UNITS_PORT, "--seed", seed, "--turnaround-ms", 5)
-        as_hardware(started(self.machine, LINESIDE, "simulate", *units, log=log))
+        started(self.machine, LINESIDE, "simulate", *units, log=log)
         _wait_for(lambda: "socket://" in log.read_text(), log)
         recorder = (sys.executable, "-m", "tests.campaign.recorders")
         wire, connections = (self.folder / name.format(bus=BUS) for name in (WIRE, CONNECTIONS))
-        as_hardware(started(self.machine, *recorder, "wire", wire, link, UNITS_PORT, log=log))
-        as_hardware(started(self.machine, *recorder, "connections", connections, DEVICE_PORT, log=log))
+        started(self.machine, *recorder, "wire", wire, link, UNITS_PORT, log=log)
+        started(self.machine, *recorder, "connections", connections, DEVICE_PORT, log=log)
         _wait_for(link.is_symlink, log)
         (self.folder / "ser2net.yaml").write_text(
             SER2NET.format(bus=BUS, port=DEVICE_PORT, device=link, inactivity=INACTIVITY_S)
@@ -74,7 +66,7 @@ class Device:
         """Start ser2net, also after it was killed."""
         command = (unpacked.program("ser2net"), "-n", "-c", self.folder / "ser2net.yaml")
         log, environment = self.folder / "ser2net.log", unpacked.environment("ser2net")
-        self.server = as_hardware(self.machine.start(*command, log=log, env=environment))
+        self.server = self.machine.start(*command, log=log, env=environment)
 
     def signal(self, number: int) -> None:
         assert self.server is not None
