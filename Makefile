@@ -6,7 +6,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 VENDOR := static/vendor/made-from.sha256
 CHROMIUM := /usr/bin/chromium-headless-shell
-PROXIES := $(VENV)/proxies/.unpacked
+# ser2net is the device server of tests/campaign, libfaketime moves its clocks; the rest is what haproxy and ser2net need.
+PROXY_PACKAGES := nginx caddy haproxy liblua5.3-0 libopentracing-c-wrapper0 libopentracing1 \
+	ser2net libgensio4 libsctp1 libwrap0 libyaml-0-2 libfaketime
+PROXIES := $(VENV)/proxies/.unpacked-$(words $(PROXY_PACKAGES))
 POSTGRESQL := $(VENV)/.postgresql
 NODE_TOOLS := node_modules/.package-lock.json
 COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
@@ -42,7 +45,7 @@ other-tests: development
 	node --test tests/js/*.test.js
 	nice -n 5 $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --ignore tests/e2e
 
-# What takes long, alone on the machine: it measures. Then each property with many random examples. 25 minutes.
+# What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
 soak: development
 	$(BIN)/python -m tests.soak
 
@@ -118,11 +121,11 @@ $(CHROMIUM):
 	@test "$$(id -u)" = 0 || { echo "The browser tests need Chromium: as root, apt-get install chromium-headless-shell, then run this again." >&2; exit 1; }
 	apt-get update && apt-get install --yes --no-install-recommends chromium-headless-shell
 
-# nginx and Caddy for the tests of the examples in docs/tls.md: unpacked, not installed, which would start them. Where
-# the packages cannot be had, those tests are skipped.
+# Proxies for the tests of docs/tls.md and docs/deploy, and a device server: unpacked, not installed, which would start
+# them. Where the packages cannot be had, those tests are skipped.
 $(PROXIES): $(VENV)/.python
 	@mkdir -p $(@D)
-	@cd $(@D) && for name in nginx caddy; do \
+	@cd $(@D) && for name in $(PROXY_PACKAGES); do \
 		apt-get download -qq $$name 2>/dev/null && dpkg-deb -x $$name_*.deb . && rm $$name_*.deb || echo "$$name cannot be downloaded" >&2; \
 	done
 	@touch $@

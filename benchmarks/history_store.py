@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import random
-import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
-from app.database import SqliteDatabase
+from app.database import Database, SqliteDatabase
 from app.history.intake.writer import MIGRATIONS
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
@@ -51,16 +50,22 @@ def build(path: Path, bus: str, units: int, end: int, raw_days: int, days: int) 
     """Write a store that ends at ``end`` (µs): readings of the last ``raw_days``, rollups of ``days``. Gives
     how many readings it holds."""
     database = SqliteDatabase(path, MIGRATIONS, synchronous="NORMAL")
+    count = fill(database, (bus, units), end, raw_days=raw_days, days=days)
+    database.close()
+    return count
+
+
+def fill(database: Database, line: tuple[str, int], end: int, *, raw_days: int, days: int) -> int:
+    """Do so with a store of any engine; ``line``: the bus and how many units it has."""
     patterns = [hour(seed) for seed in range(PATTERNS)]
     end -= end % HOUR
-    database.write_now(lambda connection: _fill(connection, patterns, (bus, units), end, (raw_days, days)))
+    database.write_now(lambda connection: _fill(connection, patterns, line, end, (raw_days, days)))
     database.write_now(lambda connection: connection.execute("ANALYZE"))
-    database.close()
-    return units * raw_days * 24 * sum(map(len, patterns)) // PATTERNS
+    return line[1] * raw_days * 24 * sum(map(len, patterns)) // PATTERNS
 
 
 def _fill(
-    connection: sqlite3.Connection,
+    connection: tables.StoreConnection,
     patterns: list[list[Run]],
     line: tuple[str, int],
     end: int,
@@ -84,12 +89,12 @@ def _fill(
             _row(connection, "hours", unit, day, pack_rollups(hours, 0))
 
 
-def _raw(connection: sqlite3.Connection, unit: int, start: int, block: tuple[int, bytes]) -> None:
+def _raw(connection: tables.StoreConnection, unit: int, start: int, block: tuple[int, bytes]) -> None:
     connection.execute(
         "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)",
         (unit, start, HOUR, *block),
     )
 
 
-def _row(connection: sqlite3.Connection, tier: str, unit: int, start: int, data: bytes) -> None:
-    connection.execute(f"INSERT OR REPLACE INTO {tier} VALUES (?, ?, ?)", (unit, start, data))
+def _row(connection: tables.StoreConnection, tier: str, unit: int, start: int, data: bytes) -> None:
+    connection.execute(f"INSERT INTO {tier} VALUES (?, ?, ?)", (unit, start, data))

@@ -18,15 +18,13 @@ import httpx
 import pytest
 from websockets.asyncio.client import connect
 
-from tests import fork_server
+from tests import fork_server, unpacked
 from tests.app.served_tls import PATIENCE_S, eventually
 from tests.certificates import certificates
 from tests.e2e.site import PASSWORD, end, people
 from tests.free_port import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
-UNPACKED = ROOT / ".venv" / "proxies"
-"""Where ``make development`` puts the programs of Debian's packages."""
 NGINX = """\
 daemon off;
 master_process off;
@@ -50,14 +48,6 @@ def example(kind: str) -> str:
     text = (ROOT / "docs" / "tls.md").read_text(encoding="utf-8")
     (found,) = re.findall(rf"```{kind}\n(.*?)```", text, re.S)
     return str(found)
-
-
-def program(name: str) -> str:
-    unpacked = (UNPACKED / "usr" / folder / name for folder in ("sbin", "bin"))
-    found = next((str(path) for path in unpacked if path.exists()), None) or shutil.which(name)
-    if found is None:
-        pytest.skip(f"{name} is not here: make development unpacks it from Debian's packages")
-    return found
 
 
 @dataclass
@@ -117,7 +107,7 @@ def running(behind: Proxied, name: str, change: tuple[str, str] = ("", "")) -> I
     log = behind.folder / f"{name}.log"
     with log.open("wb") as output:
         process = subprocess.Popen(
-            [program(name), *words[name]],
+            [unpacked.program(name), *words[name]],
             stdout=output,
             stderr=output,
             env={"HOME": str(behind.folder), "PATH": "/usr/bin"},

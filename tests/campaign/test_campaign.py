@@ -1,0 +1,70 @@
+"""A campaign of faults against a site of its machines, judged by the checker. Root only; needs ser2net."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests import unpacked
+from tests.campaign.faults import SERVERS, SETTLE_S, schedule
+from tests.campaign.network import Network, call, unusable
+from tests.campaign.run import Campaign
+from tests.postgresql import needs_postgresql
+
+MACHINES = SERVERS | {"device", "people", "db-1", "db-2"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def namespaces() -> None:
+    if reason := unusable():
+        pytest.skip(reason)
+
+
+def test_a_seed_gives_one_schedule() -> None:
+    faults = list(schedule(7, 100, MACHINES))
+    assert faults == list(schedule(7, 100, MACHINES))
+    assert faults != list(schedule(8, 100, MACHINES))
+    assert all(fault.after_s >= SETTLE_S for fault in faults)
+    assert len({(fault.kind, fault.target in SERVERS) for fault in faults}) > 8
+    assert sum(fault.takes_a_holder for fault in faults) > 10
+
+
+def test_faults_concern_machines_that_there_are() -> None:
+    machines = frozenset(("app-1", "device"))
+    faults = list(schedule(7, 100, machines))
+    assert {fault.target for fault in faults} == machines
+    assert {fault.other for fault in faults} <= {"", *machines}
+
+
+def test_machines_reach_each_other_until_they_are_cut_or_separated() -> None:
+    reach = "import socket; socket.create_connection(('{}', 7), 0.3)"
+    with Network(("one", "other")) as network:
+        one, other = network.machines["one"], network.machines["other"]
+
+        def outcome() -> str:
+            program = f"try:\n {reach.format(other.address)}\nexcept OSError as e: print(type(e).__name__)"
+            return call(*one.inside, "python3", "-c", program).strip()
+
+        assert outcome() == "ConnectionRefusedError"
+        network.separate("one", "other")
+        assert outcome() == "TimeoutError"
+        network.reunite("one", "other")
+        assert outcome() == "ConnectionRefusedError"
+        network.cut("other")
+        assert outcome() != "ConnectionRefusedError"
+        network.join("other")
+        assert outcome() == "ConnectionRefusedError"
+
+
+@pytest.mark.soak
+def test_one_server_keeps_what_it_acknowledged(tmp_path: Path) -> None:
+    unpacked.program("ser2net")
+    assert Campaign(tmp_path, seed=1, servers=1).run(10) == 0
+
+
+@pytest.mark.soak
+@needs_postgresql
+def test_two_servers_keep_what_they_acknowledged(tmp_path: Path) -> None:
+    unpacked.program("ser2net")
+    assert Campaign(tmp_path, seed=1).run(50) == 0

@@ -1,0 +1,206 @@
+"""The checker of a campaign: a good record passes, and each forged one fails by its rule."""
+
+from __future__ import annotations
+
+import ast
+import json
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.campaign.checker.__main__ import main, violations
+from tests.campaign.checker.frames import Piece, Stray, WireFrame, decode
+
+CHECKER = Path(__file__).with_name("checker")
+VECTORS = Path(__file__).parents[1] / "vectors" / "frames.json"
+READ, WRITE, ACK, SHOWN = (
+    bytes.fromhex(text)
+    for text in (
+        "10 02 01 81 10 03 7E",
+        "10 02 01 84 00 00 03 E8 10 03 90",
+        "10 02 01 06 10 03 F9",
+        "10 02 01 06 00 00 03 E8 00 00 03 E7 80 C1 03 10 03 E0",
+    )
+)
+A, B = "10.77.0.11:40001", "10.77.0.12:40002"
+Logs = dict[str, list[dict[str, Any]]]
+
+
+def sent(at: float, data: bytes, peer: str = A) -> list[tuple[str, dict[str, Any]]]:
+    return [
+        ("connections-line", {"at": at, "peer": peer, "data": data.hex()}),
+        ("wire-line", {"at": at + 0.01, "direction": "request", "data": data.hex()}),
+    ]
+
+
+def came(at: float, data: bytes) -> list[tuple[str, dict[str, Any]]]:
+    return [("wire-line", {"at": at, "direction": "response", "data": data.hex()})]
+
+
+def command(**changed: Any) -> dict[str, Any]:
+    usual = {"kind": "command", "sent_at": 99.9, "responded_at": 100.5, "bus": "line", "unit": 1, "raw": 1000}
+    return {**usual, "timeout_s": 2.0, "outcome": "verified", **changed}
+
+
+def good() -> Logs:
+    """A write by one server, its proof, the death of that server, the first value by the other."""
+    rows = [*sent(100.0, WRITE), *came(100.1, ACK), *sent(100.2, READ), *came(100.3, SHOWN)]
+    rows += [*sent(107.0, READ, B), *came(107.1, SHOWN)]
+    logs: Logs = {"wire-line": [], "connections-line": [], "clients": [], "faults": []}
+    for name, row in rows:
+        logs[name].append(row)
+    journal = {"bus": "line", "alarm": "line/1.deviation", "occurrence": 1}
+    logs["clients"] = [
+        command(),
+        {"kind": "acknowledged", **journal, "trigger": "acknowledge", "after": ""},
+        {"kind": "transition", **journal, "trigger": "rise", "after": "unack_active"},
+        {"kind": "live", "at": 107.2, "read_at": 107.1, "bus": "line", "server": "app-2"},
+    ]
+    logs["faults"] = [{"kind": "holder_death", "at": 101.0, "bus": "line", "server": "app-1"}]
+    return logs
+
+
+def store(folder: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(folder / "store.db", isolation_level=None)
+    connection.execute("CREATE TABLE events (id, about, kind, bus, unit, new_raw, outcome)")
+    connection.execute("INSERT INTO events VALUES (1, NULL, 'command', 'line', 1, 1000, NULL)")
+    connection.execute("INSERT INTO events VALUES (2, 1, 'result', 'line', 1, 1000, 'verified')")
+    connection.execute("CREATE TABLE alarm_journal (alarm, occurrence, trigger, after, bus)")
+    for trigger, after in (("rise", "unack_active"), ("acknowledge", "ack_active")):
+        row = ("line/1.deviation", 1, trigger, after, "line")
+        connection.execute("INSERT INTO alarm_journal VALUES (?, ?, ?, ?, ?)", row)
+    return connection
+
+
+def write(folder: Path, logs: Logs) -> Path:
+    for name, rows in logs.items():
+        (folder / f"{name}.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def found(folder: Path) -> list[str]:
+    return list(violations(folder, str(folder / "store.db"), "line"))
+
+
+def test_a_good_record_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store(tmp_path)
+    folder = write(tmp_path, good())
+    assert found(folder) == []
+    assert main(str(folder), str(folder / "store.db"), "line") == 0
+    assert "3 requests of 2 connections; commands: 1 verified" in capsys.readouterr().out
+
+
+def add(*rows: tuple[str, dict[str, Any]]) -> Callable[[Logs], None]:
+    def forge(logs: Logs) -> None:
+        for name, row in rows:
+            logs[name].append(row)
+            logs[name].sort(key=lambda row: row.get("at", 0.0))
+
+    return forge
+
+
+def changed(place: int, **values: Any) -> Callable[[Logs], None]:
+    return lambda logs: logs["clients"][place].update(values)
+
+
+def interleaved(logs: Logs) -> None:
+    """The frame of B arrives inside a frame of A."""
+    (first,) = (row for row in logs["wire-line"] if row["data"] == WRITE.hex())
+    first["data"] = (WRITE[:5] + READ + WRITE[5:]).hex()
+
+
+def held(*, halted: bool = True, late_s: float = 0.0) -> Callable[[Logs], None]:
+    """The write is on the wire six seconds after it came to the device server, ``late_s`` later than good."""
+
+    def forge(logs: Logs) -> None:
+        for row in logs["wire-line"]:
+            row["at"] = max(row["at"], 106.0)
+        for row in logs["connections-line"][:2]:
+            row["at"] += late_s
+        logs["clients"][0]["outcome"] = None
+        if halted:
+            logs["faults"].append({"kind": "device_halt", "begin": 99.0, "end": 106.1})
+
+    return forge
+
+
+FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
+    "a frame inside another": (interleaved, "bytes of no frame"),
+    "the first writer comes back": (add(*sent(108.0, READ, A)), "writes after"),
+    "a writer that no connection has": (
+        add(("wire-line", {"at": 109.0, "direction": "request", "data": READ.hex()})),
+        "no connection carried",
+    ),
+    "after its deadline": (changed(0, sent_at=90.0), "after its deadline"),
+    "held back without a halt": (held(halted=False), "after its deadline"),
+    "after its deadline, then held back": (held(late_s=5.0), "after its deadline"),
+    "too often": (
+        add(*(row for n in range(4) for row in sent(100.01 + n / 100, WRITE))),
+        "on the wire 5 times",
+    ),
+    "by two": (add(*sent(107.5, WRITE, B)), "written by two connections"),
+    "reported as not sent": (changed(0, outcome="not_sent"), "reported as not_sent"),
+    "verified before it was shown": (changed(0, responded_at=100.2), "verified, never shown"),
+    "verified without a write": (changed(0, raw=1001), "verified, never written"),
+    "another outcome than stored": (changed(0, outcome="unverified"), "not in the database"),
+    "a lost acknowledgement": (changed(1, occurrence=2), "not in the database"),
+    "a lost transition": (changed(2, after="rtn_unack"), "not in the database"),
+    "a late take-over": (changed(3, at=112.0), "11.0 s to the first live value"),
+    "no take-over": (changed(3, server="app-1"), "no other server showed a live value"),
+    "a value from before": (changed(3, read_at=100.9), "no other server showed a live value"),
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_record_fails(tmp_path: Path, name: str) -> None:
+    forge, expected = FORGED[name]
+    store(tmp_path)
+    logs = good()
+    forge(logs)
+    lines = found(write(tmp_path, logs))
+    assert any(expected in line for line in lines), lines
+    assert main(str(tmp_path), str(tmp_path / "store.db"), "line") == 1
+
+
+def test_what_a_halted_device_server_held_back_came_in_time(tmp_path: Path) -> None:
+    store(tmp_path)
+    logs = good()
+    held()(logs)
+    assert found(write(tmp_path, logs)) == []
+
+
+def test_an_event_that_the_database_lost_fails(tmp_path: Path) -> None:
+    store(tmp_path).execute("DELETE FROM events WHERE about = 1")
+    (line,) = found(write(tmp_path, good()))
+    assert "not in the database" in line
+
+
+def test_its_decoder_reads_the_frames_of_the_manual() -> None:
+    vectors = [row for row in json.loads(VECTORS.read_text()) if "frame" in row]
+    assert len(vectors) > 20
+    for row in vectors:
+        (frame,) = decode([Piece(1.0, bytes.fromhex(row["frame"]))])
+        assert isinstance(frame, WireFrame)
+        assert frame.body == bytes.fromhex(row["body"])
+
+
+def test_its_decoder_gives_up_one_byte_after_a_failure() -> None:
+    stray, frame = decode([Piece(1.0, READ[:3]), Piece(2.0, READ)])
+    assert stray == Stray(1.0, READ[:3])
+    assert frame == WireFrame(2.0, 2.0, b"\x01\x81")
+
+
+def test_it_imports_nothing_of_the_product() -> None:
+    imported = set()
+    for path in CHECKER.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            imported |= {name for name in names if name.startswith(("app", "bus", "tests"))}
+    assert {name.rpartition(".")[0] or name for name in imported} <= {
+        "tests.campaign",
+        "tests.campaign.checker",
+    }
