@@ -9,10 +9,14 @@ import threading
 from bisect import bisect_right, insort
 from collections.abc import Container, Iterable
 
-from app.history.series.runs import MINUTE, SECOND, Run, follows, joined
+from app.history.series.runs import MINUTE, SECOND, PlainRun, Run, follows, joined, runs_of
 
 BREAK = 2 * SECOND
 """Equal readings further apart than this do not make one run: there may be a hole between."""
+
+
+def _by_time(key: tuple[int, int]) -> tuple[int, int]:
+    return key[1], key[0]
 
 
 class Tail:
@@ -20,23 +24,25 @@ class Tail:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._minutes: dict[tuple[int, int], list[Run]] = {}
+        self._minutes: dict[tuple[int, int], list[PlainRun]] = {}
         self._lost: dict[int, list[int]] = {}
         """When each unit stopped responding (µs), in order."""
 
-    def add(self, rows: Iterable[tuple[int, Run]]) -> None:
+    def add(self, rows: Iterable[tuple[int, PlainRun]]) -> None:
         """Readings or runs of units, in order of arrival."""
         with self._lock:
             for unit, run in rows:
                 self._add_one(unit, run)
 
-    def _add_one(self, unit: int, run: Run) -> None:
-        runs = self._minutes.setdefault((unit, run.at - run.at % MINUTE), [])
-        last = runs[-1] if runs else None
-        if last is None or not follows(run, last) or self._broken(unit, last.until, run.at):
-            runs.append(run)
+    def _add_one(self, unit: int, run: PlainRun) -> None:
+        key = unit, run[0] - run[0] % MINUTE
+        runs = self._minutes.get(key)
+        if runs is None:
+            self._minutes[key] = [run]
+        elif follows(run, runs[-1]) and not self._broken(unit, runs[-1][1], run[0]):
+            runs[-1] = joined(runs[-1], run)
         else:
-            runs[-1] = joined(last, run)
+            runs.append(run)
 
     def _broken(self, unit: int, since: int, until: int) -> bool:
         if until - since > BREAK:
@@ -54,7 +60,7 @@ class Tail:
 
     def interrupt(self) -> None:
         """Nothing was recorded until now: every unit's next reading begins a new run."""
-        self.mark_lost({(unit, run.until + 1) for unit, run in self.everything()})
+        self.mark_lost({(unit, run[1] + 1) for unit, run in self.everything()})
 
     def runs(self, unit: int, start: int, end: int) -> list[Run]:
         """A unit's runs that touch a span (µs), in order of time."""
@@ -65,17 +71,22 @@ class Tail:
                 if owner == unit and minute < end and minute + MINUTE > start
                 for run in runs
             ]
-        return sorted(run for run in found if run.at < end and run.until >= start)
+        return runs_of(sorted(run for run in found if run[0] < end and run[1] >= start))
 
-    def minute(self, unit: int, minute: int) -> list[Run]:
+    def minute(self, unit: int, minute: int) -> list[PlainRun]:
         """All runs of one unit in one minute."""
         with self._lock:
             return list(self._minutes.get((unit, minute), ()))
 
-    def over(self, current: int) -> list[tuple[int, int]]:
-        """The units and minutes other than the current one, which is still growing."""
+    def count(self, unit: int, minute: int) -> int:
+        """How many runs these are."""
         with self._lock:
-            return sorted(key for key in self._minutes if key[1] != current)
+            return len(self._minutes.get((unit, minute), ()))
+
+    def over(self, current: int) -> list[tuple[int, int]]:
+        """The units and minutes other than the current one, which is still growing; the oldest first."""
+        with self._lock:
+            return sorted((key for key in self._minutes if key[1] != current), key=_by_time)
 
     def extent(self) -> tuple[int, int] | None:
         """The span of its minutes, µs; None when it holds nothing."""
@@ -96,7 +107,7 @@ class Tail:
             self._minutes.clear()
             self._lost.clear()
 
-    def everything(self, without: Container[tuple[int, int]] = ()) -> list[tuple[int, Run]]:
+    def everything(self, without: Container[tuple[int, int]] = ()) -> list[tuple[int, PlainRun]]:
         """Each run with its unit; ``without`` these units and minutes."""
         with self._lock:
             minutes = sorted(key for key in self._minutes if key not in without)
