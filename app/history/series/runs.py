@@ -62,10 +62,7 @@ def runs_of(plain: Iterable[PlainRun]) -> list[Run]:
 
 def follows(run: PlainRun, last: PlainRun) -> bool:
     """Whether ``run`` repeats ``last`` later in the same minute."""
-    # The actual speed first: it differs most often.
-    if run[4] != last[4] or run[3:] != last[3:]:
-        return False
-    return run[0] >= last[1] and run[1] // MINUTE == last[0] // MINUTE
+    return run[3:] == last[3:] and run[0] >= last[1] and run[1] // MINUTE == last[0] // MINUTE
 
 
 def joined(last: PlainRun, run: PlainRun) -> PlainRun:
