@@ -56,9 +56,9 @@ from app.web.turns import Turns
 FEATURES = (
     database.FEATURE,
     web.FEATURE,
+    home.FEATURE,
     history.FEATURE,
     audit.FEATURE,
-    home.FEATURE,
     server.FEATURE,
     auth.FEATURE,
     routing.FEATURE,

@@ -18,9 +18,10 @@ from typing import Any
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from app.database import Database, SqliteDatabase
-from app.history.intake.recorder import Recorder, compact
+from app.history.intake.folding import compact
+from app.history.intake.opening import MIGRATIONS
+from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
-from app.history.intake.writer import MIGRATIONS
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES

@@ -14,9 +14,9 @@ from pathlib import Path
 from app.audit.keys import open_keys
 from app.audit.store import heads_of, prove
 from app.database import SqliteDatabase
+from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
-from app.history.intake.writer import MIGRATIONS
 from benchmarks.history_victim import KEY_FILE
 from benchmarks.tables import median, show
 
@@ -80,7 +80,7 @@ def _look(data: Path, last_event: int, newest: float) -> After:
     folded = database.read_now(
         lambda connection: connection.execute("SELECT max(until) FROM bits").fetchone()[0]
     )
-    stored = max((folded or 0, *(run.until for _, run in tail.everything()))) / 1e6
+    stored = max((folded or 0, *(run[1] for _, run in tail.everything()))) / 1e6
     verdict = database.read_now(lambda connection: connection.execute("PRAGMA quick_check(1)").fetchone()[0])
     database.close()
     return After(last_event - there, max(0.0, newest - stored), intact and verdict == "ok")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from app.database import Database, SqliteDatabase
-from app.history.intake.writer import MIGRATIONS
+from app.history.intake.opening import MIGRATIONS
 from app.history.series.rollup import combine, pack_rollups, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, Run, merge, pack_runs
 from app.history.series.scaling import ParameterStep

@@ -34,8 +34,8 @@ def token_expires(
 HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
     "history_degraded",
     ("major", "half_hour"),
-    holds=lambda state: state in ("paused", "failed"),
-    means="readings are not stored",
+    holds=lambda state: state in ("paused", "failed", "spooling"),
+    means="readings are not stored, or wait on the disk of the server",
     tuning=Tuning(on_delay_s=5),
 )
 STORE_UNAVAILABLE: Condition[Callable[[object], bool]] = Condition(

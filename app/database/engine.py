@@ -57,6 +57,12 @@ def lock(connection: StoreConnection, name: str) -> None:
         connection.execute(query, (name,))
 
 
+def durable(connection: StoreConnection) -> None:
+    """Let the end of this transaction wait for the disk, on a store whose others do not."""
+    if not is_local(connection):
+        connection.execute("SET LOCAL synchronous_commit TO on")
+
+
 def notify(connection: StoreConnection, channel: str, text: str) -> None:
     """Pass a text to every listener of a channel, on all servers, once this transaction is committed.
     ``text``: 1 to `MAX_NOTICE_BYTES` bytes."""

@@ -40,7 +40,7 @@ def open_database(
     from app.database.postgresql.database import PostgresqlDatabase
 
     schema = MAIN if migrations == MIGRATIONS else file.stem
-    return PostgresqlDatabase(store, schema, migrations, availability)
+    return PostgresqlDatabase(store, schema, migrations, synchronous, availability)
 
 
 def look_at(store: StoreSettings) -> None:

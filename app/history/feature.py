@@ -9,16 +9,24 @@ from app.feature import Feature, Services
 from app.history import pages
 from app.history.api import routes
 from app.history.service import History
+from app.home.homes import Homes
 from app.web.assets import Assets
 from app.web.templating import Templates
 
 
 def make(services: Services) -> None:
     lifespan, language = services.lifespan, services.settings.site.language
-    history = services.add(History(services.settings))
+    homes = services[Homes]
+    history = services.add(History(services.settings, homes.is_here))
+
+    def adopt(bus: str) -> None:
+        if bus and homes.is_here(bus):
+            history.adopt(bus)
 
     async def start() -> None:
         history.start()
+        if homes.is_shared:
+            homes.subscribe(adopt)
 
     lifespan.add("history", history.inspect_daily, start=start, end=partial(asyncio.to_thread, history.close))
     warm = partial(pages.warm, history, services[Templates], services[Assets], language)

@@ -17,7 +17,7 @@ from app.alarms.simulation.replay import Replay, extremes
 from app.alarms.simulation.stored import StoredHour
 from app.database import Database
 from app.history.series.rollup import rollup
-from app.history.series.runs import HOUR, MINUTE, micros, run_of
+from app.history.series.runs import HOUR, MINUTE, micros, plain_run, runs_of
 from app.history.store import tables
 from bus.contract import Reading
 from bus.instants import UnixTime
@@ -215,7 +215,7 @@ def test_the_extremes_of_a_minute_enclose_every_reading_of_it() -> None:
             )
             for _ in range(4)
         ]
-        low, high = extremes(1, "deviation", rollup([run_of(each) for each in readings], 0))
+        low, high = extremes(1, "deviation", rollup(runs_of(map(plain_run, readings)), 0))
         found = [abs(each.commanded - each.actual) for each in readings]
         assert abs(low.commanded - low.actual) <= min(found)
         assert max(found) <= abs(high.commanded - high.actual)

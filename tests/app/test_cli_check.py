@@ -15,7 +15,7 @@ from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import check, findings
 from app.database import SqliteDatabase
-from app.history.intake.writer import MIGRATIONS
+from app.history.intake.opening import MIGRATIONS
 from tests.mounted import mounted
 
 cli = typer.Typer()

@@ -37,7 +37,9 @@ from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.contract import UnitLink
 from tests.app.history_line import BUS, NOON, parameter, polls, until
-from tests.stores import open_store
+from tests.stores import both_engines, open_store
+
+pytestmark = both_engines
 
 
 class AsViewer:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from app.history.intake import writer as writing
-from app.history.intake.recorder import compact
+from app.history.intake.folding import compact
 from app.history.intake.upkeep import DiskReserve, Upkeep
 from app.history.intake.writer import Writer
 from app.history.query.query import SeriesQuery, run_query

@@ -12,7 +12,7 @@ import pytest
 from pyarrow import parquet
 
 from app.database import SqliteDatabase
-from app.history.intake.writer import MIGRATIONS
+from app.history.intake.opening import MIGRATIONS
 from app.history.series.rollup import Rollup, combine, pack_rollups
 from app.history.series.runs import DAY, HOUR, MINUTE, micros
 from app.history.service import FILE

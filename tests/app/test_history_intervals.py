@@ -20,10 +20,14 @@ def polls(words: list[int]) -> list[Run]:
     return [Run(at, at, 1, 0, 0, 0, word) for at, word in zip(times, words, strict=True)]
 
 
+def parts_of(runs: list[Run]) -> list[Interval]:
+    return [Interval(run.at, run.until, run.word) for run in runs]
+
+
 @given(WORDS)
 def test_an_interval_holds_one_state_from_first_to_last(words: list[int]) -> None:
     runs = polls(words)
-    parts = intervals(runs, Marks(), 5 * SECOND)
+    parts = intervals(parts_of(runs), Marks(), 5 * SECOND)
     assert all(any(p.at <= run.at <= p.until and p.word == run.word for p in parts) for run in runs)
     assert all(a.word != b.word and a.until < b.at for a, b in pairwise(parts))
 
@@ -36,7 +40,7 @@ def test_minutes_in_any_order_make_the_same_intervals(words: list[int], order: l
         minute = number * MINUTE
         of_minute = [run for run in runs if run.at // MINUTE == number]
         stored = splice(stored, minute, of_minute, Marks())
-    assert stored == intervals(runs, Marks(), 5 * SECOND)
+    assert stored == intervals(parts_of(runs), Marks(), 5 * SECOND)
 
 
 def test_one_state_over_three_minutes_is_one_interval_in_every_order() -> None:
@@ -54,13 +58,13 @@ def test_a_minute_folded_again_changes_nothing() -> None:
     stored: list[Interval] = []
     for number in (0, 1, 2, 1):
         stored = splice(stored, number * MINUTE, [r for r in runs if r.at // MINUTE == number], Marks())
-    assert stored == intervals(runs, Marks(), 5 * SECOND)
+    assert stored == intervals(parts_of(runs), Marks(), 5 * SECOND)
 
 
 def test_a_pause_ends_an_interval() -> None:
     runs = polls([1] * 12)
     lost = Marks(lost=[runs[5].at + SECOND])
-    assert intervals(runs, lost, 5 * SECOND) == [
+    assert intervals(parts_of(runs), lost, 5 * SECOND) == [
         Interval(0, runs[5].at, 1),
         Interval(runs[6].at, runs[11].at, 1),
     ]

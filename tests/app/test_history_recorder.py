@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.history.intake.recorder import compact
+from app.history.intake.folding import compact
 from app.history.series.runs import HOUR, micros
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink
@@ -169,12 +169,11 @@ def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: She
     assert shelf.query("actual", NOON, NOON + 300).series.average.count(None) == 0
 
 
-@only_sqlite
-def test_what_was_on_disk_survives_a_crash(shelf: Shelf) -> None:
+def test_what_was_on_disk_survives_a_crash(shelf: Shelf, tmp_path: Path) -> None:
     shelf.keep([parameter(3, 0), *polls(NOON, NOON + 30)])
     shelf.keep(polls(NOON + 30, NOON + 90))
     before = shelf.query("actual", NOON, NOON + 90)
-    again = Shelf(shelf.database.path)
+    again = Shelf(tmp_path / "history.db")
     assert again.query("actual", NOON, NOON + 90) == before
     again.fold()
     assert again.query("actual", NOON, NOON + 90) == before

@@ -12,7 +12,7 @@ from app.history.series.runs import (
     joined,
     merge,
     pack_runs,
-    run_of,
+    plain_run,
     unpack_columns,
     unpack_runs,
 )
@@ -31,7 +31,7 @@ def runs_of(readings: list[tuple[int, int]]) -> list[Run]:
     for at, value in sorted(readings):
         run = single(at, value)
         if runs and follows(run, runs[-1]):
-            runs[-1] = joined(runs[-1], run)
+            runs[-1] = Run._make(joined(runs[-1], run))
         else:
             runs.append(run)
     return runs
@@ -45,7 +45,7 @@ def test_a_reading_is_kept_as_sent() -> None:
     reading = Reading(
         unit=7, at=1_795_220_801.123456, commanded=99_999, actual=1, analog=255, outputs=0xC1, inputs=3
     )
-    run = run_of(reading)
+    run = Run._make(plain_run(reading))
     assert run == Run(1_795_220_801_123_456, 1_795_220_801_123_456, 1, 99_999, 1, 255, 0xC103)
 
 

@@ -10,6 +10,7 @@ from typing import TypeVar
 import psycopg
 
 from app.database.availability import Availability
+from app.database.connection import Synchronous
 from app.database.database import COSTLY_S, Database, Listener, Work
 from app.database.migration import MIGRATIONS
 from app.database.postgresql.connection import PostgresqlConnection, connect, interrupt_all, name_of
@@ -36,15 +37,21 @@ class PostgresqlDatabase(Database):
         store: StoreSettings,
         schema: str,
         migrations: Path = MIGRATIONS,
+        synchronous: Synchronous = "FULL",
         availability: Availability | None = None,
     ) -> None:
+        """``synchronous`` NORMAL: a commit does not wait for the disk, nor for a standby. A crash of the
+        database server loses the last of them, in order, and damages nothing."""
         self._store = store
         self._schema = schema
+        self._of_writer: dict[str, str | int] = dict(WRITING)
+        if synchronous == "NORMAL":
+            self._of_writer["synchronous_commit"] = "off"
         self.file = None
         self.availability = availability
         name = name_of(store, schema)
         with in_words(name):
-            driver = connect(store, schema, **WRITING)
+            driver = connect(store, schema, **self._of_writer)
             try:
                 refuse_unfinished(name, has_ledger=is_unfinished(driver, schema))
                 self.migrated = bring_up_to_date(driver, schema, migrations, name)
@@ -61,7 +68,7 @@ class PostgresqlDatabase(Database):
         with in_words(self.name):
             if not is_usable(self._writing):
                 self._writing.close()
-                self._writing = self._connect(**WRITING)
+                self._writing = self._connect(**self._of_writer)
             return transact(self._writing, work, self.name)
 
     def read_now(self, work: Work[T]) -> T:

@@ -29,6 +29,8 @@ LANGUAGE sql IMMUTABLE PARALLEL SAFE AS $body$ SELECT concat_ws(',', before, num
 CREATE OR REPLACE AGGREGATE group_concat(bigint) (SFUNC = joined_by_comma, STYPE = text);
 """
 """What the SQL of features names: functions that SQLite has. A member of JSON comes as text."""
+MAX_FORMER_ROWS = 5000
+"""Of a table with packed blocks: with more of them that were replaced, their space is used again."""
 _TYPES = {
     "INTEGER": "bigint",
     "REAL": "double precision",
@@ -77,9 +79,16 @@ def _table(sql: str) -> Iterator[str]:
     name = re.match(r'CREATE TABLE (?:IF NOT EXISTS )?"?(\w+)"?', sql)
     assert name is not None
     yield translated(_typed(_END.sub(")", sql))).sql
-    for column in re.findall(r"^\s*(\w+)\s+BLOB\b", sql, re.MULTILINE):
+    packed = re.findall(r"^\s*(\w+)\s+BLOB\b", sql, re.MULTILINE)
+    for column in packed:
         # The content is packed already.
         yield f"ALTER TABLE {name[1]} ALTER COLUMN {column} SET STORAGE EXTERNAL"
+    if packed:
+        # Blocks are replaced each minute. A share of a table of ten years would be gigabytes of former ones.
+        yield (
+            f"ALTER TABLE {name[1]} SET (autovacuum_vacuum_scale_factor = 0,"
+            f" autovacuum_vacuum_threshold = {MAX_FORMER_ROWS})"
+        )
 
 
 def _typed(sql: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from app.history.series.runs import Run, micros, run_of
+from app.history.series.runs import PlainRun, micros, plain_run
 from app.history.series.scaling import DECIDING, ParameterStep
 from app.history.store import tables
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink, Update
@@ -19,9 +19,9 @@ Delivery = tuple[str, Sequence[Update]]
 
 @dataclass(slots=True)
 class Taken:
-    """The rows that one transaction wrote, to be put into the tail once they are on disk."""
+    """What one transaction has, to be put into the tail once it is on disk."""
 
-    rows: list[tuple[int, Run]] = field(default_factory=list)
+    rows: list[tuple[int, PlainRun]] = field(default_factory=list)
     lost: list[tuple[int, int]] = field(default_factory=list)
     """Units that stopped responding, and when, µs."""
 
@@ -34,30 +34,30 @@ class Intake:
 
     def forget(self) -> None:
         """After a transaction that was rolled back: known values may not be on disk."""
-        self._keys: dict[tuple[str, int], int] = {}
+        self._keys: dict[str, dict[int, int]] = {}
         self._links: dict[int, tuple[int, str]] = {}
 
-    def write(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
-        """Everything of these deliveries that belongs to history, into this transaction."""
+    def take(self, connection: tables.StoreConnection, deliveries: Iterable[Delivery]) -> Taken:
+        """Links and parameters of these deliveries, into this transaction; their readings are returned."""
         taken = Taken()
         for bus, updates in deliveries:
+            keys = self._keys.setdefault(bus, {})
             for update in updates:
                 if type(update) is Reading:
-                    taken.rows.append((self.key(connection, bus, update.unit), run_of(update)))
+                    key = keys.get(update.unit) or self.key(connection, bus, update.unit)
+                    taken.rows.append((key, plain_run(update)))
                 elif isinstance(update, UnitLink | BusLink):
                     self._write_link(connection, bus, update, taken)
                 elif isinstance(update, ParameterValue):
                     self._write_parameter(connection, bus, update)
-        if taken.rows:
-            tables.write_journal(connection, taken.rows)
         return taken
 
     def key(self, connection: tables.StoreConnection, bus: str, number: int) -> int:
         """The key of a unit, or of a bus as number 0."""
-        known = self._keys.get((bus, number))
-        if known is None:
-            known = self._keys[bus, number] = tables.unit_id(connection, bus, number)
-        return known
+        keys = self._keys.setdefault(bus, {})
+        if number not in keys:
+            keys[number] = tables.unit_id(connection, bus, number)
+        return keys[number]
 
     def _write_link(
         self, connection: tables.StoreConnection, bus: str, update: UnitLink | BusLink, taken: Taken
@@ -80,5 +80,7 @@ class Intake:
         key = self.key(connection, bus, update.unit)
         step = ParameterStep(micros(update.at), update.number, update.raw)
         known = [each for each in tables.parameter_steps(connection, key) if each.number == step.number]
-        if not known or (known[-1].raw != step.raw and known[-1].at <= step.at):
+        # Before its first value, that one counts.
+        in_force = next((each for each in reversed(known) if each.at <= step.at), known[0] if known else None)
+        if in_force is None or in_force.raw != step.raw:
             tables.write_parameter(connection, key, step)

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 from app.database import Database
 from app.database.reserve import MIN_FREE_OF_OTHERS, free_bytes
-from app.history.intake.recorder import compact
+from app.history.intake.folding import compact
+from app.history.intake.share import COMPLETE, StoreShare
 from app.history.series.runs import DAY, HOUR, MINUTE
 from app.history.settings import HistorySettings
 from app.history.status import StoreState
 from app.history.store import tables
 from app.history.store.damage import DamagedBlock
 from app.history.store.inspection import FoundDamage, set_aside
+from app.home.lease import SITE
 from bus.instants import Monotonic, monotonic_now
 
 _MB = 1_000_000
@@ -53,9 +55,15 @@ class Upkeep:
     """Called by the writer's thread between commits, for a short while each time."""
 
     def __init__(
-        self, database: Database, kept: HistorySettings, reserve: DiskReserve, on_damage: FoundDamage
+        self,
+        database: Database,
+        kept: HistorySettings,
+        reserve: DiskReserve,
+        on_damage: FoundDamage,
+        share: StoreShare = COMPLETE,
     ) -> None:
         self._database = database
+        self._share = share
         self._kept = kept
         self._reserve = reserve
         self._on_damage = on_damage
@@ -78,8 +86,9 @@ class Upkeep:
         before = now - now % HOUR
         if now - before < LATE:
             before -= HOUR
+        buses = None if self._share.is_complete else self._share.here()
         while monotonic_now() < deadline:
-            found = self._database.read_now(lambda c: tables.next_to_compact(c, before))
+            found = self._database.read_now(lambda c: tables.next_to_compact(c, before, buses))
             if found is None:
                 return
             try:
@@ -89,7 +98,7 @@ class Upkeep:
 
     def give_up_old(self, now: int) -> None:
         """Choose the readings past their retention; :meth:`sweep` then deletes them."""
-        if monotonic_now() < self._settled_at:
+        if monotonic_now() < self._settled_at or not self._share.is_home(SITE):
             return
         horizon = now - self._kept.raw_days * DAY
         self._give_up_before(horizon - horizon % HOUR)
@@ -104,6 +113,9 @@ class Upkeep:
 
     def sweep(self, deadline: Monotonic) -> None:
         """Take away what was given up, until ``deadline`` (monotonic seconds)."""
+        if not self._share.is_home(SITE):
+            self._to_sweep = True
+            return
         while self._to_sweep and monotonic_now() < deadline:
             dropped = self._database.write_now(lambda c: tables.drop_raw(c, tables.raw_from(c), MAX_DROPPED))
             self._to_sweep = dropped == MAX_DROPPED

@@ -12,7 +12,7 @@ import sys
 import zlib
 from array import array
 from collections.abc import Iterable, Sequence
-from itertools import accumulate, chain
+from itertools import accumulate
 from operator import sub
 
 _HEAD = struct.Struct("<IB")
@@ -53,22 +53,37 @@ def unpack(blob: bytes, wanted: Iterable[int] | None = None) -> list[list[int]]:
 
 
 def _planes(column: Sequence[int]) -> tuple[str, bytes]:
-    differences = list(chain(column[:1], (map(sub, column[1:], column))))
+    if column and column.count(column[0]) == len(column):
+        return _steady(column[0], len(column))
+    differences = [*column[:1], *map(sub, column[1:], column)]
     code = _narrowest(differences)
     packed = array(code, differences)
     _little(packed)
     data = packed.tobytes()
-    return code, b"".join(data[i :: packed.itemsize] for i in range(packed.itemsize))
+    size = packed.itemsize
+    return code, data if size == 1 else b"".join([data[i::size] for i in range(size)])
+
+
+def _steady(value: int, rows: int) -> tuple[str, bytes]:
+    """Of the same value in every row: its difference to 0, then none."""
+    code, rest = _narrowest((value,)), bytes(rows - 1)
+    first = value.to_bytes(_SIZES[code], "little", signed=True)
+    return code, b"".join([first[i : i + 1] + rest for i in range(len(first))])
 
 
 def _narrowest(values: Sequence[int]) -> str:
     if not values:
         return _CODES[0]
     reach = max(max(values), -min(values) - 1)
-    return next((code for code in _CODES if reach < _LIMITS[code]), _CODES[-1])
+    for code, limit in _LIMITS.items():
+        if reach < limit:
+            return code
+    return _CODES[-1]
 
 
 def _column(planes: bytes, code: str, rows: int) -> list[int]:
+    if len(planes) == rows and not planes[1:].strip(b"\0"):
+        return [*array(code, planes[:1])] * rows
     column = array(code)
     data = bytearray(len(planes))
     for i in range(column.itemsize):

@@ -37,6 +37,9 @@ def usual_interval(runs: Sequence[Sequence[int]]) -> int:
     The readings within a run count as well: of a steady value there is nothing between runs but holes.
     """
     sample = runs[:_SAMPLE]
+    if all(run[2] == 1 for run in sample):
+        lengths = sorted(b[0] - a[1] for a, b in pairwise(sample))
+        return lengths[(len(lengths) - 1) // 2] if lengths else 0
     spans = [(b[0] - a[1], 1) for a, b in pairwise(sample)]
     spans += [((run[1] - run[0]) // (run[2] - 1), run[2] - 1) for run in sample if run[2] > 1]
     return _middle(sorted(spans))
@@ -59,11 +62,13 @@ def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> lis
     ``width``: a time represents all readings within so many µs after it.
     """
     differences = list(map(sub, times[1:], times))
+    short = width + max(SHORT_GAP, FEW_INTERVALS * usual)
+    if not marks.lost and max(differences, default=0) <= short:
+        return []
     limit = width + max(LONG_GAP, MANY_INTERVALS * usual)
     found = {i for i, difference in enumerate(differences) if difference > limit}
     lost = {bisect_left(times, mark) - 1 for mark in marks.lost}
     found |= {i for i in lost if 0 <= i < len(differences) and differences[i] > width}
-    short = width + max(SHORT_GAP, FEW_INTERVALS * usual)
     # A gap ended before the reading just before the mark, before that of the mark, or before the next.
     last = [(mark, bisect_right(times, mark) - 1) for mark in marks.found]
     ended = {i - 1 if i >= 0 and mark - times[i] <= usual else i for mark, i in last}

@@ -7,7 +7,7 @@ from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 from app.history.series.gaps import Marks, holes, usual_interval
-from app.history.series.runs import MINUTE, Run
+from app.history.series.runs import MINUTE, PlainRun
 
 
 class Interval(NamedTuple):
@@ -18,9 +18,9 @@ class Interval(NamedTuple):
     word: int
 
 
-def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> list[Interval]:
+def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 0) -> list[Interval]:
     """Neighbours with the same bits and no hole between them as one, in order of time."""
-    ordered = sorted((part.at, part.until, part.word) for part in parts)
+    ordered = sorted(parts)
     if not ordered:
         return []
     starts, ends, words = zip(*ordered, strict=True)
@@ -33,10 +33,10 @@ def intervals(parts: Iterable[Run | Interval], marks: Marks, usual: int = 0) -> 
     return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
 
 
-def splice(stored: Sequence[Interval], minute: int, runs: Sequence[Run], marks: Marks) -> list[Interval]:
+def splice(stored: Sequence[Interval], minute: int, runs: Sequence[PlainRun], marks: Marks) -> list[Interval]:
     """Return the replacement of ``stored``, the intervals that touch a minute or are next to it,
     now that all runs of that minute are known."""
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
     around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
-    return intervals([*around, *runs], marks, usual_interval(runs))
+    return intervals([*around, *((run[0], run[1], run[6]) for run in runs)], marks, usual_interval(runs))

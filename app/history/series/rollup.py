@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import reduce
-from operator import and_, or_
+from operator import and_, mul, or_
 from typing import NamedTuple
 
 from app.history.series import columns
-from app.history.series.runs import Run
+from app.history.series.runs import PlainRun
 
 BITS = 16
 """ST2 * 256 + ST1, as in :class:`app.history.series.runs.Run`."""
@@ -48,7 +48,7 @@ FIELDS = {name: position for position, name in enumerate(Rollup._fields[:-1])} |
 """Position of each column in a packed row of rollups."""
 
 
-def rollup(runs: Sequence[Run], start: int) -> Rollup:
+def rollup(runs: Sequence[PlainRun], start: int) -> Rollup:
     """Readings of one unit, at least one, as one row."""
     _, _, counts, commanded, actual, analog, words = zip(*runs, strict=True)
     weights: Counter[int] = Counter()
@@ -62,12 +62,22 @@ def rollup(runs: Sequence[Run], start: int) -> Rollup:
         *_reach(analog, counts),
         reduce(and_, weights),
         reduce(or_, weights),
-        tuple(sum(n for word, n in weights.items() if word >> bit & 1) for bit in range(BITS)),
+        _counts(weights.items()),
     )
 
 
 def _reach(values: Sequence[int], counts: Sequence[int]) -> tuple[int, int, int]:
-    return min(values), max(values), sum(v * n for v, n in zip(values, counts, strict=True))
+    return min(values), max(values), sum(map(mul, values, counts))
+
+
+def _counts(words: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+    """For each bit, how many readings have it, of words and how many readings have each."""
+    on = [0] * BITS
+    for word, count in words:
+        for bit in range(BITS):
+            if word >> bit & 1:
+                on[bit] += count
+    return tuple(on)
 
 
 def combine(rows: Sequence[Rollup], start: int) -> Rollup:

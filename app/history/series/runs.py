@@ -7,9 +7,10 @@ minute: the first reading of every minute is a heartbeat, and a minute is comple
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import chain
-from operator import add
+from operator import add, gt, sub
 from typing import NamedTuple
 
 from app.history.series import columns
@@ -36,6 +37,9 @@ class Run(NamedTuple):
     """ST2 * 256 + ST1: all output and input bits."""
 
 
+PlainRun = tuple[int, int, int, int, int, int, int]
+"""The same as a plain tuple: of hundreds of thousands in memory the garbage collector looks at none."""
+_named: Callable[[PlainRun], Run] = partial(tuple.__new__, Run)
 COLUMNS = {name: position for position, name in enumerate(Run._fields)}
 
 
@@ -44,40 +48,61 @@ def micros(at: UnixTime) -> int:
     return round(float(at) * SECOND)
 
 
-def run_of(reading: Reading) -> Run:
-    at = micros(reading.at)
+def plain_run(reading: Reading) -> PlainRun:
+    """A reading as a run of one."""
+    at = round(float(reading.at) * SECOND)
     word = reading.outputs << 8 | reading.inputs
-    return Run(at, at, 1, reading.commanded, reading.actual, reading.analog, word)
+    return at, at, 1, reading.commanded, reading.actual, reading.analog, word
 
 
-def follows(run: Run, last: Run) -> bool:
+def runs_of(plain: Iterable[PlainRun]) -> list[Run]:
+    """Plain runs with their names."""
+    return list(map(_named, plain))
+
+
+def follows(run: PlainRun, last: PlainRun) -> bool:
     """Whether ``run`` repeats ``last`` later in the same minute."""
-    return run[3:] == last[3:] and run.at >= last.until and run.until // MINUTE == last.at // MINUTE
+    return run[3:] == last[3:] and run[0] >= last[1] and run[1] // MINUTE == last[0] // MINUTE
 
 
-def joined(last: Run, run: Run) -> Run:
+def joined(last: PlainRun, run: PlainRun) -> PlainRun:
     """One run of two, the second following the first."""
-    return last._replace(until=run.until, readings=last.readings + run.readings)
+    return (last[0], run[1], last[2] + run[2], *last[3:])
 
 
-def merge(one: Iterable[Run], other: Iterable[Run]) -> list[Run]:
+def merge(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[Run]:
     """Both in order of time; what both hold is there once. No value that either holds is lost."""
-    merged: list[Run] = []
+    return runs_of(merge_plain(one, other))
+
+
+def merge_plain(one: Iterable[PlainRun], other: Iterable[PlainRun]) -> list[PlainRun]:
+    """The same without names."""
+    merged: list[PlainRun] = []
+    last: PlainRun | None = None
     for run in sorted(chain(one, other)):
-        last = merged[-1] if merged else None
-        if last is None or run[3:] != last[3:] or run.at > last.until:
+        if last is None or run[0] > last[1] or run[3:] != last[3:]:
             merged.append(run)
         else:
-            merged[-1] = last._replace(
-                until=max(last.until, run.until), readings=max(last.readings, run.readings)
-            )
+            merged[-1] = (last[0], max(last[1], run[1]), max(last[2], run[2]), *last[3:])
+        last = merged[-1]
     return merged
 
 
-def pack_runs(runs: Sequence[Run], start: int) -> bytes:
+def pack_runs(runs: Sequence[PlainRun], start: int) -> bytes:
     """Runs of one unit as a block; times are kept relative to ``start``, in µs."""
-    at, until, *rest = zip(*runs, strict=True)
-    return columns.pack([[t - start for t in at], [b - a for a, b in zip(at, until, strict=True)], *rest])
+    return pack_columns(list(zip(*runs, strict=True)), start)
+
+
+def pack_columns(table: Sequence[Sequence[int]], start: int) -> bytes:
+    """The same of the columns of runs."""
+    at, until, *rest = table
+    return columns.pack([[t - start for t in at], list(map(sub, until, at)), *rest])
+
+
+def are_apart(table: Sequence[Sequence[int]]) -> bool:
+    """Whether columns of runs are in order of time and none touches the next, so that none is merged."""
+    at, until, *_ = table
+    return all(map(gt, at[1:], until))
 
 
 def unpack_runs(blob: bytes, start: int) -> list[Run]:

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from itertools import chain
+from operator import gt, itemgetter, sub
+from typing import Any, Literal
 
 from app.database import StoreConnection as StoreConnection
-from app.database.engine import upsert
+from app.database.engine import is_local, lock, upsert
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
-from app.history.series.rollup import Rollup, pack_rollups, unpack_rollups
-from app.history.series.runs import DAY, HOUR, MINUTE, Run, pack_runs, unpack_runs
+from app.history.series.runs import (
+    DAY,
+    HOUR,
+    MINUTE,
+    PlainRun,
+    Run,
+    pack_columns,
+    runs_of,
+    unpack_columns,
+    unpack_runs,
+)
 from app.history.series.scaling import ParameterStep
 from app.history.store.damage import BlockKey, intact, sound
 
@@ -21,6 +32,10 @@ ROW_SPAN: dict[RollupTier, int] = {"minutes": HOUR, "hours": DAY}
 STEP: dict[RollupTier, int] = {"minutes": MINUTE, "hours": HOUR}
 LOST_STATES = ("stale", "offline", "unknown", "closed")
 _JOURNAL_LEVEL = 1
+JOURNAL_ROWS = 2**40
+"""The journals of several servers are so far apart in one table."""
+INSERT_RAW = "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)"
+_OWN = "seq >= ? AND seq < ?"
 
 
 def unit_id(connection: StoreConnection, bus: str, number: int) -> int:
@@ -37,6 +52,19 @@ def find_unit(connection: StoreConnection, bus: str, number: int) -> int | None:
     return None if row is None else int(row[0])
 
 
+def _marks(values: Sequence[object]) -> str:
+    return ", ".join("?" * len(values)) or "NULL"
+
+
+def lock_units(connection: StoreConnection, units: Iterable[int]) -> None:
+    """Let no other server merge blocks of the buses of these units until this transaction has ended."""
+    keys = sorted(set(units))
+    query = f"SELECT DISTINCT bus FROM unit WHERE id IN ({_marks(keys)}) ORDER BY bus"
+    if not is_local(connection):
+        for (bus,) in connection.execute(query, keys).fetchall():
+            lock(connection, f"history {bus}")
+
+
 def units_of(connection: StoreConnection, bus: str) -> list[int]:
     """The keys of a bus and its units."""
     return [row[0] for row in connection.execute("SELECT id FROM unit WHERE bus = ?", (bus,))]
@@ -48,26 +76,54 @@ def name_of(connection: StoreConnection, unit: int) -> str:
     return "" if row is None else f"{row[0]}/{row[1]}"
 
 
-def write_journal(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) -> None:
-    """Readings or runs of units as one row."""
-    ordered = sorted(rows, key=lambda row: row[0])
-    units = [unit for unit, _ in ordered]
-    at, until, *rest = zip(*(run for _, run in ordered), strict=True)
-    lengths = [b - a for a, b in zip(at, until, strict=True)]
+def journal_of(connection: StoreConnection, server: str) -> int:
+    """Where the rows of a server's journal begin; given to it now when it has none. The first one has those
+    of a store that one server had."""
+    lock(connection, "journals")
+    row = connection.execute("SELECT value FROM fact WHERE name = ?", (f"journal {server}",)).fetchone()
+    if row is None:
+        given = "SELECT count(*) FROM fact WHERE name LIKE 'journal %'"
+        row = (JOURNAL_ROWS * connection.execute(given).fetchone()[0],)
+        connection.execute("INSERT INTO fact VALUES (?, ?)", (f"journal {server}", row[0]))
+    return int(row[0])
+
+
+def write_journal(
+    connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]], journal: int = 0
+) -> None:
+    """Readings or runs of units as one row. ``journal``: where that of this server begins."""
+    units, runs = zip(*sorted(rows, key=itemgetter(0)), strict=True)
+    at, until, *rest = zip(*runs, strict=True)
+    lengths = list(map(sub, until, at))
     data = columns.pack([units, at, lengths, *rest], _JOURNAL_LEVEL)
-    connection.execute("INSERT INTO journal (data) VALUES (?)", (data,))
+    newest = f"SELECT coalesce(max(seq), ?) + 1, ? FROM journal WHERE {_OWN}"
+    values = (journal, data, journal, journal + JOURNAL_ROWS)
+    connection.execute(f"INSERT INTO journal (seq, data) {newest}", values)
 
 
-def write_journal_again(connection: StoreConnection, rows: Sequence[tuple[int, Run]]) -> None:
-    """All that the journal holds from now on."""
-    connection.execute("DELETE FROM journal")
+def write_journal_again(
+    connection: StoreConnection, rows: Sequence[tuple[int, PlainRun]], journal: int = 0
+) -> None:
+    """All that a journal holds from now on."""
+    connection.execute(f"DELETE FROM journal WHERE {_OWN}", (journal, journal + JOURNAL_ROWS))
     if rows:
-        write_journal(connection, rows)
+        write_journal(connection, rows, journal)
 
 
-def read_journal(connection: StoreConnection) -> Iterable[list[tuple[int, Run]] | None]:
-    """The readings of every row, oldest first; None for a damaged one."""
-    for (data,) in connection.execute("SELECT data FROM journal ORDER BY seq"):
+def read_journal(connection: StoreConnection, journal: int = 0) -> Iterable[list[tuple[int, Run]] | None]:
+    """The readings of every row of a journal, oldest first; None for a damaged one."""
+    query = f"SELECT data FROM journal WHERE {_OWN} ORDER BY seq"
+    return _journal_rows(connection.execute(query, (journal, journal + JOURNAL_ROWS)))
+
+
+def read_other_journals(connection: StoreConnection, journal: int) -> Iterable[list[tuple[int, Run]] | None]:
+    """The readings of every row of all journals but one, oldest first in each; None for a damaged one."""
+    query = f"SELECT data FROM journal WHERE NOT ({_OWN}) ORDER BY seq"
+    return _journal_rows(connection.execute(query, (journal, journal + JOURNAL_ROWS)))
+
+
+def _journal_rows(stored: Iterable[Any]) -> Iterable[list[tuple[int, Run]] | None]:
+    for (data,) in stored:
         try:
             units, at, lengths, *rest = columns.unpack(data)
         except ValueError:
@@ -83,47 +139,60 @@ def extent(connection: StoreConnection) -> tuple[int, int] | None:
     return None if row[0] is None else (row[0], row[1] + DAY)
 
 
-def raw_block(connection: StoreConnection, unit: int, at: int) -> tuple[int, int, list[Run]] | None:
-    """Start, span and runs of the block in which a time falls."""
-    row = connection.execute(
-        "SELECT start, span, data FROM raw WHERE unit = ? AND start <= ? ORDER BY start DESC LIMIT 1",
-        (unit, at),
-    ).fetchone()
-    if row is None or row[0] + row[1] <= at:
-        return None
-    return row[0], row[1], _runs_of(unit, row[0], row[2])
-
-
-def write_raw(connection: StoreConnection, unit: int, start: int, span: int, runs: Sequence[Run]) -> None:
-    """A block in place of all that lie in its span. ``points``: how many it has when drawn one by one."""
+def write_raw(
+    connection: StoreConnection, unit: int, start: int, span: int, table: Sequence[Sequence[int]]
+) -> None:
+    """A block of the columns of runs in place of all that lie in its span."""
     connection.execute(
         "DELETE FROM raw WHERE unit = ? AND start >= ? AND start < ?", (unit, start, start + span)
     )
-    points = len(runs) + sum(run.until > run.at for run in runs)
-    connection.execute(
-        "INSERT INTO raw (unit, start, span, points, data) VALUES (?, ?, ?, ?, ?)",
-        (unit, start, span, points, pack_runs(runs, start)),
-    )
+    connection.execute(INSERT_RAW, raw_row(unit, start, span, table))
+
+
+def raw_row(
+    unit: int, start: int, span: int, table: Sequence[Sequence[int]]
+) -> tuple[int, int, int, int, bytes]:
+    """The values of a block. ``points``: how many it has when drawn one by one."""
+    at, until, *_ = table
+    return unit, start, span, len(at) + sum(map(gt, until, at)), pack_columns(table, start)
 
 
 def raw_between(connection: StoreConnection, unit: int, start: int, end: int) -> list[Run]:
     """All runs of the blocks that begin within a span, µs. Raises DamagedBlock."""
+    return runs_of(zip(*raw_columns(connection, unit, start, end), strict=True))
+
+
+def raw_columns(connection: StoreConnection, unit: int, start: int, end: int) -> list[list[int]]:
+    """The same as columns, one block after the other."""
     rows = connection.execute(
         "SELECT start, data FROM raw WHERE unit = ? AND start >= ? AND start < ? ORDER BY start",
         (unit, start, end),
     )
-    return [run for begin, data in rows for run in _runs_of(unit, begin, data)]
+    tables = [
+        intact(
+            BlockKey("raw", unit, begin),
+            lambda data=data, begin=begin: unpack_columns(data, begin, Run._fields),  # type: ignore[misc]
+        )
+        for begin, data in rows
+    ]
+    return [list(chain.from_iterable(parts)) for parts in zip(*tables, strict=True)]
 
 
-def _runs_of(unit: int, start: int, data: bytes) -> list[Run]:
+def block_runs(unit: int, start: int, data: bytes) -> list[Run]:
+    """The runs of a block. Raises DamagedBlock."""
     return intact(BlockKey("raw", unit, start), lambda: unpack_runs(data, start))
 
 
-def next_to_compact(connection: StoreConnection, before: int) -> tuple[int, int] | None:
-    """A unit and an hour that ended before that time and is still stored by minutes."""
+def next_to_compact(
+    connection: StoreConnection, before: int, buses: Sequence[str] | None = None
+) -> tuple[int, int] | None:
+    """A unit, of these buses or of any, and an hour that ended before that time and is still stored by
+    minutes."""
+    owned = "" if buses is None else f" AND unit IN (SELECT id FROM unit WHERE bus IN ({_marks(buses)}))"
     row = connection.execute(
-        "SELECT unit, start FROM raw WHERE span = 60000000 AND start < ? ORDER BY start, unit LIMIT 1",
-        (before,),
+        f"SELECT unit, start FROM raw WHERE span = 60000000 AND start < ?{owned}"
+        " ORDER BY start, unit LIMIT 1",
+        (before, *(buses or ())),
     ).fetchone()
     return None if row is None else (row[0], row[1] - row[1] % HOUR)
 
@@ -146,23 +215,7 @@ def newest_reading(connection: StoreConnection, unit: int) -> int | None:
     """The time of the newest stored reading of a unit, µs. Raises DamagedBlock."""
     query = "SELECT start, data FROM raw WHERE unit = ? ORDER BY start DESC LIMIT 1"
     row = connection.execute(query, (unit,)).fetchone()
-    return None if row is None else max((run.until for run in _runs_of(unit, *row)), default=None)
-
-
-def rollup_row(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
-    query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
-    row = connection.execute(query, (unit, start)).fetchone()
-    if row is None:
-        return []
-    return intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
-
-
-def write_rollups(
-    connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
-) -> None:
-    """One row of a tier, new or again."""
-    row = (unit, start, pack_rollups(rows, start))
-    connection.execute(upsert(tier, ("unit", "start"), ("data",)), row)
+    return None if row is None else max((run.until for run in block_runs(unit, *row)), default=None)
 
 
 def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
@@ -226,21 +279,6 @@ def count_bits(connection: StoreConnection, unit: int, start: int, end: int) -> 
     return int(connection.execute(query, (unit, start, end)).fetchone()[0])
 
 
-def replace_bits(
-    connection: StoreConnection, unit: int, old: Iterable[Interval], new: Iterable[Interval]
-) -> None:
-    """Replace intervals; one that stays the same is not written."""
-    before, after = set(old), set(new)
-    connection.executemany(
-        "DELETE FROM bits WHERE unit = ? AND at = ? AND word = ?",
-        [(unit, part.at, part.word) for part in before - after],
-    )
-    connection.executemany(
-        upsert("bits", ("unit", "at", "word"), ("until",)),
-        [(unit, part.at, part.word, part.until) for part in sorted(after - before)],
-    )
-
-
 def write_link(connection: StoreConnection, unit: int, at: int, state: str, cause: str) -> None:
     """A unit or a port came into a state."""
     query = "INSERT INTO link VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING"
@@ -291,3 +329,14 @@ def raw_from(connection: StoreConnection) -> int:
 def write_raw_from(connection: StoreConnection, at: int) -> None:
     """Readings before this time are given up."""
     connection.execute(upsert("fact", ("name",), ("value",)), ("raw_from", at))
+
+
+def followed(connection: StoreConnection, spool: str) -> int:
+    """The number of the last record of a spool that is stored; 0 where none is."""
+    row = connection.execute("SELECT value FROM fact WHERE name = ?", (f"spool {spool}",)).fetchone()
+    return 0 if row is None else int(row[0])
+
+
+def write_followed(connection: StoreConnection, spool: str, number: int) -> None:
+    """The records of a spool up to this number are stored."""
+    connection.execute(upsert("fact", ("name",), ("value",)), (f"spool {spool}", number))
