@@ -52,6 +52,7 @@ TESTS = {
     "app/commands/rules/objection.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint.py": "tests/app/test_command_check.py",
     "app/commands/rules/setpoint_range.py": "tests/app/test_setpoint_range.py",
+    "app/commands/rules/slowing.py": "tests/app/test_slowing.py",
     "app/recipes/rules.py": "tests/app/test_recipes.py",
     "app/swap/rules.py": "tests/app/test_swap.py",
 }

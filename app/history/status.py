@@ -52,7 +52,7 @@ class HistoryStatus:
         InstantObject | None, Field(description="Since when the database is away; null: it is not.")
     ] = None
     spooled_readings: Annotated[int, Field(description="Readings that wait on this server's disk.")] = 0
-    spooled_bytes: int = 0
+    spooled_bytes: Annotated[int, Field(description="What they take there.")] = 0
     spooled_from: Annotated[
         InstantObject | None, Field(description="The oldest reading that waits; null: none does.")
     ] = None

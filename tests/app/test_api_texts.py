@@ -80,7 +80,8 @@ TIMES = {
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
     *("shelved_until", "unknown_since", "Alarm.came", "Alarm.cleared"),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
-    *("HistoryStatus.begun", "HistoryStatus.oldest_reading"),
+    *("HistoryStatus.begun", "HistoryStatus.oldest_reading", "Event.entered_at"),
+    *(f"HistoryStatus.{name}" for name in ("away_since", "spooled_from", "spooled_to")),
     *(f"RecurringMaintenance.{name}" for name in ("starts", "ends", "last_day")),
     *(
         "covered_from",

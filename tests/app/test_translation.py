@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("psycopg")
 
-from app.database.postgresql.schema import definition, split
+from app.database.postgresql.schema import MAX_FORMER_ROWS, definition, split
 from app.database.postgresql.translation import translated
 
 
@@ -47,6 +47,8 @@ def test_values_by_name_are_sent_in_the_order_of_their_numbers() -> None:
                 "    real double precision NOT NULL,\n    data bytea,\n"
                 "    name text COLLATE \"C\" DEFAULT 'TEXT'\n)",
                 "ALTER TABLE t ALTER COLUMN data SET STORAGE EXTERNAL",
+                "ALTER TABLE t SET (autovacuum_vacuum_scale_factor = 0,"
+                f" autovacuum_vacuum_threshold = {MAX_FORMER_ROWS})",
             ],
         ),
         (

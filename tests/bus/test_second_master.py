@@ -27,19 +27,18 @@ def test_three_within_two_seconds_are_another_host_and_ten_seconds_without_are_i
     assert not host.is_present(Monotonic(9.0 + CLEAR_AFTER_S))
 
 
-def test_a_request_explains_one_response_and_the_newest_is_awaited() -> None:
+def test_a_request_explains_one_response() -> None:
     host = SecondMaster()
-    assert not host.explains(2, is_requested=False)
+    assert not host.explains(2)
     for _ in range(2):
         host.requested(2)
-    assert host.explains(2, is_requested=True), "the late response to the first"
-    assert not host.explains(2, is_requested=True), "one response too many"
-    assert not host.explains(3, is_requested=False)
     host.responded(2)
-    assert not host.explains(2, is_requested=False)
+    assert not host.explains(3)
+    assert host.explains(2), "the late response to the first"
+    assert not host.explains(2), "one response too many"
     for _ in range(100):
         host.requested(2)
-    assert sum(host.explains(2, is_requested=False) for _ in range(100)) == MAX_OUTSTANDING, "it was off"
+    assert sum(host.explains(2) for _ in range(100)) == MAX_OUTSTANDING, "it was off"
 
 
 async def respond_to_another(line: VirtualLine) -> None:

@@ -403,7 +403,7 @@ def test_a_damaged_store_is_reported_and_the_line_goes_on(own_site: Site, browse
     own_site.wait_for_units()
     page = browser_page("viewer", own_site, viewport=OFFICE)
     page.goto("/trends")
-    expect(page.locator(".notice").first).to_contain_text("is not shown: it was damaged")
+    expect(page.locator("[data-live='line_summary.memory']")).to_contain_text("is not shown: it was damaged")
     assert [aside.read_bytes()[:16] for aside in store.parent.glob("history.db.damaged-*")] == [
         b"this is no store"
     ]

@@ -288,19 +288,18 @@ class Link:
                 self.second_master.responded(event.unit)
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
-                self._judge_sender(event, addressed, now)
+                if isinstance(event, Foreign):
+                    self._judge_sender(event, now)
         if self._current is not None and isinstance(event, Unexpected | Foreign):
             self._current.unexpected = True
 
-    def _judge_sender(self, event: Unexpected | Foreign, addressed: int, now: Monotonic) -> None:
+    def _judge_sender(self, event: Foreign, now: Monotonic) -> None:
         """Note a response that no request of this host explains; beside an exchange once that has ended."""
-        current = self._current
-        unit = event.unit if isinstance(event, Foreign) else addressed
-        if self.second_master.explains(unit, is_requested=current is not None and unit == addressed):
+        if self.second_master.explains(event.unit):
             return
-        if current is not None:
-            current.unrequested = True
-        elif isinstance(event, Foreign):
+        if self._current is not None:
+            self._current.unrequested = True
+        else:
             self.second_master.note(now)
 
     def _is_another_s_late(self, event: Foreign) -> bool:

@@ -3,8 +3,8 @@
 A host does not receive the requests of another, only what the units respond to them: frames that come
 beside the response to its own request, or while it awaits none. A unit with a wrong address is not that: it
 responds in the place of the one that was requested. Nor is a unit that responds late, however late: it sends
-as many responses as it had requests. Two hosts that write would set each other's speeds, so this one stops
-writing, but for what stops a unit.
+as many responses as it had requests. And what a unit sends while it is requested may be its own fault. Two
+hosts that write would set each other's speeds, so this one stops writing, but for what stops a unit.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ class SecondMaster:
         """A unit responded, in time or late."""
         self._outstanding[unit] = max(self._outstanding[unit] - 1, 0)
 
-    def explains(self, unit: int, *, is_requested: bool) -> bool:
+    def explains(self, unit: int) -> bool:
         """Whether a response of a unit may be one to an earlier request of this host, which it then counts
-        as. ``is_requested``: one more is awaited of the unit."""
-        is_explained = self._outstanding[unit] > is_requested
+        as."""
+        is_explained = self._outstanding[unit] > 0
         if is_explained:
             self.responded(unit)
         return is_explained
