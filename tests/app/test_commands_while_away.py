@@ -49,6 +49,8 @@ async def stage(tmp_path: Path) -> AsyncIterator[Stage]:
 async def worker(stage: Stage) -> PlayedWorker:
     played = await stage.worker()
     played.play = responding("verified")
+    # What the worker brought is stored: the next transaction is that of the test.
+    await stage.recorder.recorded()
     return played
 
 
