@@ -190,7 +190,13 @@ class World:
         elif process.began is None:
             process.began = now
         if process.lease is not None and process.lease.left_s(now) <= 0:
+            self.release(process, process.lease)
             process.lease = None
+
+    def release(self, process: Process, lease: Lease) -> None:
+        """What has lapsed is free at once, also where it was renewed meanwhile."""
+        if self.row is not None and self.is_of(self.row, process, lease):
+            self.row = self.row._replace(released=process.claimant.instance)
 
     def carry_out(self, process: Process) -> None:
         lease, stored = process.lease, self.row
