@@ -22,6 +22,7 @@ from app.home.lease import (
     Lease,
     Sighting,
     Verdict,
+    next_free,
     verdict,
 )
 from app.home.store import Beat, HomeStore
@@ -224,14 +225,15 @@ class HomeKeeper:
     async def _beat_without_end(self) -> None:
         while True:
             began = self._monotonic()
+            self._wake.clear()
             try:
                 await self.beat()
             except Exception:
                 log.exception("homes were not renewed")
-            left_s = began + RENEW_S - self._monotonic()
-            self._wake.clear()
+            of_others = (seen for bus, seen in self._sightings.items() if bus not in self._leases)
+            now = self._monotonic()
             try:
-                async with asyncio.timeout(max(left_s, 0.0)):
+                async with asyncio.timeout(max(min(began + RENEW_S, next_free(of_others, now)) - now, 0.0)):
                     await self._wake.wait()
             except TimeoutError:
                 continue
