@@ -161,7 +161,7 @@ async def test_a_lease_that_is_not_renewed_ends_here_before_another_takes_it(
 
 
 async def test_a_lease_that_lapsed_is_free_at_once(start: Start) -> None:
-    """As after a halt of the server, in which a renewal that was under way has come to the store."""
+    """As after a halt of the server, in which a renewal that was under way has reached the store."""
     a, _ = await start("a")
     await until(lambda: "port of dry-end opened" in a.happened)
     a.slow_port.clear()

@@ -114,7 +114,7 @@ async def test_a_renewal_and_another_server_that_takes_the_bus_do_not_both_succe
         )
 
     def in_the_middle() -> Monotonic:
-        """What the transaction that takes the bus asks for once it has read the row."""
+        """What the transaction that takes the bus calls once it has read the row."""
         if not renewals:
             renewals.append(asyncio.run_coroutine_threadsafe(holding.beat("a", "a", "", {BUS: 1}), loop))
         while not (renewals[0].done() or waits()):

@@ -163,7 +163,7 @@ class HomeKeeper:
             self._homes.hold(bus, None)
             if lease is not None:
                 # Also one that was lost: its row would keep the bus from every server for its full time,
-                # which a renewal that was under way may have begun anew.
+                # which a renewal that was under way may have started again.
                 await self._release(bus, lease)
                 self._leases.pop(bus, None)
                 self._note_released()
