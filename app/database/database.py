@@ -41,6 +41,8 @@ class Database(ABC):
         self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{label}-writer")
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix=f"{label}-reader")
         self._costly = ThreadPoolExecutor(COSTLY_READERS, thread_name_prefix=f"{label}-costly")
+        self._brief = self._writer
+        """Where an engine lets more than one transaction write, a thread apart from the writer's."""
 
     async def write(self, work: Work[T]) -> T:
         """Run ``work`` in one transaction on the writer's thread; it is on disk when this returns."""
@@ -58,6 +60,16 @@ class Database(ABC):
         """Run ``work`` in one transaction also while the database is known to be away. Raises
         StoreUnavailableError where it takes too long; it may still be stored."""
         return await in_time(self._begin(self._writer, self.write_now, work))
+
+    async def write_briefly(self, work: Work[T]) -> T:
+        """Run ``work``, a few trivial statements, in one transaction that keeps no other waiting for longer
+        than a second, also while the database is known to be away. Raises StoreUnavailableError where it
+        takes too long; it may still be stored."""
+        return await in_time(self._begin(self._brief, self.write_briefly_now, work))
+
+    def write_briefly_now(self, work: Work[T]) -> T:
+        """The same on this thread: the command line's."""
+        return self.write_now(work)
 
     def probe(self) -> asyncio.Future[object]:
         """Begin a trivial read, also while the database is known to be away."""
@@ -90,6 +102,7 @@ class Database(ABC):
         self._readers.shutdown()
         self._costly.shutdown()
         self._writer.shutdown()
+        self._brief.shutdown()
         self._disconnect()
 
     @abstractmethod

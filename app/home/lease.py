@@ -10,6 +10,7 @@ depends on a wall clock: a step of the store's clock and a row that is edited by
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -98,6 +99,13 @@ def _mark(row: HomeRow | None) -> tuple[object, ...] | None:
     return (
         None if row is None else (row.holder, row.instance, row.epoch, row.until, row.renewals, row.released)
     )
+
+
+def next_free(sightings: Iterable[Sighting], now: Monotonic) -> Monotonic:
+    """When the first of these rows will have been unchanged for so long that it may be taken: who looks just
+    before that waits for another look."""
+    free = (seen.since + LEASE_S for seen in sightings)
+    return min((at for at in free if at > now), default=Monotonic(math.inf))
 
 
 def verdict(sighting: Sighting, claimant: Claimant, now: Monotonic, store_now: UnixTime) -> Verdict:

@@ -1,8 +1,13 @@
-"""Stores the leases of homes. Every change is made under one lock, on the clock of the store."""
+"""Stores the leases of homes, on the clock of the store.
+
+Each change is a statement that names whose row it changes, so nothing waits for other buses. Taking alone has
+more than one, and is under a lock.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from itertools import chain
 from typing import NamedTuple
 
 from app.database import Database, StoreConnection, engine
@@ -39,20 +44,28 @@ class HomeStore:
         """Call ``callback`` on this event loop where a bus was released or requested by any server."""
         self._database.listen(CHANNEL, lambda _: callback())
 
+    @property
+    def is_away(self) -> bool:
+        """Whether nothing but leases can be read and written now."""
+        availability = self._database.availability
+        return availability is not None and availability.is_away
+
     async def beat(self, server: str, instance: str, url: str, epochs: Mapping[str, int]) -> Beat:
         """Renew what this process holds, by bus and epoch, where the row agrees; then read all rows."""
 
         def renew(connection: StoreConnection) -> Beat:
-            engine.lock(connection, LOCK)
             now = engine.clock(connection)
-            connection.executemany(
-                "UPDATE home SET until = ?, url = ?, renewals = renewals + 1"
-                " WHERE bus = ? AND epoch = ? AND holder = ? AND instance = ? AND released = ''",
-                [(now + LEASE_S, url, bus, epoch, server, instance) for bus, epoch in epochs.items()],
-            )
+            if epochs:
+                held = ", ".join(["(?, ?)"] * len(epochs))
+                connection.execute(
+                    "UPDATE home SET until = ?, url = ?, renewals = renewals + 1"
+                    " WHERE holder = ? AND instance = ? AND released = ''"
+                    f" AND (bus, epoch) IN (VALUES {held})",
+                    (now + LEASE_S, url, server, instance, *chain.from_iterable(epochs.items())),
+                )
             return Beat(now, _rows(connection), _highest(connection))
 
-        return await self._database.write(renew)
+        return await self._database.write_briefly(renew)
 
     async def take_all(self, server: str, instance: str, url: str, buses: Iterable[str]) -> Beat:
         """Make the only server of this store the home of each bus, with the next epoch."""
@@ -91,6 +104,8 @@ class HomeStore:
 
         def take(connection: StoreConnection) -> HomeRow | Verdict:
             engine.lock(connection, LOCK)
+            # From here on its holder renews it only if this ends without a change.
+            connection.execute("UPDATE home SET bus = bus WHERE bus = ?", (bus,))
             now, row = engine.clock(connection), _rows(connection).get(bus)
             highest = _highest(connection).get(bus, 0)
             # A row that was changed since the last look is of this moment.
@@ -117,14 +132,13 @@ class HomeStore:
             connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
             return taken
 
-        return await self._database.write(take)
+        return await self._database.write_briefly(take)
 
     async def renumber(self, bus: str, instance: str, epoch: int, above: int) -> int:
         """Raise the epoch of a lease that this process holds to one above ``above``, which a worker has seen.
         Returns it, or 0 where it is not held."""
 
         def renumber(connection: StoreConnection) -> int:
-            engine.lock(connection, LOCK)
             changed = connection.execute(
                 "UPDATE home SET epoch = ? WHERE bus = ? AND instance = ? AND epoch = ? AND released = ''",
                 (above + 1, bus, instance, epoch),
@@ -134,27 +148,25 @@ class HomeStore:
             connection.execute(_UPSERT_EPOCH, (bus, above + 1))
             return above + 1
 
-        return await self._database.write(renumber)
+        return await self._database.write_briefly(renumber)
 
     async def release(self, bus: str, instance: str, epoch: int) -> None:
         """Give a lease up: its port is closed, and another server may take it at once."""
 
         def release(connection: StoreConnection) -> None:
-            engine.lock(connection, LOCK)
             connection.execute(
                 "UPDATE home SET released = instance WHERE bus = ? AND instance = ? AND epoch = ?",
                 (bus, instance, epoch),
             )
             engine.notify(connection, CHANNEL, bus or "site")
 
-        await self._database.write(release)
+        await self._database.write_briefly(release)
 
 
 def request_home(database: Database, bus: str, server: str, *, who: str, reason: str) -> bool:
     """Note on this thread that a person wants ``bus`` at ``server``; False where no server has had it."""
 
     def request(connection: StoreConnection) -> bool:
-        engine.lock(connection, LOCK)
         ends = engine.clock(connection) + MAX_REQUEST_S
         changed = connection.execute(
             "UPDATE home SET requested_by = ?, requested_for = ?, request_ends = ?, reason = ? WHERE bus = ?",
@@ -164,7 +176,7 @@ def request_home(database: Database, bus: str, server: str, *, who: str, reason:
             engine.notify(connection, CHANNEL, bus)
         return changed.rowcount > 0
 
-    return database.write_now(request)
+    return database.write_briefly_now(request)
 
 
 def read_homes(connection: StoreConnection) -> Beat:

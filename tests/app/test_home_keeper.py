@@ -6,21 +6,23 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from app.database import SqliteDatabase
+from app.database.availability import NO_RESPONSE, Availability
 from app.errors import StoreError
 from app.home import lease as rules
 from app.home import store as home_store
 from app.home.homes import Homes
 from app.home.keeping import keeper as keeping
 from app.home.keeping.keeper import HomeKeeper, HomeTerms
-from app.home.lease import SITE
-from app.home.store import HomeStore, request_home
-from bus.instants import monotonic_now
+from app.home.lease import SITE, HomeRow
+from app.home.store import HomeStore, read_homes, request_home
+from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
 
 BUS, PATIENCE_S = "dry-end", 30.0
@@ -90,6 +92,10 @@ class Server:
         with closing(SqliteDatabase(self.path, checkpoints=False)) as database:
             return request_home(database, BUS, self.homes.server, who="anna", reason=reason)
 
+    async def row(self) -> HomeRow:
+        """What the store has of the bus."""
+        return (await self.database.read(read_homes)).rows[BUS]
+
     def of_bus(self) -> list[str]:
         return [each for each in self.happened if "site" not in each]
 
@@ -154,6 +160,23 @@ async def test_a_lease_that_is_not_renewed_ends_here_before_another_takes_it(
     assert a.of_bus()[-2:] == ["port of dry-end closed", "bus ended"]
 
 
+async def test_a_lease_that_lapsed_is_free_at_once(start: Start) -> None:
+    """As after a halt of the server, in which a renewal that was under way has reached the store."""
+    a, _ = await start("a")
+    await until(lambda: "port of dry-end opened" in a.happened)
+    a.slow_port.clear()
+    epoch, held = a.homes.epoch(BUS), a.keeper._leases[BUS]
+    a.keeper._leases[BUS] = replace(held, confirmed=Monotonic(0.0))
+    a.keeper.look()
+    await until(lambda: not a.homes.is_here(BUS))
+    assert not (await a.row()).is_released, "its port is open"
+    a.slow_port.set()
+    await until(lambda: a.homes.is_here(BUS))
+    assert a.homes.epoch(BUS) == epoch + 1
+    assert (await a.row()).reason == "a gave it up", "it waited for no lease to run out"
+    await until(lambda: a.of_bus().count("port of dry-end opened") == 2)
+
+
 async def test_a_store_that_does_not_respond_is_one_that_is_away(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +188,27 @@ async def test_a_store_that_does_not_respond_is_one_that_is_away(
 
     monkeypatch.setattr(a.store, "beat", hang)
     await until(lambda: not a.homes.is_here(BUS) and "bus ended" in a.happened)
+
+
+async def test_homes_are_renewed_and_none_is_taken_while_nothing_else_reaches_the_store(start: Start) -> None:
+    a, life = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    b, _ = await start("b")
+    renewals = (await a.row()).renewals
+    a.database.availability, b.database.availability = Availability(), Availability()
+    a.database.availability.lost(NO_RESPONSE)
+    b.database.availability.lost(NO_RESPONSE)
+    await a.keeper.beat()
+    assert a.homes.is_here(BUS)
+    await life.aclose()
+    for _ in range(3):
+        await b.keeper.beat()
+    assert not b.homes.is_here(BUS), "its parts could not be loaded"
+    b.database.availability = None
+    row = await b.row()
+    assert row.renewals > renewals
+    assert row.is_released
+    await until(lambda: b.homes.is_here(BUS))
 
 
 async def test_a_local_port_is_kept_while_the_store_is_away_and_never_taken_alone(

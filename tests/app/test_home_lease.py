@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass, field
 from types import ModuleType
@@ -19,6 +20,7 @@ from app.home.lease import (
     Lease,
     Sighting,
     Verdict,
+    next_free,
     verdict,
 )
 from bus.contract import MAX_EPOCH
@@ -117,6 +119,14 @@ def test_a_request_and_a_reason_are_no_sign_of_life() -> None:
     assert seen.again(None, Monotonic(9.0)).since == Monotonic(9.0)
 
 
+def test_the_next_look_is_when_a_bus_may_become_free() -> None:
+    seen = [Sighting(row(), Monotonic(since), 1) for since in (1.0, 3.0, 4.0)]
+    assert next_free([*seen, UNSEEN], Monotonic(6.0)) == Monotonic(8.0), (
+        "what was free before then is not looked at for it"
+    )
+    assert next_free([], Monotonic(6.0)) == Monotonic(math.inf)
+
+
 # --- the second model ---------------------------------------------------------------------------------
 
 
@@ -190,7 +200,13 @@ class World:
         elif process.began is None:
             process.began = now
         if process.lease is not None and process.lease.left_s(now) <= 0:
+            self.release(process, process.lease)
             process.lease = None
+
+    def release(self, process: Process, lease: Lease) -> None:
+        """What has lapsed is free at once, also where it was renewed meanwhile."""
+        if self.row is not None and self.is_of(self.row, process, lease):
+            self.row = self.row._replace(released=process.claimant.instance)
 
     def carry_out(self, process: Process) -> None:
         lease, stored = process.lease, self.row

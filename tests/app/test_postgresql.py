@@ -216,6 +216,27 @@ def test_a_lost_connection_is_opened_again(store: StoreSettings) -> None:
         database.write_now(lambda c: note(c, "dry-end"))
 
 
+def test_a_connection_that_could_not_be_opened_again_is_opened_later(
+    store: StoreSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise psycopg.OperationalError("no route to host")
+
+    def select(connection: StoreConnection) -> Any:
+        return one(connection, "SELECT 1")
+
+    with opened(store) as database, opened(store) as other:
+        works = (database.read_now, database.write_now, database.write_briefly_now, database._read_within)
+        assert [work(select) for work in works] == [1, 1, 1, 1]
+        other.write_now(end_other_connections)
+        with monkeypatch.context() as patch:
+            patch.setattr("app.database.postgresql.database.connect", refuse)
+            for work in (*works, *works):
+                with pytest.raises(StoreUnavailableError, match="no route to host"):
+                    work(select)
+        assert [work(select) for work in works] == [1, 1, 1, 1]
+
+
 def test_a_database_of_a_newer_version(empty: StoreSettings) -> None:
     newer = "INSERT INTO migrations VALUES (9000, 'future', 0.0)"
     with opened(empty) as database:

@@ -58,23 +58,26 @@ def name_of(store: StoreSettings, schema: str) -> str:
     return f"{store.shown} ({schema})"
 
 
-def connection_string(store: StoreSettings) -> str:
-    """All that libpq needs, also what is secret. Raises StoreError where a password file cannot be read."""
+def connection_string(store: StoreSettings, bounds: Mapping[str, int] | None = None) -> str:
+    """All that libpq needs, also what is secret. ``bounds`` count more than those of the configuration.
+    Raises StoreError where a password file cannot be read."""
     given: dict[str, Any] = psycopg.conninfo.conninfo_to_dict(store.url)
     secret = {} if store.password_file is None else {"password": _password(store)}
-    return make_conninfo("", **{**DEFAULTS, **given, **secret})
+    return make_conninfo("", **{**DEFAULTS, **given, **secret, **(bounds or {})})
 
 
-def connect(store: StoreSettings, schema: str, **options: str | int) -> psycopg.Connection[NamedRow]:
-    """A connection in autocommit whose statements mean the tables of a schema. ``options``: settings of the
-    session. Raises psycopg.Error, StoreError."""
+def connect(
+    store: StoreSettings, schema: str, bounds: Mapping[str, int] | None = None, /, **options: str | int
+) -> psycopg.Connection[NamedRow]:
+    """A connection in autocommit whose statements mean the tables of a schema. ``bounds``: of the connection;
+    ``options``: settings of the session. Raises psycopg.Error, StoreError."""
     session: Mapping[str, str | int] = {
         "search_path": schema,
         "client_encoding": "utf8",
         **options,
     }
     connection: psycopg.Connection[NamedRow] = psycopg.connect(
-        connection_string(store), autocommit=True, row_factory=named_row, context=_Adapted()
+        connection_string(store, bounds), autocommit=True, row_factory=named_row, context=_Adapted()
     )
     _open.add(connection)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from select import POLLIN, poll
 from typing import TypeVar
@@ -27,6 +28,11 @@ T = TypeVar("T")
 Driver = psycopg.Connection[NamedRow]
 WRITING = {"idle_in_transaction_session_timeout": 5000, "lock_timeout": 10_000}
 """ms that a transaction may wait for its server, while those of other servers wait for it; and for them."""
+BRIEF = {"idle_in_transaction_session_timeout": 1000, "lock_timeout": 1000}
+"""The same for what is renewed each second. No statement_timeout: it would end the wait of a commit for the
+standby, and the commit would count."""
+BRIEF_CONNECTION = {"connect_timeout": 2, "tcp_user_timeout": 2000}
+"""How soon its connection is taken for lost, and another tried."""
 
 
 class PostgresqlDatabase(Database):
@@ -60,6 +66,8 @@ class PostgresqlDatabase(Database):
                 raise
         super().__init__(name, schema)
         self._writing = driver
+        self._writing_briefly: Driver | None = None
+        self._brief = ThreadPoolExecutor(1, thread_name_prefix=f"{schema}-brief")
         self._local = threading.local()
         self._opened: list[Driver] = []
         self._listening = Listening(self._connect, schema)
@@ -70,6 +78,16 @@ class PostgresqlDatabase(Database):
                 self._writing.close()
                 self._writing = self._connect(**self._of_writer)
             return transact(self._writing, work, self.name)
+
+    def write_briefly_now(self, work: Work[T]) -> T:
+        with in_words(self.name):
+            driver = self._writing_briefly
+            if driver is None or not is_usable(driver):
+                if driver is not None:
+                    driver.close()
+                driver = connect(self._store, self._schema, BRIEF_CONNECTION, **BRIEF)
+                self._writing_briefly = driver
+            return transact(driver, work, self.name)
 
     def read_now(self, work: Work[T]) -> T:
         with in_words(self.name):
@@ -86,8 +104,9 @@ class PostgresqlDatabase(Database):
 
     def _disconnect(self) -> None:
         self._listening.close()
-        for driver in (*self._opened, self._writing):
-            driver.close()
+        for driver in (*self._opened, self._writing, self._writing_briefly):
+            if driver is not None:
+                driver.close()
 
     def _read_within(self, work: Work[T]) -> T:
         with in_words(self.name):

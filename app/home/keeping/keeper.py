@@ -22,6 +22,7 @@ from app.home.lease import (
     Lease,
     Sighting,
     Verdict,
+    next_free,
     verdict,
 )
 from app.home.store import Beat, HomeStore
@@ -80,6 +81,8 @@ class HomeKeeper:
         self._lives = {bus: HomeLife(bus, lifetimes[bus], ports) for bus in terms}
         self._leases: dict[str, Lease] = {}
         """Those that are renewed: also those being given up, until its port is closed."""
+        self._lapsed: dict[str, Lease] = {}
+        """Those that are lost, until its port is closed, too."""
         self._under_way: _Renewal | None = None
         self._records: set[asyncio.Task[None]] = set()
         """Events that are being written."""
@@ -156,9 +159,11 @@ class HomeKeeper:
         while True:
             await life.held.wait()
             failed = await life.live()
-            lease = self._leases.get(bus)
+            lease = self._leases.get(bus) or self._lapsed.pop(bus, None)
             self._homes.hold(bus, None)
             if lease is not None:
+                # Also one that was lost: its row would keep the bus from every server for its full time,
+                # which a renewal that was under way may have started again.
                 await self._release(bus, lease)
                 self._leases.pop(bus, None)
                 self._note_released()
@@ -167,6 +172,7 @@ class HomeKeeper:
                 # Another server may be able to.
                 await asyncio.sleep(2 * RENEW_S)
             life.is_on = False
+            self._wake.set()
 
     async def _release(self, bus: str, lease: Lease) -> None:
         try:
@@ -185,6 +191,7 @@ class HomeKeeper:
         lease = self._leases.pop(bus, None)
         self._give_up(bus)
         if lease is not None:
+            self._lapsed[bus] = lease
             log.error("home lost", bus=bus or "site", epoch=lease.epoch, why=str(why))
             self._record("event_home_lost" if bus else "event_home_site_lost", bus, lease.epoch, "", why)
 
@@ -218,14 +225,15 @@ class HomeKeeper:
     async def _beat_without_end(self) -> None:
         while True:
             began = self._monotonic()
+            self._wake.clear()
             try:
                 await self.beat()
             except Exception:
                 log.exception("homes were not renewed")
-            left_s = began + RENEW_S - self._monotonic()
-            self._wake.clear()
+            of_others = (seen for bus, seen in self._sightings.items() if bus not in self._leases)
+            now = self._monotonic()
             try:
-                async with asyncio.timeout(max(left_s, 0.0)):
+                async with asyncio.timeout(max(min(began + RENEW_S, next_free(of_others, now)) - now, 0.0)):
                     await self._wake.wait()
             except TimeoutError:
                 continue
@@ -251,7 +259,9 @@ class HomeKeeper:
             return
         self._away = ""
         self._see(beat, began, epochs)
-        await self._take_free(beat)
+        # What belongs to a bus could not be loaded: another server may be able to.
+        if not self._store.is_away:
+            await self._take_free(beat)
 
     def _store_is_away(self, began: Monotonic, why: str) -> None:
         """What no other server takes without a person stays; all else is lost by its own clock."""
