@@ -13,6 +13,7 @@ ProblemCode = Literal[
     "already_started",
     "blocked",
     "bus_closed",
+    "bus_elsewhere",
     "busy",
     "cancelled",
     "confirm_needed",

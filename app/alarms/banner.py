@@ -16,14 +16,21 @@ class AlarmBanner:
     def __init__(self, alarms: LineAlarms) -> None:
         self._alarms = alarms
         self._changed = 0
-        alarms.subscribe(self._note)
+        self._subscribers: list[AlarmChangeSubscriber] = []
+        alarms.subscribe(lambda alarm: self._note(alarm.definition.bus, alarm.definition.unit))
 
-    def _note(self, _: Alarm) -> None:
+    def _note(self, bus: str | None, unit: int | None) -> None:
         self._changed += 1
+        for subscriber in self._subscribers:
+            subscriber(bus, unit)
+
+    def refresh(self) -> None:
+        """The alarms of other buses are known here now, or of fewer."""
+        self._note(None, None)
 
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` with the place of each alarm that has changed."""
-        self._alarms.subscribe(lambda alarm: subscriber(alarm.definition.bus, alarm.definition.unit))
+        self._subscribers.append(subscriber)
 
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, and how many more there are: of those that are active or, while

@@ -25,11 +25,13 @@ from app.database import Database
 from app.database.availability import Availability
 from app.feature import Feature, Services
 from app.history.service import History
+from app.home.homes import Homes
 from app.home.lease import SITE
 from app.live.browsers.hub import Hub
 from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import BusLive
 from app.messages import Language
+from app.routing.site_servers import SiteServers
 from app.sets.drift import BusDrift
 from app.web.services import Registry
 from app.web.templating import PageHead, Templates
@@ -44,7 +46,9 @@ def make(services: Services) -> None:
         _make_of_bus(services, name, bus, store)
     of_site = services.add(_alarms_of_site(services, store))
     of_buses = services.of_buses(BusAlarms)
-    alarms = services.add(LineAlarms(of_buses, of_site, store, events))
+    alarms = services.add(
+        LineAlarms(of_buses, of_site, store, events, is_elsewhere=services[SiteServers].is_elsewhere)
+    )
     own_alarms = services.add(OwnAlarmBook(settings, alarms, database, events))
     for name, follow in {SITE: of_site.follow, **{bus: of.follow for bus, of in of_buses.items()}}.items():
         at_home, place = services.at_home(name), f"of {name}" if name else "of the site"
@@ -107,6 +111,7 @@ def _add_banner(services: Services, banner: AlarmBanner) -> None:
         return "" if notice is None else language.t(notice)
 
     services.add(banner)
+    services[Homes].subscribe(lambda _bus: banner.refresh())
     services.add(PageHead(alarms_in, away_in))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
@@ -35,8 +35,14 @@ class FoundAlarm(NamedTuple):
     list: AlarmList
 
 
+def _nowhere(_bus: str) -> bool:
+    return False
+
+
 class LineAlarms:
-    """What a person does is in the audit log, the journal and the alarm together, or nowhere."""
+    """What a person does is in the audit log, the journal and the alarm together, or nowhere.
+    ``is_elsewhere``: whether another server is the home of a bus, or of the site (``""``). What is known here
+    of its alarms is of the past, and nothing gives it but :meth:`every` and :meth:`known`."""
 
     def __init__(
         self,
@@ -45,7 +51,9 @@ class LineAlarms:
         store: AlarmStore,
         events: EventLog,
         clock: Clock = unix_now,
+        is_elsewhere: Callable[[str], bool] = _nowhere,
     ) -> None:
+        self._is_elsewhere = is_elsewhere
         self.buses = buses
         self.site = site
         self.store = store
@@ -107,23 +115,36 @@ class LineAlarms:
         """Since when each list is observed; the store has it a minute late."""
         return [each.observed for each in self._lists if each.observed is not None]
 
+    def is_here(self, alarm: Alarm) -> bool:
+        """Whether its state is that of the present."""
+        return not self._is_elsewhere(alarm.definition.bus or "")
+
+    def places_here(self) -> list[str]:
+        """The site (``""``) and the buses whose home is no other server."""
+        return [place for place in ("", *self.buses) if not self._is_elsewhere(place)]
+
+    def _present_here(self) -> Iterator[Alarm]:
+        elsewhere = {place for place in ("", *self.buses) if self._is_elsewhere(place)}
+        present = self._present.values()
+        return (alarm for alarm in present if (alarm.definition.bus or "") not in elsewhere)
+
     def present(self) -> list[Alarm]:
         """The alarms that are not normal, by :func:`rank`."""
-        return sorted(self._present.values(), key=rank)
+        return sorted(self._present_here(), key=rank)
 
     def annunciated(self) -> list[Alarm]:
         """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""
-        return [alarm for alarm in self._present.values() if alarm.is_annunciated]
+        return [alarm for alarm in self._present_here() if alarm.is_annunciated]
 
     def sounding(self) -> list[Alarm]:
         """The alarms that are audible, the most important first."""
-        sounding = (alarm for alarm in self._present.values() if alarm.facts.sounds)
+        sounding = (alarm for alarm in self._present_here() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
     def first_of_unit(self, bus: str, unit: int) -> Alarm | None:
         """The first of those of a unit that are annunciated; None where none is."""
         of_unit = self._of_unit.get((bus, unit))
-        if not of_unit:
+        if not of_unit or self._is_elsewhere(bus):
             return None
         return min((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank, default=None)
 

@@ -127,9 +127,12 @@ class OwnAlarmBook:
         self.left_aside[row["alarm"]] = OwnAlarmLeftAside(row["alarm"], name, row["version"], why)
 
     def every(self) -> list[tuple[AlarmSettings, OwnAlarm | None]]:
-        """All that are observed; those of the configuration without what was added."""
+        """All that are observed; those of the configuration without what was added. What was added for a bus
+        whose home is another server is known there."""
+        here = self._alarms.places_here()
         configured = [(settings, None) for settings in self.configured.values()]
-        return [*configured, *((own.settings, own) for own in self.added.values())]
+        added = [(own.settings, own) for own in self.added.values() if own.settings.bus in here]
+        return [*configured, *added]
 
     def _fitting(self, written: Mapping[str, Any]) -> AlarmSettings:
         """Raises Problem 422, or 409 where its name is taken."""

@@ -22,6 +22,7 @@ from app.alarms.simulation.proposal import proposed
 from app.alarms.summary import places_of
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
+from app.routing.at_home import at_home_of
 from app.settings import Settings
 from app.web.access import Engineer, Person
 from app.web.services import service, service_of
@@ -92,6 +93,7 @@ async def store_own_alarm(
     """Add the alarm of the form, or change the one that it names."""
     written = _written(form)
     keys = _keys(request, written) | _name(written, "")
+    at_home_of(request, keys["bus"])
     try:
         if written["change"]:
             version = parse_integer(written["version"]) or 0

@@ -26,7 +26,8 @@ class AlarmRow(NamedTuple):
 def listed(alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str] = ()) -> dict[str, Any]:
     """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
     places, also where they match no longer, and new alarms come after them."""
-    kept = dict.fromkeys(alarm for key in shown if (alarm := alarms.known(key)) is not None)
+    known = (alarms.known(key) for key in shown)
+    kept = dict.fromkeys(alarm for alarm in known if alarm is not None and alarms.is_here(alarm))
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
     rows = [row_of(alarms, alarm) for alarm in found[:MAX_ROWS]]
@@ -57,9 +58,10 @@ def _matches(alarm: Alarm, chosen: dict[str, str]) -> bool:
 
 
 def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
-    """Each bus and each of its units."""
+    """Each bus whose home is here, and each of its units."""
     places: list[tuple[str, str]] = []
-    for name, bus in alarms.buses.items():
+    for name in filter(None, alarms.places_here()):
+        bus = alarms.buses[name]
         places.append((name, name))
         places += [(f"{name}/{unit}", f"{name} · {text}") for unit, text in bus.unit_names().items()]
     return places

@@ -9,12 +9,14 @@ from app.live.api import routes
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import LineEvent
 from app.live.state.bus_live import LiveState
+from app.routing.site_servers import SiteServers
 from app.web.services import Registry
 from bus.instants import unix_now
 
 
 def make(services: Services) -> None:
-    live = services.add(LiveState(services.settings.bus, unix_now()))
+    is_elsewhere = services[SiteServers].is_elsewhere
+    live = services.add(LiveState(services.settings.bus, unix_now(), is_elsewhere))
     recorder = _make_recorder(services, services, None)
     services[History].on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():

@@ -16,7 +16,6 @@ from app.live.browsers.hub import Hub
 from app.live.screen.fields import unit_key
 from app.live.screen.totals import strip_of
 from app.live.state.bus_live import BusLive, UnitLive
-from app.routing.site_servers import SiteServers
 from app.web.access import Viewer
 from app.web.services import service_of
 from app.web.templating import render, templates_of
@@ -82,8 +81,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
     hub = service_of(request, Hub)
     screen = hub.screen(templates_of(request).language_of(request).tag)
     chosen = view or _remembered(request)
-    is_elsewhere = service_of(request, SiteServers).is_elsewhere
-    buses = [_bus_on_line(name, bus) for name, bus in hub.live.buses.items() if not is_elsewhere(name)]
+    buses = [_bus_on_line(name, bus) for name, bus in hub.live.here.items()]
     count = sum(len(group.units) for bus in buses for group in bus.groups)
     response = render(
         request,

@@ -41,8 +41,9 @@ class _LineCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         measured = self._measured
-        yield from _of_units(measured.live.buses.items())
-        yield from _of_buses(measured.live.buses.items())
+        buses = measured.live.here.items()
+        yield from _of_units(buses)
+        yield from _of_buses(buses)
         yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
         commands = CounterMetricFamily("lineside_commands", "Commands by outcome", labels=["outcome"])
         for outcome, count in measured.commands.by_outcome.items():
@@ -69,7 +70,7 @@ def _alarm_states(alarms: LineAlarms) -> Metric:
 
 def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
     labels = ["bus", "priority"]
-    places = list(product(("", *alarms.buses), PRIORITIES))
+    places = list(product(alarms.places_here(), PRIORITIES))
     annunciated = CounterMetricFamily(
         "lineside_alarm_annunciated", "Alarms annunciated since the server started", labels=labels
     )

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
 from pydantic import Field
+from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
 from app.commands.api.commands import RESULT_RESPONSES
@@ -21,6 +22,7 @@ from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
+from app.routing.at_home import at_home_of
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
@@ -85,13 +87,17 @@ class LoadedRecipe(TypedDict):
 Book = Annotated[RecipeBook, service(RecipeBook)]
 
 
-async def recipe_or_404(book: Book, recipe_id: int) -> Recipe:
+async def recipe_at_home(connection: HTTPConnection, book: Book, recipe_id: int) -> Recipe:
+    """Raises Problem 404, or 307 where the home of its bus is elsewhere: what it would do depends on the
+    units."""
     missing = Message.of("no_recipe_with_id", recipe=recipe_id)
-    return or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
+    found = or_404(await book.store.load(recipe_id), "unknown_recipe", missing)
+    at_home_of(connection, found.bus)
+    return found
 
 
-KnownRecipe = Annotated[Recipe, Depends(recipe_or_404)]
-"""The version of a recipe of ``{recipe_id}`` in the path."""
+KnownRecipe = Annotated[Recipe, Depends(recipe_at_home)]
+"""The version of a recipe of ``{recipe_id}`` in the path, at the home of its bus."""
 
 
 @router.get("/recipes")

@@ -20,6 +20,7 @@ from app.live.state.bus_live import BusLive
 from app.recipes.acts import DELETE, SAVE
 from app.recipes.api import Book, KnownRecipe
 from app.recipes.rules import setpoint_kind, setpoints_now
+from app.routing.at_home import at_home_of
 from app.web.access import Person, Viewer
 from app.web.templating import render
 from bus.catalogue.numbers import DECIMALS
@@ -37,11 +38,11 @@ async def list_page(request: Request, _: Viewer, book: Book, live: Live) -> Resp
     return render(
         request,
         "recipes/page.html",
-        buses=live.buses,
+        buses=live.here,
         recipes=await book.store.newest(),
-        loaded={name: book.loaded(name) for name in live.buses},
-        departed={name: book.departed(name) for name in live.buses},
-        setpoints={name: _present(bus) for name, bus in live.buses.items()},
+        loaded={name: book.loaded(name) for name in live.here},
+        departed={name: book.departed(name) for name in live.here},
+        setpoints={name: _present(bus) for name, bus in live.here.items()},
     )
 
 
@@ -57,6 +58,7 @@ async def save(
     """A new version with the typed setpoints; a unit left empty is not part of it."""
     form = await request.form()
     bus = bus_or_404(live, str(form.get("bus", "")))
+    at_home_of(request, bus.settings.name)
     name = name.strip()
     if not 1 <= len(name) <= 80:
         raise Problem(422, "invalid", Message("recipe_name_length"))

@@ -21,6 +21,7 @@ from app.routing.peers import Peers
 from app.routing.site_servers import SiteServers, target_of
 from app.routing.socket_relay import SocketRelay
 from app.routing.target import (
+    ALARMS,
     COOKIE,
     SERVER_IN_HEADER,
     Destination,
@@ -84,7 +85,8 @@ class HomeRouter:
             connection.headers.get(SERVER_IN_HEADER, "") if via_session else "",
             is_socket=scope["type"] == "websocket",
         )
-        if not bus and (PASSED_ON in scope or not (via_session or server)):
+        is_merged = scope["path"] == ALARMS
+        if not bus and (PASSED_ON in scope or is_merged or not (via_session or server)):
             return Destination()
         return place_of(bus, server, servers.homes, servers.buses)
 

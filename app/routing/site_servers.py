@@ -11,6 +11,7 @@ from starlette.types import Scope
 
 from app.database import Database
 from app.errors import StoreError
+from app.home.homes import Home
 from app.routing.homes import BusHomes
 from app.routing.hop import Hop, opened, sealed
 from app.routing.secret import site_secret
@@ -55,6 +56,10 @@ class SiteServers:
         """Whether another server is the home of a bus; one without a home is shown by every server."""
         homes = self.homes
         return homes.is_shared and homes.of(bus).server not in ("", homes.server) and not homes.is_here(bus)
+
+    def elsewhere(self) -> list[Home]:
+        """The homes of the buses that other servers show."""
+        return [self.homes.of(bus) for bus in self.buses if self.is_elsewhere(bus)]
 
     @property
     def is_clock_known(self) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from urllib.parse import parse_qsl
 
 from app.home.homes import Home
+from app.home.lease import SITE
 from app.routing.homes import BusHomes
 
 COOKIE = "lineside_home"
@@ -25,8 +26,13 @@ OWN_PATHS = frozenset(
 )
 """What every server responds to itself."""
 OWN_PREFIXES = ("/static/", "/login/", "/feed/", "/lines/")
-_ALARM = re.compile(r"/(?:api/v1/)?alarms/([a-z0-9-]{1,40})\.[^/]*(?:/.*)?")
+ALARMS = "/api/v1/alarms"
+"""Responded to by the server at hand, which requests those of the others, unless a bus is named."""
+SITE_IN_ID = "_"
+"""In the place of a bus in the id of an alarm of the site, and of a link to its home."""
+_ALARM = re.compile(r"/(?:api/v1/)?alarms/(?:own/)?(_|[a-z0-9-]{1,40})\.[^/]*(?:/.*)?")
 """The id of an alarm begins with its bus (`app.alarms.alarm`); a slug has no full stop."""
+_BUS = re.compile(r"_|[a-z0-9][a-z0-9-]{0,39}")
 _SLUG = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
 
 
@@ -51,7 +57,12 @@ def named_bus(path: str, query: bytes, prefixes: Collection[str]) -> str:
     if found := _ALARM.fullmatch(path):
         return found[1]
     named = _values(query, "bus")
-    return named[0] if len(named) == 1 and _SLUG.fullmatch(named[0]) else ""
+    return named[0] if len(named) == 1 and _BUS.fullmatch(named[0]) else ""
+
+
+def names_bus(query: bytes) -> bool:
+    """Whether a query names a bus."""
+    return bool(_values(query, "bus"))
 
 
 def named_server(query: bytes, cookie: str, header: str = "", *, is_socket: bool) -> str:
@@ -81,8 +92,9 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     configuration. A bus without a home is shown here, where it has no worker; a server that is no home is
     passed over, so that a browser follows a bus to its next home."""
     if bus:
-        home = homes.of(bus)
-        is_elsewhere = home.server not in ("", homes.server) and not homes.is_here(bus)
+        place = SITE if bus == SITE_IN_ID else bus
+        home = homes.of(place)
+        is_elsewhere = home.server not in ("", homes.server) and not homes.is_here(place)
         return Destination(home if is_elsewhere else None, home.server)
     if server == HERE:
         return Destination()

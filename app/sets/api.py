@@ -19,7 +19,7 @@ from app.sets.compare import ParameterDifference, compare, with_unit
 from app.sets.document import write_document
 from app.sets.drift import BusDrift, DriftedParameter
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import Sets, StoredSet, set_or_404, unit_rows_or_404
+from app.sets.lookup import SetAtHome, Sets, StoredSet, set_or_404, unit_rows_or_404
 from app.sets.model import Number, ParameterSet, ParameterSetSummary, SetHead, StoredRaw, UnitRows
 from app.sets.schedule import SetSchedule
 from app.web.access import Person, Viewer
@@ -186,7 +186,7 @@ async def export_parameter_set(
 async def mark_golden_set(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    stored: StoredSet,
+    stored: SetAtHome,
     mark: GoldenSetRequest,
 ) -> GoldenSet:
     """Make this set the golden set of the unit."""

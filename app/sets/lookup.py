@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Depends, Form, UploadFile
+from starlette.requests import HTTPConnection
 
 from app.errors import Problem, or_404
+from app.routing.at_home import at_home_of
 from app.sets.document import MAX_DOCUMENT, THE_FILE, read_document
 from app.sets.model import ParameterSet, UnitRows
 from app.sets.restore import RestoreService
@@ -53,6 +55,16 @@ async def set_or_404(sets: Sets, set_id: int) -> ParameterSet:
 
 StoredSet = Annotated[ParameterSet, Depends(set_or_404)]
 """The set of ``{set_id}`` in the path."""
+
+
+async def set_at_home(connection: HTTPConnection, stored: StoredSet) -> ParameterSet:
+    """The same, where its bus is: what is done with it is done there. Raises Problem 307."""
+    at_home_of(connection, stored.bus)
+    return stored
+
+
+SetAtHome = Annotated[ParameterSet, Depends(set_at_home)]
+"""The set of ``{set_id}`` in the path, at the home of its bus."""
 
 
 def unit_rows_or_404(stored: ParameterSet, unit: int) -> UnitRows:

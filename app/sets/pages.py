@@ -10,11 +10,12 @@ from starlette.responses import RedirectResponse
 from app.errors import or_404
 from app.live.api.routes import Live
 from app.live.lookup import bus_or_404, unit_or_404
+from app.routing.at_home import at_home_of
 from app.sets.acts import MARK_GOLDEN, SAVE, SCHEDULE
 from app.sets.api import Drift
 from app.sets.compare import compare, row_message
 from app.sets.keeper import SetKeeper
-from app.sets.lookup import Sets, StoredSet
+from app.sets.lookup import SetAtHome, Sets, StoredSet
 from app.sets.schedule import SetSchedule
 from app.sets.sides import choices, side
 from app.sets.taking import Takings
@@ -50,11 +51,11 @@ async def list_page(
     return render(
         request,
         "sets/page.html",
-        buses=live.buses,
+        buses=live.here,
         sets=found[:MAX_LISTED],
         older=found[MAX_LISTED - 1].id if len(found) > MAX_LISTED else None,
         schedule=await sets.schedule(),
-        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.buses},
+        overdue={name: bus_service_of(request, name, SetSchedule).overdue() for name in live.here},
         bus=bus,
         unit=unit,
     )
@@ -72,6 +73,7 @@ async def take(
     comment: Annotated[Lines, Form(max_length=1000)] = "",
 ) -> Response:
     """Begin to read the units."""
+    at_home_of(request, bus)
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
@@ -95,6 +97,7 @@ async def set_schedule(
     at: Annotated[str, Form(pattern=r"^([01]\d|2[0-3]):[0-5]\d$|^$")] = "",
 ) -> Response:
     """Read a bus daily at a time of the day, or no longer (empty)."""
+    at_home_of(request, bus)
     hour, _, minute = at.partition(":")
     schedule = bus_service_of(request, bus, SetSchedule)
     await schedule.set(person, int(hour) * 60 + int(minute) if at else None)
@@ -151,7 +154,7 @@ async def one_page(request: Request, _: Viewer, sets: Sets, live: Live, stored: 
 async def golden(
     request: Request,
     person: Annotated[Person, MARK_GOLDEN.permitted],
-    stored: StoredSet,
+    stored: SetAtHome,
     unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""

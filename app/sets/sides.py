@@ -48,13 +48,15 @@ class SideOption:
 
 
 def choices(live: LiveState, sets: Sequence[ParameterSetSummary]) -> list[SideOption]:
-    """Every unit as last read, then every unit of every stored set, newest first."""
+    """Every unit of this server as last read, then every unit of every stored set, newest first."""
     units = {
         (bus, unit): one.settings for bus, line in live.buses.items() for unit, one in line.units.items()
     }
+    here = live.here
     found = [
         SideOption(f"live:{bus}:{unit}", bus, unit, settings.name, settings.group)
         for (bus, unit), settings in units.items()
+        if bus in here
     ]
     for one in sets:
         for unit in one.units:

@@ -9,9 +9,10 @@ from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.feature import Feature, Services
 from app.home.homes import Homes
-from app.live.screen.fields import Translator
+from app.live.screen.fields import Fields, Translator
 from app.live.state.bus_live import LiveState
-from app.messages import DEFAULT
+from app.messages import DEFAULT, Language
+from app.routing.site_servers import SiteServers
 from app.sets.drift import BusDrift
 from app.sites import api, pages
 from app.sites.board import LineBoard
@@ -34,12 +35,22 @@ def make(services: Services) -> None:
         Translator(templates.languages[DEFAULT], templates.formats(DEFAULT)),
     )
     board = LineBoard(services.buses, own.summaries)
-    services.add(Fleet(board, unix_now))
+    servers = services[SiteServers]
+    fleet = services.add(Fleet(board, unix_now, lambda: (home.bus for home in servers.elsewhere())))
+
+    def alarms_in(language: Language) -> Fields:
+        return fleet.alarms_elsewhere(Translator(language, templates.formats(language.tag)))
+
     server = homes.server if homes.is_shared else ""
-    services.add(PageFleet(lambda: homes.is_shared or board.is_fleet(), server))
+    has_lines = partial(_has_lines, homes, board)
+    services.add(PageFleet(has_lines, server, servers.elsewhere, alarms_in))
     services.lifespan.add("speeds of lines", own.trace)
     if homes.is_shared:
         _share(services, own, board)
+
+
+def _has_lines(homes: Homes, board: LineBoard) -> bool:
+    return homes.is_shared or board.is_fleet()
 
 
 def _share(services: Services, own: OwnLines, board: LineBoard) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -35,10 +35,14 @@ class PageHead:
 @dataclass(frozen=True, slots=True)
 class PageFleet:
     """What a page has beside its own line. ``has_lines``: whether there are others to choose from;
-    ``server``: the id of this server where there are others, else empty."""
+    ``server``: the id of this server where there are others, else empty; ``elsewhere``: the lines that it
+    does not show, each with its ``bus`` and ``server``; ``alarms``: how many of these have an urgent or high
+    alarm, in words, with the ``mark`` of the worst."""
 
     has_lines: Callable[[], bool]
     server: str
+    elsewhere: Callable[[], Sequence[Any]]
+    alarms: Callable[[Language], Mapping[str, Any]]
 
 
 class Compiled(FileSystemBytecodeCache):
@@ -65,9 +69,9 @@ class Compiled(FileSystemBytecodeCache):
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``, ``has_lines()``, ``home_server()``
-    and ``may()``, whether the person may send a command or perform an act, by its name. ``kept_in``: where
-    they stay compiled from one start to the next."""
+    ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``, ``head_others()``, ``has_lines()``,
+    ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an act,
+    by its name. ``kept_in``: where they stay compiled from one start to the next."""
 
     def __init__(
         self,
@@ -167,6 +171,8 @@ def render(
         "now": time(),
         # Called by a page with a head, and by no fragment.
         "has_lines": lambda: service_of(request, PageFleet).has_lines(),
+        "elsewhere": lambda: service_of(request, PageFleet).elsewhere(),
+        "head_others": lambda: service_of(request, PageFleet).alarms(language),
         "home_server": lambda: service_of(request, PageFleet).server,
         "head_alarms": lambda: service_of(request, PageHead).alarms(language),
         "head_away": lambda: service_of(request, PageHead).away(language),

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import time
 from collections.abc import AsyncIterator
 
 import httpx
@@ -16,15 +17,19 @@ from fastapi.routing import APIRoute
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from app.alarms.line_alarms import LineAlarms
 from app.audit.log import EventLog
 from app.audit.store import Filter
 from app.live.api.line_stream import LineStream
 from app.live.browsers.hub import Hub
+from app.live.state.bus_live import LiveState
 from app.main import FEATURES
 from app.routing.store_clock import StoreClock
 from app.routing.target import COOKIE
 from app.web.access import Role
+from bus.contract import Reading
 from tests.app.complete_app import EVERY_ROLE
+from tests.app.played_commands import HEALTHY, REMOTE
 from tests.app.stage import until
 from tests.app.two_servers import FIRST, SECOND, TwoServers, two_servers
 from tests.free_port import free_port
@@ -194,9 +199,29 @@ async def test_a_stream_is_passed_on_as_it_comes_and_ends_with_its_reader(site: 
 async def test_the_line_has_the_buses_of_all_homes(site: TwoServers) -> None:
     line = (await site.program(Role.VIEWER).get("/api/v1/line")).json()
     assert [(bus["name"], bus["worker"]) for bus in line["buses"]] == [("dry-end", True)]
+    assert line["elsewhere"] == []
     site.move(SECOND, f"http://127.0.0.1:{free_port()}")
     line = (await site.program(Role.VIEWER).get("/api/v1/line")).json()
-    assert [(bus["name"], bus["worker"]) for bus in line["buses"]] == [("dry-end", False)]
+    assert (line["buses"], line["elsewhere"]) == ([], ["dry-end"]), "this server knows nothing of it"
+
+
+async def test_the_alarms_of_all_homes_are_those_of_their_homes(site: TwoServers) -> None:
+    """The first server has an alarm of the time before: a bus without a worker."""
+    there = site.second.services[LineAlarms]
+    live = site.second.services[LiveState].buses[BUS_NAME]
+    live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, 0)])
+    await until(lambda: there.first_of_unit(BUS_NAME, 2), "the alarm at the home")
+    expected = (await site.program(Role.VIEWER, site.second).get("/api/v1/alarms")).json()
+    of_bus = [alarm for alarm in expected["alarms"] if alarm["bus"] == BUS_NAME]
+    assert [alarm["code"] for alarm in of_bus] == ["estop_active"]
+    for client in (site.program(Role.VIEWER), site.browser(Role.VIEWER)):
+        client.cookies[COOKIE] = SECOND
+        merged = (await client.get("/api/v1/alarms")).json()
+        assert [alarm for alarm in merged["alarms"] if alarm["bus"] == BUS_NAME] == of_bus
+        assert merged["elsewhere"] == []
+    filtered = (await site.program(Role.VIEWER).get("/api/v1/alarms?priority=low")).json()
+    assert [alarm for alarm in filtered["alarms"] if alarm["bus"] == BUS_NAME] == []
+    live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, HEALTHY)])
 
 
 async def test_a_page_has_the_buses_of_the_server_that_shows_it(site: TwoServers) -> None:

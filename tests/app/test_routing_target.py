@@ -22,6 +22,14 @@ def homes() -> PlayedHomes:
     return homes
 
 
+def test_an_alarm_of_the_site_belongs_to_its_home(homes: PlayedHomes) -> None:
+    assert place_of("_", "", homes, BUSES).home is None
+    homes.put("", "app-2")
+    home = place_of("_", "", homes, BUSES).home
+    assert home is not None
+    assert home.server == "app-2"
+
+
 def test_the_prefixes_are_those_of_the_routes() -> None:
     assert PREFIXES == ("/api/v1/buses/", "/bus/", "/swap/", "/units/")
 
@@ -43,7 +51,9 @@ def test_the_prefixes_are_those_of_the_routes() -> None:
         ("/units/Wet_End/1", b"", ""),
         ("/api/v1/alarms/wet-end.3.unit_offline.7/acknowledge", b"", "wet-end"),
         ("/alarms/wet-end.port_lost.1", b"", "wet-end"),
-        ("/alarms/_.disk_low.1", b"", ""),
+        ("/alarms/_.disk_low.1", b"", "_"),
+        ("/api/v1/alarms/own/wet-end.3.own-1a", b"version=1", "wet-end"),
+        ("/alarms", b"bus=_", "_"),
         ("/alarms/performance", b"", ""),
     ],
 )

@@ -27,8 +27,8 @@ SEE_OTHER = 303
 
 @router.get("")
 async def first_bus(_: Viewer, page: Page) -> Response:
-    """The first of them; the page leads to the others."""
-    names = list(page.live.buses)
+    """The first of them, of this server where it has one; the page leads to the others."""
+    names = [*page.live.here, *page.live.buses]
     if not names:
         raise Problem(404, "unknown_bus", Message("no_bus_configured"))
     return RedirectResponse(f"/bus/{names[0]}", SEE_OTHER)

@@ -56,15 +56,16 @@ class LineStream:
         self._recent = RecentEvents(token_hex(4), MAX_BYTES)
         self._shown: dict[tuple[str, int | None], Json] = {}
         """By bus and unit (None: the bus itself), as last compared; empty while no one reads."""
-        buses = self._view.live.buses
-        self._keys = [(name, unit) for name, bus in buses.items() for unit in (None, *bus.units)]
-        self._turns = cycle(self._keys)
+        self._is_noting = False
+        self._here: tuple[str, ...] = ()
+        self._keys: list[tuple[str, int | None]] = []
+        self._turns: Iterator[tuple[str, int | None]] = iter(())
         self._snapshots: dict[str | None, tuple[Monotonic, int, bytes]] = {}
         self._readers = 0
         self._left_at = self.monotonic()
         self._has_more = asyncio.Event()
         self._is_ending = False
-        for name, bus in buses.items():
+        for name, bus in self._view.live.buses.items():
             bus.subscribe(Audience.STREAM, partial(self._on_updates, name))
 
     # --- to the programs ------------------------------------------------------------------------------
@@ -73,8 +74,8 @@ class LineStream:
     def reading(self) -> Iterator[None]:
         """While a program reads, and for a while after, changes are noted."""
         self._readers += 1
-        if not self._shown:
-            self._shown = {key: self._fields(*key) for key in self._keys}
+        if not self._is_noting:
+            self._take_up()
         try:
             yield
         finally:
@@ -125,10 +126,15 @@ class LineStream:
 
     def tick(self, *, with_heartbeat: bool) -> None:
         """What has changed without a report: a response that is overdue, a block."""
-        if self._shown and not self._readers and self.monotonic() - self._left_at > AWAY_S:
-            self._shown, self._snapshots = {}, {}
+        if self._is_noting and not self._readers and self.monotonic() - self._left_at > AWAY_S:
+            self._is_noting, self._shown, self._snapshots = False, {}, {}
             self._recent.interrupt()
-        if self._shown:
+        if self._is_noting and tuple(self._view.live.here) != self._here:
+            # Homes have changed: every program gets a snapshot of the buses that are here now.
+            self._take_up()
+            self._recent.interrupt()
+            self._wake()
+        if self._is_noting:
             for bus, unit in islice(self._turns, ceil(len(self._keys) / TICKS_OF_ALL)):
                 self._compare(bus, unit)
         if with_heartbeat:
@@ -136,13 +142,25 @@ class LineStream:
 
     def add(self, kind: str, bus: str | None, make: Callable[[], Any]) -> None:
         """One more event, made where someone reads. ``bus``: None for the site."""
-        if self._shown:
+        if self._is_noting:
             self._recent.add(kind, bus, make())
-            self._has_more.set()
-            self._has_more = asyncio.Event()
+            self._wake()
+
+    def _take_up(self) -> None:
+        """Begin to compare what is shown of the buses whose home is here."""
+        here = self._view.live.here
+        self._is_noting, self._here = True, tuple(here)
+        self._keys = [(name, unit) for name, bus in here.items() for unit in (None, *bus.units)]
+        self._turns = cycle(self._keys)
+        self._shown = {key: self._fields(*key) for key in self._keys}
+        self._snapshots = {}
+
+    def _wake(self) -> None:
+        self._has_more.set()
+        self._has_more = asyncio.Event()
 
     def _on_updates(self, bus_name: str, updates: Sequence[Update]) -> None:
-        if self._shown:
+        if self._is_noting and bus_name in self._here:
             units, is_bus = changed_by(self._view.live.buses[bus_name], updates)
             for unit in (None, *units) if is_bus else units:
                 self._compare(bus_name, unit)

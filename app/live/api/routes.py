@@ -29,10 +29,15 @@ async def get_line(
     connection: HTTPConnection, _: Viewer, view: LineViewService, others: OtherLinesService
 ) -> dict[str, Any]:
     """Current state of every bus and unit, also of those at other servers. ``history``: why no values are
-    stored, null while they are."""
-    elsewhere = await others.buses(connection)
-    line = view.line(unix_now())
-    return line | {"buses": [elsewhere.get(bus["name"], bus) for bus in line["buses"]]}
+    stored, null while they are. ``elsewhere``: the buses whose home did not respond within a second."""
+    found = await others.responses(connection)
+    buses = {
+        bus["name"]: bus
+        for response in found
+        for bus in response.body.get("buses", ())
+        if bus["name"] in response.places
+    }
+    return view.line(unix_now(), others=buses)
 
 
 @router.get("/buses/{bus}", response_model=BusShown)

@@ -30,7 +30,6 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
-from app.routing.site_servers import SiteServers
 from app.sets.drift import BusDrift
 from app.sites.fleet import Fleet
 from app.web.templating import Templates
@@ -64,7 +63,6 @@ def _make_sources(services: Services) -> Sources:
         lines=services[Fleet],
         notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
-        is_elsewhere=services[SiteServers].is_elsewhere,
         away=partial(_away, services[Availability]),
     )
 

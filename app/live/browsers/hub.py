@@ -98,8 +98,9 @@ class Hub:
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, and that the database is away."""
+        """Faults of the records, that the database is away, and alarms of lines of other servers."""
         return {
+            **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
             "away": self._sources.away(translator, now),
         }
@@ -183,11 +184,7 @@ class Hub:
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            held_by = {
-                bus: guards.holder()
-                for bus, guards in self._sources.guards.items()
-                if not self._sources.is_elsewhere(bus)
-            }
+            held_by = {bus: self._sources.guards[bus].holder() for bus in self.live.here}
             faults = self._faults(screen.translator, now)
             totals = {"holder": holders(held_by, screen.translator), **faults}
             held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]

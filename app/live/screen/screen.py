@@ -112,9 +112,8 @@ class Screen:
         return self.translator.t(message)
 
     def _line(self, now: UnixTime) -> Fields:
-        buses, views = self.live.buses, self._views
-        if elsewhere := {name for name in buses if self.sources.is_elsewhere(name)}:
-            buses = {name: bus for name, bus in buses.items() if name not in elsewhere}
-            views = {key: view for key, view in views.items() if key.partition("/")[0] not in elsewhere}
+        buses, views = self.live.here, self._views
+        if len(buses) < len(self.live.buses):
+            views = {key: view for key, view in views.items() if key.partition("/")[0] in buses}
         self.entries = entries_of(buses, views, self.translator, now)
         return line_fields(buses, views, self.entries, self.translator, now)

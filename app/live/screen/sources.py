@@ -78,20 +78,19 @@ class FleetLines(Protocol):
     def changes(self, translator: Translator) -> dict[str, Fields]:
         """Those that differ from the last call for this language."""
 
+    def alarms_elsewhere(self, translator: Translator) -> Fields:
+        """How many lines of other servers have an urgent or high alarm, for the head of every page."""
+
     def forget(self, tag: str) -> None:
         """No page in this language follows them."""
-
-
-def _nowhere(_bus: str) -> bool:
-    return False
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
-    is stored, None while it is; ``is_elsewhere``: whether another server is the home of a bus, whose state is
-    not known here; ``away``: that the database is away, for the head of every page; empty while it is not."""
+    is stored, None while it is; ``away``: that the database is away, for the head of every page; empty while
+    it is not."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -100,5 +99,4 @@ class Sources:
     lines: FleetLines
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
-    is_elsewhere: Callable[[str], bool] = _nowhere
     away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""

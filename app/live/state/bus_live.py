@@ -222,7 +222,18 @@ def updates_of(snapshot: Snapshot) -> list[Update]:
 
 
 class LiveState:
-    """Every configured bus, by its name."""
+    """Every configured bus, by its name. ``is_elsewhere``: whether another server is the home of a bus."""
 
-    def __init__(self, buses: Iterable[BusSettings], started_at: UnixTime) -> None:
+    def __init__(
+        self,
+        buses: Iterable[BusSettings],
+        started_at: UnixTime,
+        is_elsewhere: Callable[[str], bool] = lambda _bus: False,
+    ) -> None:
         self.buses = {settings.name: never_seen(settings, started_at) for settings in buses}
+        self._is_elsewhere = is_elsewhere
+
+    @property
+    def here(self) -> dict[str, BusLive]:
+        """The buses whose present state this server knows: all but those whose home is another one."""
+        return {name: bus for name, bus in self.buses.items() if not self._is_elsewhere(name)}
