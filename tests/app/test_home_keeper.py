@@ -20,7 +20,7 @@ from app.home import store as home_store
 from app.home.homes import Homes
 from app.home.keeping import keeper as keeping
 from app.home.keeping.keeper import HomeKeeper, HomeTerms
-from app.home.lease import SITE, HomeRow
+from app.home.lease import SITE, HomeRow, Lease
 from app.home.store import HomeStore, read_homes, request_home
 from bus.instants import Monotonic, monotonic_now
 from bus.messages import Message
@@ -175,6 +175,15 @@ async def test_a_lease_that_lapsed_is_free_at_once(start: Start) -> None:
     assert a.homes.epoch(BUS) == epoch + 1
     assert (await a.row()).reason == "a gave it up", "it waited for no lease to run out"
     await until(lambda: a.of_bus().count("port of dry-end opened") == 2)
+
+
+async def test_a_renewal_that_comes_as_the_lease_runs_out_is_one(start: Start) -> None:
+    a, _ = await start("a")
+    await until(lambda: a.homes.is_here(BUS))
+    a.homes.hold(BUS, Lease(a.homes.epoch(BUS), Monotonic(0.0)))
+    assert not a.homes.is_here(BUS)
+    await a.keeper.beat()
+    assert a.homes.is_here(BUS), "it is the home in the store, and its worker gets the port"
 
 
 async def test_a_store_that_does_not_respond_is_one_that_is_away(

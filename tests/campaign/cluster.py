@@ -86,6 +86,8 @@ class Cluster:
     def begin(self, machine: Machine) -> None:
         """Start the server of a machine, also after it was killed, and wait until it accepts connections."""
         log = self.folder / f"{machine.name}.log"
+        # Its number may still name a process that was killed and is not reaped, or another one.
+        (self._data(machine) / "postmaster.pid").unlink(missing_ok=True)
         command = (*AS_POSTGRES, BINARIES / "postgres", "-D", self._data(machine))
         self.running[machine.name] = machine.start(*command, log=log, cwd=self.folder)
         ready = [*machine.inside, str(BINARIES / "pg_isready"), "-q", "-h", machine.address]

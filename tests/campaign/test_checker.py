@@ -58,6 +58,7 @@ def good() -> Logs:
         {"kind": "acknowledged", **journal, "trigger": "acknowledge", "after": ""},
         {"kind": "transition", **journal, "trigger": "rise", "after": "unack_active"},
         {"kind": "live", "at": 107.2, "read_at": 107.1, "bus": "line", "server": "app-2"},
+        {"kind": "live", "at": 100.2, "read_at": 100.1, "bus": "line", "server": "app-1"},
     ]
     logs["faults"] = [{"kind": "holder_death", "at": 101.0, "bus": "line", "server": "app-1"}]
     return logs
@@ -150,6 +151,10 @@ FORGED: dict[str, tuple[Callable[[Logs], None], str]] = {
     "a lost transition": (changed(2, after="rtn_unack"), "not in the database"),
     "a late take-over": (changed(3, at=112.0), "11.0 s to the first live value"),
     "no take-over": (changed(3, server="app-1"), "no other server showed a live value"),
+    "a long break": (
+        add(("clients", {"kind": "live", "at": 128.0, "read_at": 128.0, "bus": "line", "server": "app-2"})),
+        "no live value on any server for 20.8 s",
+    ),
     "a value from before": (changed(3, read_at=100.9), "no other server showed a live value"),
 }
 

@@ -273,8 +273,9 @@ class HomeKeeper:
                 self._renewed(bus, lease.renewed(began))
 
     def _renewed(self, bus: str, lease: Lease) -> None:
+        """Also where it had run out by the own clock, and this comes before that was looked at."""
         self._leases[bus] = lease
-        if self._homes.is_here(bus):
+        if self._lives[bus].held.is_set():
             self._homes.hold(bus, lease)
 
     def _see(self, beat: Beat, began: Monotonic, epochs: Mapping[str, int]) -> None:

@@ -25,6 +25,7 @@ def violations(folder: Path, store: str, bus: str) -> Iterator[str]:
     yield from rules.events_kept(found.commands, stored.commands(store, bus))
     yield from rules.transitions_kept([*found.acknowledged, *found.shown], stored.journal(store, bus))
     yield from rules.late_take_overs(found.deaths, found.live)
+    yield from rules.long_breaks(found.live)
 
 
 def summary(folder: Path, bus: str) -> str:

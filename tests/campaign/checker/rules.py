@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from tests.campaign.checker.frames import SET_AND_EXECUTE, Piece, WireFrame, decode
 from tests.campaign.checker.records import HolderDeath, JournalRow, LiveValue, SentCommand
@@ -14,6 +15,8 @@ from tests.campaign.checker.writers import OwnedFrame
 MAX_ATTEMPTS = 4
 """The first write and its three retries."""
 MAX_TAKE_OVER_S = 10.0
+MAX_BREAK_S = 20.0
+"""What concerns two servers at once lasts for up to eight seconds, and a take-over may follow."""
 NOTHING_SENT = {"not_sent", "bus_closed", "refused_here"}
 """Outcomes after which the wire must not carry the command; ``refused_here``: any refusal before sending."""
 CONCLUDED = {"verified", "acknowledged", "refused", "unverified"}
@@ -128,3 +131,12 @@ def late_take_overs(deaths: Iterable[HolderDeath], live: Sequence[LiveValue]) ->
             yield f"{death.at:.3f}: {death.server} died, no other server showed a live value"
         elif seconds > MAX_TAKE_OVER_S:
             yield f"{death.at:.3f}: {death.server} died, {seconds:.1f} s to the first live value"
+
+
+def long_breaks(live: Sequence[LiveValue]) -> Iterator[str]:
+    """Where there are two servers, one of them shows live values soon after anything that happens."""
+    if len({value.server for value in live}) < 2:
+        return
+    for before, after in pairwise(sorted(value.at for value in live)):
+        if after - before > MAX_BREAK_S:
+            yield f"{before:.3f}: no live value on any server for {after - before:.1f} s"
