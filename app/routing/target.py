@@ -93,17 +93,22 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     passed over, so that a browser follows a bus to its next home."""
     if bus:
         place = SITE if bus == SITE_IN_ID else bus
-        home = homes.of(place)
-        is_elsewhere = home.server not in ("", homes.server) and not homes.is_here(place)
-        return Destination(home if is_elsewhere else None, home.server)
+        holder = _holder(place, homes)
+        return Destination(None if holder in ("", homes.server) else homes.of(place), holder)
     if server == HERE:
         return Destination()
     by_server: dict[str, Home] = {}
-    for home in map(homes.of, buses):
-        if home.server:
-            by_server.setdefault(home.server, home)
+    for each in buses:
+        if holder := _holder(each, homes):
+            by_server.setdefault(holder, homes.of(each))
     if server in by_server:
         wanted = server
     else:
         wanted = homes.server if homes.server in by_server else next(iter(by_server), homes.server)
     return Destination(None if wanted == homes.server else by_server[wanted])
+
+
+def _holder(place: str, homes: BusHomes) -> str:
+    """The id of the server that is the home now; empty where none is known. The row of a bus that was just
+    taken is as it was a second ago."""
+    return homes.server if homes.is_here(place) else homes.of(place).server

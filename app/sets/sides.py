@@ -85,7 +85,10 @@ async def _rows(kind: str, of: str, unit: int, store: SetStore, live: LiveState)
             raise Problem(422, "invalid", Message.of("not_a_set_number", text=of))
         return unit_rows_or_404(await set_or_404(store, number), unit)
     if kind == "live":
-        return known_rows(unit_or_404(live, of, unit))
+        found = unit_or_404(live, of, unit)
+        if of not in live.here:
+            raise Problem(409, "bus_elsewhere", Message.of("side_elsewhere", bus=of))
+        return known_rows(found)
     golden = (await store.golden(of)).get(unit)
     return or_404(golden, "unknown_set", Message.of("no_golden_set", unit=unit, bus=of))
 

@@ -101,6 +101,16 @@ async def test_the_store_is_shown_of_every_bus(house: House) -> None:
     assert "Couch roll" in (await person.get("/shifts/present", follow_redirects=True)).text
 
 
+async def test_no_side_of_a_comparison_is_what_was_read_before(house: House) -> None:
+    person = await house.signed_in(Role.ENGINEER, "comparer")
+    page = (await person.get("/sets/compare")).text
+    assert f"live:{BUS}:1" in page
+    assert f"live:{WET}:7" not in page
+    refused = await person.get("/sets/compare", params={"left": f"live:{WET}:7"})
+    assert refused.status_code == 409
+    assert "Save a set there" in refused.text
+
+
 async def test_the_head_names_an_alarm_of_another_server(house: House) -> None:
     person = await house.signed_in(Role.VIEWER)
     page = (await person.get("/events", headers={"Accept-Language": "de"})).text

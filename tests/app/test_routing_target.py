@@ -22,6 +22,12 @@ def homes() -> PlayedHomes:
     return homes
 
 
+def test_a_bus_that_was_just_taken_is_not_at_the_server_of_its_row(homes: PlayedHomes) -> None:
+    assert place_of("", "app-2", homes, BUSES).home is not None
+    homes.is_here = lambda _bus: True  # type: ignore[method-assign]
+    assert place_of("", "app-2", homes, BUSES).home is None
+
+
 def test_an_alarm_of_the_site_belongs_to_its_home(homes: PlayedHomes) -> None:
     assert place_of("_", "", homes, BUSES).home is None
     homes.put("", "app-2")

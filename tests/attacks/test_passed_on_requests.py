@@ -273,23 +273,26 @@ async def test_what_a_home_may_not_set_does_not_reach_the_browser(site: TwoServe
     ],
 )
 async def test_a_response_that_is_none(site: TwoServers, response: bytes) -> None:
-    async with FalseHome(response).listening(site):
+    home = FalseHome(response)
+    async with home.listening(site):
         shown = await site.program(Role.VIEWER).get(BUS)
         assert (shown.status_code, shown.json()["code"]) == (503, "home_away")
         command = await site.program(Role.ENGINEER).put(PARAMETER, json={"raw": 70})
         assert (command.status_code, command.json()["code"]) == (504, "unverified")
+    assert [head.split()[0] for head in home.heads] == [b"GET", b"PUT"], "nothing is sent twice"
     assert "set-cookie" not in shown.headers
 
 
 async def test_a_home_that_never_responds(site: TwoServers) -> None:
-    """It accepts connections, as a halted process does: a page states it, and of a command the result is
-    open."""
+    """It accepts connections, as a halted process does: a page states it, and of a command, which is sent
+    once, the result is open."""
     home = FalseHome(b"", responds_to_probes=False)
     async with asyncio.timeout(WITHIN_S), home.listening(site):
         shown = await site.program(Role.VIEWER).get(BUS)
         assert (shown.status_code, shown.json()["code"]) == (503, "home_away")
         command = await site.program(Role.ENGINEER).put(PARAMETER, json={"raw": 70})
     assert (command.status_code, command.json()["outcome"]) == (504, "unverified")
+    assert [head.split()[0] for head in home.heads] == [b"GET", b"PUT"]
 
 
 async def test_a_home_that_responds_without_end(site: TwoServers, monkeypatch: pytest.MonkeyPatch) -> None:

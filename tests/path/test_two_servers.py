@@ -165,7 +165,7 @@ def two_servers(folder: Path) -> Iterator[tuple[Host, Host, DeviceServer]]:
                 token = command(config, "token", "create", "test", "--role", "operator").strip()
             log = stack.enter_context((config.parent / "log").open("ab"))
             process = fork_server.start("serve", "--config", config, stdout=log, stderr=log)
-            stack.callback(_end, process)
+            stack.callback(end_server, process)
             host = Host(name, config, f"http://127.0.0.1:{port}", process, token)
             hosts.append(host)
             what = f"{name} serves: {(config.parent / 'log').read_text()[-2000:]}"
@@ -175,7 +175,7 @@ def two_servers(folder: Path) -> Iterator[tuple[Host, Host, DeviceServer]]:
         yield hosts[0], hosts[1], device
 
 
-def _end(process: fork_server.ForkedProcess) -> None:
+def end_server(process: fork_server.ForkedProcess) -> None:
     with suppress(ProcessLookupError):
         process.send_signal(signal.SIGCONT)
         process.kill()
