@@ -232,8 +232,10 @@ class HomeKeeper:
                 log.exception("homes were not renewed")
             of_others = (seen for bus, seen in self._sightings.items() if bus not in self._leases)
             now = self._monotonic()
+            # A store that is back just before the lease runs out must not be found a second later.
+            again = LOOK_S if self._away else RENEW_S
             try:
-                async with asyncio.timeout(max(min(began + RENEW_S, next_free(of_others, now)) - now, 0.0)):
+                async with asyncio.timeout(max(min(began + again, next_free(of_others, now)) - now, 0.0)):
                     await self._wake.wait()
             except TimeoutError:
                 continue
