@@ -331,15 +331,15 @@ class HomeKeeper:
         began, former = self._monotonic(), self._homes.of(bus)
         reason = _reason(sighting.row)
         try:
-            async with asyncio.timeout(BEAT_WITHIN_S):
-                taken = await self._store.take(
-                    sighting,
-                    claimant,
-                    bus,
-                    url=self._homes.url,
-                    epoch_above=former.epoch,
-                    reason=str(reason),
-                )
+            taken = await self._store.take(
+                sighting,
+                claimant,
+                bus,
+                url=self._homes.url,
+                epoch_above=former.epoch,
+                reason=str(reason),
+                within_s=BEAT_WITHIN_S,
+            )
         except (StoreError, TimeoutError) as error:
             log.warning("home not taken", bus=bus or "site", why=str(error) or "no response")
             return
