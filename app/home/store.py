@@ -147,7 +147,7 @@ class HomeStore:
         taking = asyncio.create_task(self._database.write_briefly(take))
         await asyncio.wait({taking}, timeout=within_s)
         if not taking.done():
-            # Else nobody would have the bus until this lease has run out.
+            # Else no server would have the bus until this lease has run out.
             late = asyncio.create_task(self._release_late(bus, claimant.instance, taking))
             self._late.add(late)
             late.add_done_callback(self._late.discard)

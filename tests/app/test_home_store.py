@@ -131,7 +131,7 @@ async def test_a_renewal_and_another_server_that_takes_the_bus_do_not_both_succe
     assert (await asyncio.wrap_future(renewals[0])).rows[BUS] == found
 
 
-async def test_what_is_taken_too_late_is_released(databases: tuple[Database, Database]) -> None:
+async def test_a_bus_that_is_taken_too_late_is_released(databases: tuple[Database, Database]) -> None:
     one, _ = databases
     goes_on = threading.Event()
 
