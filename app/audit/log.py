@@ -27,7 +27,7 @@ from app.audit.repeated import RepeatedEvents
 from app.audit.store import Filter
 from app.audit.walk import AuditVerification, Walk
 from app.database import Database, StoreConnection
-from app.errors import StoreError, StoreUnavailableError
+from app.errors import ConstraintError, StoreError, StoreUnavailableError
 from bus.contract import Frame, Outcome
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -156,11 +156,21 @@ class EventLog:
     async def close_open_intents(self, bus: str | None) -> int:
         """When the home of a bus, or of the site (None), is taken: what was open when that ended is
         unverified. Returns how many there were."""
-        left = await self._database.read(lambda connection: store.open_intents(connection, bus))
-        for first in range(0, len(left), CHUNK):
-            chunk = left[first : first + CHUNK]
-            await self.conclude_together({intent["id"]: ("unverified", ENDED_BEFORE) for intent in chunk})
-        return len(left)
+        former: set[int] = set()
+        while True:
+            left = await self._database.read(lambda connection: store.open_intents(connection, bus))
+            numbers = [intent["id"] for intent in left]
+            try:
+                for first in range(0, len(left), CHUNK):
+                    chunk = numbers[first : first + CHUNK]
+                    await self.conclude_together(dict.fromkeys(chunk, ("unverified", ENDED_BEFORE)))
+            except ConstraintError:
+                # The former home, which may live, has concluded one of them meanwhile.
+                if former == set(numbers):
+                    raise
+                former = set(numbers)
+            else:
+                return len(left)
 
     async def page(self, wanted: Filter, limit: int) -> tuple[list[Event], int | None]:
         """Events newest first, and the number to continue from (None at the end)."""

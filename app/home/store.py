@@ -6,11 +6,14 @@ more than one, and is under a lock.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from itertools import chain
 from typing import NamedTuple
 
 from app.database import Database, StoreConnection, engine
+from app.errors import StoreError
 from app.home.lease import LEASE_S, MAX_REQUEST_S, Claimant, HomeRow, Sighting, Verdict, verdict
 from bus.contract import MAX_EPOCH
 from bus.instants import MonotonicClock, UnixTime
@@ -39,6 +42,7 @@ class HomeStore:
     def __init__(self, database: Database, monotonic: MonotonicClock) -> None:
         self._database = database
         self._monotonic = monotonic
+        self._late: set[asyncio.Task[None]] = set()
 
     def listen(self, callback: Callable[[], None]) -> None:
         """Call ``callback`` on this event loop where a bus was released or requested by any server."""
@@ -97,10 +101,18 @@ class HomeStore:
         return await self._database.write(take)
 
     async def take(
-        self, sighting: Sighting, claimant: Claimant, bus: str, *, url: str, epoch_above: int, reason: str
+        self,
+        sighting: Sighting,
+        claimant: Claimant,
+        bus: str,
+        *,
+        url: str,
+        epoch_above: int,
+        reason: str,
+        within_s: float,
     ) -> HomeRow | Verdict:
         """Take the lease of ``bus``, with an epoch above the row's and ``epoch_above``; or why not. It must
-        be as it was seen last."""
+        be as it was seen last. Raises TimeoutError after ``within_s``; what is taken later is released."""
 
         def take(connection: StoreConnection) -> HomeRow | Verdict:
             engine.lock(connection, LOCK)
@@ -132,7 +144,20 @@ class HomeStore:
             connection.execute(_UPSERT_EPOCH, (bus, taken.epoch))
             return taken
 
-        return await self._database.write_briefly(take)
+        taking = asyncio.create_task(self._database.write_briefly(take))
+        await asyncio.wait({taking}, timeout=within_s)
+        if not taking.done():
+            # Else no server would have the bus until this lease has run out.
+            late = asyncio.create_task(self._release_late(bus, claimant.instance, taking))
+            self._late.add(late)
+            late.add_done_callback(self._late.discard)
+            raise TimeoutError
+        return taking.result()
+
+    async def _release_late(self, bus: str, instance: str, taking: asyncio.Task[HomeRow | Verdict]) -> None:
+        with suppress(StoreError):
+            if isinstance(taken := await taking, HomeRow):
+                await self.release(bus, instance, taken.epoch)
 
     async def renumber(self, bus: str, instance: str, epoch: int, above: int) -> int:
         """Raise the epoch of a lease that this process holds to one above ``above``, which a worker has seen.

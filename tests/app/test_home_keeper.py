@@ -177,6 +177,22 @@ async def test_a_lease_that_lapsed_is_free_at_once(start: Start) -> None:
     await until(lambda: a.of_bus().count("port of dry-end opened") == 2)
 
 
+async def test_a_store_that_is_away_is_tried_before_the_next_renewal_is_due(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(keeping, "RENEW_S", 10 * PATIENCE_S)
+    a, _ = await start("a")
+    tried: list[object] = []
+
+    async def away(*_: object) -> None:
+        tried.append(None)
+        raise StoreError(Message("store_is_damaged"))
+
+    monkeypatch.setattr(a.store, "beat", away)
+    a.keeper._wake.set()
+    await until(lambda: len(tried) > 2)
+
+
 async def test_a_renewal_that_comes_as_the_lease_runs_out_is_one(start: Start) -> None:
     a, _ = await start("a")
     await until(lambda: a.homes.is_here(BUS))

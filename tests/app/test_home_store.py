@@ -35,7 +35,9 @@ async def taken(database: Database, server: str, bus: str) -> HomeStore:
     """The leases of a server that has just taken ``bus``."""
     store = HomeStore(database, monotonic_now)
     first = UNSEEN.again(None, monotonic_now())
-    row = await store.take(first, Claimant(server, server), bus, url="", epoch_above=0, reason="")
+    row = await store.take(
+        first, Claimant(server, server), bus, url="", epoch_above=0, reason="", within_s=PATIENCE_S
+    )
     assert isinstance(row, HomeRow)
     return store
 
@@ -122,6 +124,30 @@ async def test_a_renewal_and_another_server_that_takes_the_bus_do_not_both_succe
         return monotonic_now() + 100.0
 
     taking, seen = HomeStore(other, in_the_middle), UNSEEN.again(lapsed, Monotonic(0.0), 1)
-    found = await taking.take(seen, Claimant("b", "b"), BUS, url="", epoch_above=0, reason="")
+    found = await taking.take(
+        seen, Claimant("b", "b"), BUS, url="", epoch_above=0, reason="", within_s=PATIENCE_S
+    )
     assert isinstance(found, HomeRow)
     assert (await asyncio.wrap_future(renewals[0])).rows[BUS] == found
+
+
+async def test_a_bus_that_is_taken_too_late_is_released(databases: tuple[Database, Database]) -> None:
+    one, _ = databases
+    goes_on = threading.Event()
+
+    def slow() -> Monotonic:
+        goes_on.wait(PATIENCE_S)
+        return monotonic_now()
+
+    first = UNSEEN.again(None, monotonic_now())
+    claimant = Claimant("a", "a")
+    with pytest.raises(TimeoutError):
+        await HomeStore(one, slow).take(first, claimant, BUS, url="", epoch_above=0, reason="", within_s=0.01)
+    goes_on.set()
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            row = (await one.read(read_homes)).rows.get(BUS)
+            if row is not None and row.is_released:
+                break
+            await asyncio.sleep(0.01)
+    assert row.epoch == 1

@@ -232,8 +232,10 @@ class HomeKeeper:
                 log.exception("homes were not renewed")
             of_others = (seen for bus, seen in self._sightings.items() if bus not in self._leases)
             now = self._monotonic()
+            # A store that is back just before the lease runs out must not be found a second later.
+            again = LOOK_S if self._away else RENEW_S
             try:
-                async with asyncio.timeout(max(min(began + RENEW_S, next_free(of_others, now)) - now, 0.0)):
+                async with asyncio.timeout(max(min(began + again, next_free(of_others, now)) - now, 0.0)):
                     await self._wake.wait()
             except TimeoutError:
                 continue
@@ -329,15 +331,15 @@ class HomeKeeper:
         began, former = self._monotonic(), self._homes.of(bus)
         reason = _reason(sighting.row)
         try:
-            async with asyncio.timeout(BEAT_WITHIN_S):
-                taken = await self._store.take(
-                    sighting,
-                    claimant,
-                    bus,
-                    url=self._homes.url,
-                    epoch_above=former.epoch,
-                    reason=str(reason),
-                )
+            taken = await self._store.take(
+                sighting,
+                claimant,
+                bus,
+                url=self._homes.url,
+                epoch_above=former.epoch,
+                reason=str(reason),
+                within_s=BEAT_WITHIN_S,
+            )
         except (StoreError, TimeoutError) as error:
             log.warning("home not taken", bus=bus or "site", why=str(error) or "no response")
             return
