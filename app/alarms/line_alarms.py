@@ -8,11 +8,12 @@ from contextlib import AsyncExitStack, suppress
 from typing import NamedTuple
 
 from app.alarms.acts import SILENCE, SILENCE_SOUNDING, ActBody, AlarmAct
-from app.alarms.alarm import Alarm
+from app.alarms.alarm import SITE, Alarm
 from app.alarms.alarm_list import AlarmList, AlarmSubscriber
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.rules import changes
 from app.alarms.rules.changes import NoTransitionError
+from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore
@@ -131,6 +132,14 @@ class LineAlarms:
     def present(self) -> list[Alarm]:
         """The alarms that are not normal, by :func:`rank`."""
         return sorted(self._present_here(), key=rank)
+
+    async def present_facts(self) -> list[AlarmFacts]:
+        """Of every alarm that is not normal; of one that another server observes, as stored last."""
+        here = [alarm.facts for alarm in self._present_here()]
+        elsewhere = {place or SITE for place in ("", *self.buses) if self._is_elsewhere(place)}
+        stored = await self.store.load() if elsewhere else {}
+        there = (kept.facts for key, kept in stored.items() if key.partition(".")[0] in elsewhere)
+        return [*here, *(facts for facts in there if facts.state != "normal")]
 
     def annunciated(self) -> list[Alarm]:
         """The alarms that are active or wait for an acknowledgement and that nothing hides, in no order."""

@@ -9,6 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from app.alarms.line_alarms import LineAlarms
+from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan, observed_within
 from app.alarms.rules.performance import (
     CHATTERS_S,
@@ -94,7 +95,7 @@ class AlarmPerformance:
 
 async def measure(alarms: LineAlarms, start: UnixTime, end: UnixTime) -> AlarmPerformance:
     """The figures of a span. Memory is bounded by its windows of ten minutes, time as any costly read is."""
-    now, observed = _present(alarms, end), alarms.observed()
+    now, observed = _present(await alarms.present_facts(), end), alarms.observed()
     return await alarms.store.read_costly(lambda connection: _measured(connection, start, end, observed, now))
 
 
@@ -129,11 +130,10 @@ def _measured(
     return AlarmPerformance(begins, end, round(observed_s, 3), figures(measured), frequent)
 
 
-def _present(alarms: LineAlarms, now: UnixTime) -> dict[FigureCode, int]:
+def _present(present: list[AlarmFacts], now: UnixTime) -> dict[FigureCode, int]:
     """The states at present, whatever the span."""
-    present = alarms.present()
-    states = Counter(alarm.facts.state for alarm in present)
-    risen = [alarm.facts.came for alarm in present if alarm.facts.active and not alarm.facts.is_hidden]
+    states = Counter(facts.state for facts in present)
+    risen = [facts.came for facts in present if facts.active and not facts.is_hidden]
     return {
         "stale": sum(at is not None and now - at > STALE_S for at in risen),
         "standing": len(risen),

@@ -103,7 +103,7 @@ KnownRecipe = Annotated[Recipe, Depends(recipe_at_home)]
 @router.get("/recipes")
 async def list_recipes(_: Viewer, book: Book, live: Live, bus: str | None = None) -> list[RecipeShown]:
     """The newest version of every recipe in use, at most 1000 of a bus, by name."""
-    return [recipe_json(recipe, live.buses.get(recipe.bus)) for recipe in await book.store.newest(bus)]
+    return [recipe_json(recipe, live.here.get(recipe.bus)) for recipe in await book.store.newest(bus)]
 
 
 @router.post("/buses/{bus}/recipes", status_code=201)

@@ -28,7 +28,7 @@ class Journal:
     def observed(self) -> list[ObservedSpan]:
         return self.spans
 
-    def present(self) -> list[object]:
+    async def present_facts(self) -> list[object]:
         return []
 
     def write(self, alarm: str, *rows: tuple[float, str, str, str], priority: str = "low") -> None:
