@@ -90,7 +90,7 @@ class OwnAlarmBook:
         self._forget(bus)
         for row in await self._database.read(_stored):
             name = row["alarm"]
-            if self._bus_of(row) != bus:
+            if self._bus_of(name) != bus:
                 continue
             try:
                 written = json.loads(row["settings"])
@@ -105,9 +105,9 @@ class OwnAlarmBook:
                 own = OwnAlarm(settings, row["who"], row["changed_at"], row["request"], row["version"])
                 self.added[own.key] = own
 
-    def _bus_of(self, row: StoreRow) -> str:
-        """The bus in the key of a row where it is configured, else the site."""
-        bus = str(row["alarm"]).split(".")[0]
+    def _bus_of(self, key: str) -> str:
+        """The bus in the key of an alarm where it is configured, else the site."""
+        bus = key.split(".")[0]
         return bus if bus in self._alarms.buses else ""
 
     def _forget(self, bus: str) -> None:
@@ -118,8 +118,7 @@ class OwnAlarmBook:
                 alarms.end_own(alarms.list.alarms[key])
                 alarms.list.take_out(key)
                 del self.added[key]
-        of_bus = [key for key in self.left_aside if key.split(".")[0] == bus]
-        for key in of_bus or (self.left_aside if not bus else ()):
+        for key in [key for key in self.left_aside if self._bus_of(key) == bus]:
             del self.left_aside[key]
 
     def _leave_aside(self, row: StoreRow, name: str, why: Message) -> None:
