@@ -32,7 +32,7 @@ free-port:
 setup: $(VENV)/.lineside
 
 # All at once, each with its output in one piece. The modules are compiled once, and not by each of the processes
-# that begin together. The browser tests come before the others in the use of the cores; of these there are three
+# that begin together. The browser tests come before the others in the use of the cores; of these there are two
 # processes more than cores, because half of their time is a wait for a line. Those of complete paths wait longest, so
 # they begin.
 test: development
@@ -44,7 +44,7 @@ browser-tests: development
 
 other-tests: development
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
 soak: development
