@@ -14,10 +14,11 @@ from pathlib import Path
 
 from app.database import Database, SqliteDatabase
 from app.database.settings import StoreSettings
+from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.updates import Delivery
-from app.history.intake.writer import COMMIT_EVERY_S, MIGRATIONS
+from app.history.intake.writer import COMMIT_EVERY_S
 from app.history.query.query import SeriesQuery, run_query
 from app.history.series.runs import DAY, HOUR, micros
 from app.history.series.values import VALUES

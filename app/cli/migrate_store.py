@@ -28,7 +28,7 @@ from app.database.settings import IN_FILES, SCHEMES, StoreSettings
 from app.errors import StoreError
 from app.handover import pictures
 from app.history import service
-from app.history.intake import writer
+from app.history.intake import opening
 from app.home.store import holders_now
 from app.settings import STORE_FILE, Settings, load
 from bus.messages import Message
@@ -36,7 +36,7 @@ from bus.messages import Message
 MAIN_PART = StorePart(MAIN, STORE_FILE, MIGRATIONS)
 PARTS = (
     MAIN_PART,
-    StorePart("history", service.FILE, writer.MIGRATIONS),
+    StorePart("history", service.FILE, opening.MIGRATIONS),
     StorePart("pictures", pictures.FILE, pictures.MIGRATIONS),
 )
 

@@ -14,7 +14,7 @@ CONNECT_S = 0.7
 """To reach a home; a page waits no longer for one that is off."""
 PIECE_S = 30.0
 """From one piece of a response to the next; a stream has one every 5 s."""
-KEPT_S = 2.0
+MAX_IDLE_S = 2.0
 """A connection is used again within this time, which is less than a server keeps it open."""
 MAX_CONNECTIONS = 400
 
@@ -60,6 +60,6 @@ class Peers:
             follow_redirects=False,
             timeout=httpx.Timeout(PIECE_S, connect=CONNECT_S, pool=CONNECT_S),
             limits=httpx.Limits(
-                max_connections=MAX_CONNECTIONS, max_keepalive_connections=keep, keepalive_expiry=KEPT_S
+                max_connections=MAX_CONNECTIONS, max_keepalive_connections=keep, keepalive_expiry=MAX_IDLE_S
             ),
         )

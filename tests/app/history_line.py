@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
 from app.history.intake.upkeep import DiskReserve
-from app.history.intake.writer import MIGRATIONS, Writer
+from app.history.intake.writer import Writer
 from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES

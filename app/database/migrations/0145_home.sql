@@ -2,11 +2,11 @@
 CREATE TABLE home (
     bus TEXT PRIMARY KEY,
     holder TEXT NOT NULL,
-    -- The process of the holder: two servers with one name are told apart by it.
+    -- The process of the holder: it distinguishes two servers with one name.
     instance TEXT NOT NULL,
     epoch INTEGER NOT NULL,
     until REAL NOT NULL,
-    -- Counted up by each renewal: two that look alike are told apart, whatever the clock of the store did.
+    -- Counted up by each renewal: it distinguishes two that look alike, whatever the clock of the store did.
     renewals INTEGER NOT NULL,
     url TEXT NOT NULL,
     taken_at REAL NOT NULL,

@@ -23,7 +23,6 @@ from app.database.settings import IN_FILES, StoreSettings
 from app.errors import DamagedStoreError, StoreError, system_error
 from app.history.intake.clock_watch import ClockWatch
 from app.history.intake.database_outage import DatabaseOutage
-from app.history.intake.opening import MIGRATIONS as MIGRATIONS
 from app.history.intake.opening import Opening, OpenStore
 from app.history.intake.recorder import Recorder
 from app.history.intake.share import COMPLETE, StoreShare
