@@ -107,6 +107,7 @@ interface DocumentEventMap {
   change: On<Event>;
   click: On<PointerEvent>;
   focusin: On<FocusEvent>;
+  keydown: On<KeyboardEvent>;
   focusout: FocusEvent & { readonly relatedTarget: HTMLElement | null };
   pointerdown: On<PointerEvent, HTMLElement>;
   submit: On<SubmitEvent, HTMLFormElement>;

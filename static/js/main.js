@@ -7,7 +7,6 @@ import * as focus from "./focus.js";
 import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
-import * as minutes from "./minutes.js";
 import * as people from "./people.js";
 import * as quality from "./quality.js";
 import * as redraw from "./redraw.js";
@@ -39,7 +38,6 @@ announce.start();
 counts.start();
 keypad.start();
 kiosk.start();
-minutes.start();
 live.follow([
   ...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit)),
 ]);

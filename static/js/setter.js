@@ -46,8 +46,8 @@ function followUnit(input) {
     delete input.dataset.touched;
     refresh();
   };
-  // A review that ended without the person leaves what was typed.
-  document.addEventListener("lineside:done", ({ detail }) => detail !== "ended" && forget());
+  // What was typed stays until it is set, or until the person leaves its review.
+  document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget());
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }
@@ -64,12 +64,14 @@ function press(input, key) {
   input.dispatchEvent(new Event("input", { bubbles: true }));
 }
 
-/** The way back stays for a while after the dialog that offered it was closed. */
-function keepUndo() {
-  const undo = document.querySelector("#review-body [data-undo]");
+/** The way back stays for a while, also after a dialog that offered it was closed.
+ * @param {Event} event */
+function keepUndo({ type }) {
+  const undo = document.querySelector("[data-undo]:not([data-kept])");
   const place = undo && document.querySelector(undo.dataset.undo);
-  if (!place) return;
-  place.replaceChildren(undo);
+  if (!place || (type === "lineside:changed" && !place.contains(undo))) return;
+  undo.dataset.kept = "";
+  if (!place.contains(undo)) place.replaceChildren(undo);
   setTimeout(() => undo.remove(), UNDO_MS);
 }
 
@@ -136,7 +138,7 @@ const fieldOf = (key) =>
   /** @type {HTMLInputElement} */ (document.getElementById(key.closest("[data-pad-for]")?.dataset.padFor ?? ""));
 
 export function start() {
-  document.addEventListener("lineside:done", keepUndo);
+  for (const event of ["lineside:done", "lineside:changed"]) document.addEventListener(event, keepUndo);
   forgetDone();
   for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
   document.addEventListener("click", (event) => {

@@ -7,7 +7,7 @@ import uuid
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Form
 from starlette.requests import Request
@@ -221,6 +221,21 @@ class UnitPage(BusPage):
         self.unit: UnitLive = unit_of_bus_or_404(self.bus, unit)
         self.title = self.unit.settings.name
         self.on_line = self.shown(unit)
+
+    def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
+        """The unit before or after this one in floor order; None at an end of the bus."""
+        units = list(self.bus.units)
+        at = units.index(self.id) + step
+        return self.shown(units[at]) if 0 <= at < len(units) else None
+
+    def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+        """The result of a command, in place. ``setpoint``: the requested value, its live field, its undo."""
+        context = {"unit": self.on_line, "requested": "", "reads": "", "undo": ""} | setpoint
+        return self.render("unit/_result.html", outcome=outcome, status=status, **context)
+
+    def not_sent(self, problem: Problem) -> Response:
+        """The result of a confirmed review of which nothing was sent."""
+        return self.result(OutcomeText("bad", problem.message), status=problem.status)
 
     def setpoint(self, raw: int | None) -> str:
         """A setpoint as the unit shows it, in the reader's language; empty where there is none."""

@@ -33,7 +33,7 @@ async def review_output(page: OfUnit, number: OutputPath) -> Response:
         on = not output_is_on(reading.outputs, number)
         page.check(WriteOutput(unit=page.id, number=number, on=on))
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.explain(problem.message, "#outputs-result", status=problem.status)
     return page.review(
         "unit/_review_output.html",
         unit=page.on_line,
@@ -52,12 +52,12 @@ async def set_output(
     try:
         result = await page.carry_out(WriteOutput(unit=page.id, number=number, on=on), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.not_sent(problem)
     outcome = outcome_text(result)
     if result.outcome == "verified":
         state = term("on") if on else term("off")
         outcome = OutcomeText("good", Message.of("result_output", n=number, state=state))
-    return page.done(page.title, outcome)
+    return page.result(outcome)
 
 
 @router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
@@ -83,8 +83,8 @@ async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: C
     try:
         result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
-    return page.done(page.title, outcome_text(result))
+        return page.not_sent(problem)
+    return page.result(outcome_text(result))
 
 
 def _integer(text: str) -> int:

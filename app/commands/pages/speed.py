@@ -74,7 +74,7 @@ async def set_speed(
         _refuse_moved(page, was)
         result = await page.carry_out(action, confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.not_sent(problem)
     return _done(page, raw, result, was if action.execute else "")
 
 
@@ -82,13 +82,11 @@ def _done(page: UnitPage, raw: int, result: Result, was: str) -> Response:
     """The result; ``was``: what undo offers once the new setpoint is verified, empty where it offers none."""
     # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(page.unit) else f"{page.on_line.key}.commanded"
-    return page.done(
-        page.title,
+    return page.result(
         page.outcome(result, page.id),
         requested=page.setpoint(raw),
         reads=reads,
         undo=page.setpoint(int(was)) if was and result.outcome == "verified" else "",
-        unit=page.on_line,
     )
 
 
@@ -112,11 +110,11 @@ async def nudge(
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(page, step):
             return await _review(page, raw, execute=True)
+        was = str(page.present)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
     except Problem as problem:
         return _explain(page, problem)
-    outcome = page.outcome(result, page.id)
-    response = page.render("unit/_nudged.html", requested=page.setpoint(raw), outcome=outcome)
+    response = _done(page, raw, result, was)
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 
@@ -136,7 +134,7 @@ async def review_execute(page: OfUnit) -> Response:
         await page.judge(ExecuteSpeed(unit=page.id))
         await page.know_ramps([page.id])
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return _explain(page, problem)
     change = page.change(page.id, staged)
     return page.review("unit/_review_execute.html", unit=page.on_line, change=change)
 
@@ -150,5 +148,5 @@ async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: W
         _refuse_moved(page, was)
         result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.not_sent(problem)
     return _done(page, raw, result, was)
