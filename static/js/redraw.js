@@ -27,7 +27,8 @@ function followPage(page) {
     if (!document.querySelector("dialog[open], [data-review-place] > *")) location.reload();
   };
   listen(key.slice(0, dot), look);
-  document.addEventListener("lineside:done", look);
+  // The review is taken away after that.
+  document.addEventListener("lineside:done", () => setTimeout(look));
 }
 
 export function start() {

@@ -136,8 +136,8 @@ function dismiss() {
   close();
   const detail = outcome();
   if (dialog.open) dialog.close();
-  content.replaceChildren();
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
+  content.replaceChildren();
   giveBack();
 }
 

@@ -290,6 +290,7 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     assert state(site, 8)["setpoint"] == was
     expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import GERMAN, OpensPages
+from tests.e2e.conftest import GERMAN, OpensPages, rest
 from tests.e2e.site import AT_REST, Line, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -226,6 +226,7 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()

@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, rest
 from tests.e2e.site import Site, eventually
 
 UNIT = 8
@@ -33,6 +33,7 @@ def undo(page: Page) -> Locator:
 
 def send(page: Page, opens_review: str) -> None:
     """One reviewed command, until its review is gone."""
+    rest(page)
     page.get_by_role("button", name=opens_review).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]").last).to_be_visible()
@@ -75,6 +76,7 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it(site: Site, page: Page
 
 def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
     stage(page, "119.0")
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
     was = page.locator('[data-review] [name="was"]')
     expect(was).to_have_value("1110")

@@ -123,6 +123,8 @@ async def write_parameter(
         outcome=_outcome(page, parameter, result),
         unit=page.on_line,
         row=_row(page, number),
+        requested="",
+        undo="",
     )
 
 
