@@ -292,6 +292,7 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
     rest(page)
     page.get_by_role("button", name="Execute staged").click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
@@ -315,7 +316,7 @@ def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_
     try:
         expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
         expect(page.locator("[data-review-act]")).to_have_count(0)
-        expect(page.locator(".by-mode__not")).to_be_visible()
+        expect(page.locator(".notice.by-mode__not")).to_be_visible()
         expect(page.locator("#setpoint")).to_be_hidden()
         expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
         expect(page.locator('[hx-post$="/analog-output/review"]')).to_be_hidden()

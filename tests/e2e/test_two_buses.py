@@ -228,6 +228,7 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
     rest(page)
     page.get_by_role("button", name="Execute staged").click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")

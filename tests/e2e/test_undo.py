@@ -35,6 +35,7 @@ def send(page: Page, opens_review: str) -> None:
     """One reviewed command, until its review is gone."""
     rest(page)
     page.get_by_role("button", name=opens_review).click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]").last).to_be_visible()
     close = page.locator("dialog[open] [data-review-cancel]")
@@ -81,6 +82,7 @@ def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(sit
     was = page.locator('[data-review] [name="was"]')
     expect(was).to_have_value("1110")
     was.evaluate("field => (field.value = '1150')")
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_be_visible()
     eventually(lambda: site.unit(UNIT)["commanded"] == "111.0", "nothing was executed")
