@@ -86,7 +86,7 @@ class TrendViews:
         view = await self._database.read(find)
         is_own = view is not None and view.sender == person.sender
         if view is None or not (is_own or view.shared):
-            raise Problem(404, "unknown_view", Message("view_unknown"))
+            raise Problem(404, "not_found", Message("view_unknown"))
         if not is_own:
             DELETE_SHARED.check(person)
         if view.shared:

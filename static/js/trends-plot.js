@@ -272,9 +272,30 @@ function strokes({ place, value, past, dimmed }, scale, isLane) {
         stroke: colour(name, dimmed ? DIMMED : 100),
         dash: isLane ? [] : dash,
         width: 2,
-        points: isLane ? { show: false } : { size: 4 },
+        points: isLane ? { show: false } : { size: 5, show: true, filter: dots },
       };
   return [{ ...common, ...line }, edge, { ...edge }];
+}
+
+/** @type {uPlot.Series.Points.Filter} */
+const dots = (plot, series) => alone(plot.data[series]);
+
+/** The places of values with a hole on either side: no line shows them. Dots elsewhere would fill the dashes.
+ * @param {ArrayLike<number | null | undefined>} column */
+export function alone(column) {
+  /** @type {number[]} */
+  const found = [];
+  /** @type {number[]} Places since the last hole. */
+  let run = [];
+  for (let i = 0; i <= column.length; i++) {
+    if (column[i] === undefined && i < column.length) continue;
+    if (column[i] !== null && i < column.length) run.push(i);
+    else {
+      if (run.length === 1) found.push(run[0]);
+      run = [];
+    }
+  }
+  return found;
 }
 
 /** @param {string} name @param {number} width */

@@ -5,6 +5,7 @@ import { openPage } from "./page.js";
 
 openPage();
 const { isBit, look } = await import("../../static/js/trends-look.js");
+const { alone } = await import("../../static/js/trends-plot.js");
 const { apart, lastValue } = await import("../../static/js/trends-labels.js");
 
 test("32 lines differ in hue or dash, eight in both", () => {
@@ -36,4 +37,9 @@ test("names stand at the ends of their lines, apart where they would touch, and 
 test("a line ends at its last value within the span", () => {
   const line = { t: [1, 2, 3], avg: [7, 8, null] };
   assert.deepEqual([[0, 9], [0, 1], [3, 9]].map((span) => lastValue(line, span)), [8, 7, null]);
+});
+
+test("a value between two holes is a dot, and no other is", () => {
+  assert.deepEqual(alone([1, null, 2, undefined, null, 3, undefined, 4, null, 5]), [0, 2, 9]);
+  assert.deepEqual(alone([1, undefined, 2]), []);
 });
