@@ -182,7 +182,7 @@ interface Muted {
 // --- the trends page ---------------------------------------------------------------------------------------
 
 interface PartsById {
-  trends: HTMLElement & { dataset: { catalogue: string; valueWords: string } };
+  trends: HTMLElement & { dataset: { catalogue: string; valueWords: string; shiftStarts: string; locale: string } };
   "trend-add": HTMLFormElement & { readonly elements: { unit: HTMLSelectElement; value: HTMLSelectElement } };
   "trend-alarms-count": HTMLElement;
   "trend-alarms-list": HTMLElement;
@@ -192,35 +192,62 @@ interface PartsById {
   "trend-exact": HTMLFormElement & { readonly elements: { from: HTMLInputElement; to: HTMLInputElement } };
   "trend-fault": HTMLElement;
   "trend-lanes": HTMLElement;
+  "trend-at": HTMLElement;
+  "trend-compare": HTMLSelectElement;
+  "trend-legend": HTMLElement;
   "trend-marks": HTMLInputElement;
+  "trend-note": (HTMLFormElement & { readonly elements: NoteFields }) | null;
+  "trend-note-result": HTMLElement;
+  "trend-notes-count": HTMLElement;
+  "trend-notes-list": HTMLElement;
+  "trend-past": HTMLElement;
+  "trend-save": HTMLFormElement & { readonly elements: { query: HTMLInputElement } };
   "trend-picture": HTMLElement;
   "trend-plot": HTMLElement;
   "trend-scale": HTMLSelectElement;
   "trend-span": HTMLElement;
   "trend-summary": HTMLElement;
+  "trend-unread": HTMLElement;
   "trend-values": HTMLTableSectionElement;
   "trend-words": HTMLTemplateElement & { dataset: TrendWords };
   "time-a": HTMLElement;
   "time-b": HTMLElement;
-  "time-cursor": HTMLElement;
   "time-difference": HTMLElement;
+}
+
+/** Of the form for a note. */
+interface NoteFields {
+  time: HTMLInputElement;
+  unit: HTMLSelectElement;
+  text: HTMLTextAreaElement;
 }
 
 /** The texts of the page, data-… of its template. */
 interface TrendWords extends DOMStringMap {
-  language: string;
   active: string;
+  alarms: string;
   backwards: string;
+  before: string;
   every: string;
   fault: string;
   full: string;
   holes: string;
+  language: string;
+  latest: string;
   live: string;
   more: string;
   noResponse: string;
+  none: string;
+  norun: string;
+  notes: string;
   nothing: string;
   off: string;
   on: string;
   per: string;
   remove: string;
+  run: string;
+  stored: string;
+  unreadAfter: string;
+  unreadBefore: string;
+  yesterday: string;
 }
