@@ -87,7 +87,7 @@ function fit(line) {
   for (const web of webs) arrange(web, found.columns);
 }
 
-/** Mark where rows begin, and tell each name of a group how many cells it may take there.
+/** Mark where rows begin, and how many cells the name of a group may take there.
  * @param {HTMLElement} web @param {number} columns */
 function arrange(web, columns) {
   const places = /** @type {HTMLElement[]} */ ([...web.children]);
