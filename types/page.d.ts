@@ -22,6 +22,7 @@ interface Parts {
 /** The same by id. */
 interface PartsById {
   main: HTMLElement;
+  faceplate: HTMLElement;
   verdict: HTMLElement;
   announcement: HTMLElement;
   keypad: HTMLTemplateElement;
@@ -107,6 +108,7 @@ interface DocumentEventMap {
   change: On<Event>;
   click: On<PointerEvent>;
   focusin: On<FocusEvent>;
+  keydown: On<KeyboardEvent>;
   focusout: FocusEvent & { readonly relatedTarget: HTMLElement | null };
   pointerdown: On<PointerEvent, HTMLElement>;
   submit: On<SubmitEvent, HTMLFormElement>;
@@ -154,7 +156,7 @@ interface Place {
 interface HtmxRequest {
   readonly sourceElement: HTMLElement;
   readonly target: string | HTMLElement | null;
-  readonly request: { readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
+  readonly request: { action: string; readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
 }
 
 // --- sound --------------------------------------------------------------------------------------------------

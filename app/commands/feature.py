@@ -9,7 +9,7 @@ from app.auth.signin import SignIn
 from app.commands.acts import ACTS
 from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
-from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
+from app.commands.pages import bus, faceplate, outputs, parameters, setpoints, speed, unit, zero
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
@@ -54,6 +54,7 @@ FEATURE = Feature(
         parameters.router,
         bus.router,
         unit.router,
+        faceplate.router,
     ),
     ACTS,
 )
