@@ -12,10 +12,10 @@ let goesOn = false;
 
 /** A finger that was on its way when a request came does not decide on it. */
 function shield() {
-  const ask = document.querySelector("[data-requested]");
-  const now = ask?.dataset.requested ?? "";
-  if (ask && now !== known) {
-    const choice = /** @type {HTMLElement} */ (ask.lastElementChild);
+  const box = document.querySelector("[data-requested]");
+  const now = box?.dataset.requested ?? "";
+  if (box && now !== known) {
+    const choice = /** @type {HTMLElement} */ (box.lastElementChild);
     choice.inert = true;
     setTimeout(() => (choice.inert = false), FRESH_MS);
   }

@@ -51,6 +51,10 @@ const fieldsOf = (form) =>
     ({ name, type }) => name && type !== "password" && type !== "hidden",
   );
 
+/** A setpoint follows its unit until a person types.
+ * @param {HTMLInputElement} field */
+const isFollowing = ({ dataset }) => dataset.follows !== undefined && dataset.touched === undefined;
+
 /** @param {HTMLInputElement | HTMLSelectElement} field */
 const untouched = (field) =>
   field instanceof HTMLSelectElement
@@ -60,7 +64,7 @@ const untouched = (field) =>
 /** @param {HTMLFormElement} form */
 function keep(form) {
   const drafts = read();
-  const changed = fieldsOf(form).filter((field) => field.value !== untouched(field));
+  const changed = fieldsOf(form).filter((field) => !isFollowing(field) && field.value !== untouched(field));
   const fields = Object.fromEntries(changed.map(({ name, value }) => [name, value.slice(0, MAX_LENGTH)]));
   if (changed.length) drafts[keyOf(form)] = { at: clock.now(), fields };
   else delete drafts[keyOf(form)];
@@ -136,6 +140,9 @@ export function start() {
     else if (!event.defaultPrevented) sessionStorage.setItem(SENT, keyOf(form));
   });
   document.addEventListener("lineside:done", ({ detail }) => {
-    if (reviewed && (detail === "good" || detail === "")) forget(reviewed);
+    const form = reviewed;
+    if (form && detail === "good") forget(form);
+    // A person who has left the review has left some fields as they are.
+    else if (form && detail === "") setTimeout(() => keep(form));
   });
 }
