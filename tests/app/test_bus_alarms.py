@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from decimal import Decimal
 
 import pytest
 
@@ -13,6 +14,7 @@ from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
+from bus.settings import Seam
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
 
 
@@ -369,3 +371,23 @@ async def test_the_end_of_the_server_loses_no_transition_that_is_being_written(
     await blocked
     await database.write(lambda _: None)
     assert [entry.trigger for entry in await bus.store.journal(10, None)] == ["rise"]
+
+
+def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_none_ramps(bus: AlarmBus) -> None:
+    def run(seconds: int, **second: int) -> None:
+        """The first unit at 100.0, the second as given."""
+        for _ in range(2 * seconds):
+            bus.read(1)
+            bus.wait(0.5, 2, **second)
+
+    bus.live.seams = {2: Seam(1, (Decimal(-1), Decimal(2)))}
+    run(4, actual=1030)
+    assert bus.present() == set()
+    run(2, actual=1030)
+    assert bus.present() == {"2.draw_out_of_band"}
+    run(3, actual=1030, commanded=1100, outputs=REMOTE)
+    assert bus.state("2.draw_out_of_band") == "rtn_unack"
+    run(6, actual=1030)
+    assert bus.state("2.draw_out_of_band") == "unack_active"
+    bus.wait(3, 2, actual=1030)
+    assert bus.alarm("2.draw_out_of_band").holds is None

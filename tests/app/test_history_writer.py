@@ -113,7 +113,11 @@ def readings_of(writer: Writer) -> int:
 
 
 @pytest.mark.parametrize("content", [b"not a store at all, but long enough to be taken for one" * 100])
-def test_a_damaged_store_is_reported_and_nothing_else_fails(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_store_is_reported_and_nothing_else_fails(
+    tmp_path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The first commit would replace the store.
+    monkeypatch.setattr("app.history.intake.writer.COMMIT_EVERY_S", 3600.0)
     (tmp_path / "history.db").write_bytes(content)
     writer = opened(tmp_path)
     assert writer.status.state == "failed"

@@ -24,7 +24,7 @@ TURNAROUND_MS = 200
 INACTIVITY_S = 3
 """After so long without a byte the device server gives the port to the next: a stopped worker holds it no
 longer."""
-PATIENCE_S = 30.0
+PATIENCE_S = 90.0
 FAKETIME = "usr/lib/*-linux-gnu/faketime/libfaketimeMT.so.1"
 SER2NET = """\
 connection: &{bus}

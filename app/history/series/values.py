@@ -7,7 +7,7 @@ from typing import Literal
 
 from bus.settings import BusSettings, UnitSettings
 
-ValueKind = Literal["speed", "analog", "bit"]
+ValueKind = Literal["speed", "analog", "draw", "bit"]
 
 _INPUTS = ("run", "estop", "preset", "reverse", "up", "down", "slave")
 """ST1, bit 0 first (manual, READ SPEED AND STATUS)."""
@@ -17,7 +17,8 @@ _OUTPUTS = tuple(f"output.{n}" for n in range(1, 7))
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a unit. ``bit`` is its place in ST2 * 256 + ST1; -1 for a number."""
+    """One value of a unit. ``bit`` is its place in ST2 * 256 + ST1; -1 for a number. A draw is not
+    stored, but made of two of its ``column``: that of the unit before, and its own."""
 
     name: str
     kind: ValueKind
@@ -31,6 +32,7 @@ VALUES: dict[str, Value] = {
         Value("commanded", "speed", "commanded"),
         Value("actual", "speed", "actual"),
         Value("analog", "analog", "analog"),
+        Value("draw", "draw", "actual"),
         *(Value(name, "bit", "word", bit) for bit, name in enumerate(_INPUTS)),
         *(Value(name, "bit", "word", 8 + bit) for bit, name in enumerate((*_OUTPUTS, "remote", "at_speed"))),
     )
@@ -53,4 +55,4 @@ def label(unit: UnitSettings, value: Value) -> str:
 
 def measure(unit: UnitSettings, value: Value) -> str:
     """The unit of measure; empty where none is configured."""
-    return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "bit": ""}[value.kind]
+    return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "draw": "%", "bit": ""}[value.kind]

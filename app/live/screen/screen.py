@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
-from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
+from app.live.screen.fields import Fields, Translator, bus_fields, draw_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.live.state.draw import draw_of
 from bus.instants import UnixTime
 from bus.messages import Message, listed
 
@@ -88,6 +89,7 @@ class Screen:
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         line = cause_texts(cause, self.translator, now).line if cause is not None else ""
+        fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",
