@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Fields, Translator
+from app.web.head_control import BusControl
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -31,8 +32,11 @@ class UnitGuards(Protocol):
     def block_reason(self, unit: int) -> Message | None:
         """Why commands to a unit are blocked and by whom; None when they are not."""
 
-    def holder(self) -> str:
-        """The account that controls the bus; empty when there is none."""
+    def bus_control(self) -> BusControl:
+        """Who controls the bus, and who requests that."""
+
+    def on_control(self, subscriber: Callable[[], None]) -> None:
+        """Call ``subscriber`` when control has another holder, or was requested."""
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or released."""
