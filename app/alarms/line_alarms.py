@@ -150,12 +150,12 @@ class LineAlarms:
         sounding = (alarm for alarm in self._present_here() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
-    def first_of_unit(self, bus: str, unit: int) -> Alarm | None:
-        """The first of those of a unit that are annunciated; None where none is."""
+    def of_unit(self, bus: str, unit: int) -> list[Alarm]:
+        """Those of a unit that are annunciated, by :func:`rank`."""
         of_unit = self._of_unit.get((bus, unit))
         if not of_unit or self._is_elsewhere(bus):
-            return None
-        return min((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank, default=None)
+            return []
+        return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:
         """The name of a unit or bus, which may be configured no longer; empty for the site."""

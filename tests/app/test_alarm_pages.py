@@ -242,7 +242,13 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert (cleared["mark"], cleared["more"], cleared["waiting"]) == ("urgent cleared waiting", "", "1")
     at = translator().formats.since(facts_of(house).cleared or now, now)
     assert cleared["state"] == f"cleared {at}"
-    assert banner.mark(BUS, 1) == "urgent cleared waiting"
+    assert banner.of_unit(BUS, 1, translator(), now) == {
+        "alarm": "urgent cleared waiting",
+        "alarm_text": "Emergency stop",
+        "alarm_state": f"cleared {at}",
+        "alarm_more": "",
+        "alarm_at": f"/alarms/{ESTOP}.1",
+    }
     remote_off(house, unit=2)
     active = banner.banner(translator(), now)
     assert (active["mark"], active["more"], active["waiting"]) == ("low waiting", " · 1 more", "2")
@@ -251,7 +257,7 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     assert banner.banner(translator(), now)["mark"] == "low"
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
     assert banner.banner(translator(), now)["more"] == ""
-    assert banner.mark(BUS, 1) == ""
+    assert set(banner.of_unit(BUS, 1, translator(), now).values()) == {""}
 
 
 def remote_off(house: House, unit: int) -> None:
