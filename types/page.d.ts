@@ -32,6 +32,7 @@ interface PartsById {
 /** The same by the end of the name of an attribute, data-sound-…; on most pages without what sets it. */
 interface SoundParts {
   strip: HTMLElement;
+  word: HTMLElement;
   text: HTMLElement;
   press: HTMLElement;
   state: HTMLElement | null;
@@ -79,6 +80,7 @@ interface DOMStringMap {
   liveVar: string;
   liveTitle: string;
   liveHref: string;
+  liveValue: string;
   livePath: string;
   liveQuality: string;
   liveStep: string;

@@ -39,9 +39,10 @@ class AlarmBanner:
         shown = [alarm for alarm in found if alarm.facts.active] or found
         first = min(shown, key=rank, default=None)
         return {
-            "waiting": str(sum(alarm.is_unacknowledged for alarm in found) or ""),
             "mark": first.mark if first else "",
-            "text": self._place_and_name(first, translator) if first else "",
+            "place": self._alarms.place(first.definition.bus, first.definition.unit) if first else "",
+            "text": translator.t(first.definition.name) if first else "",
+            "acknowledge": first.id if first and first.is_unacknowledged else "",
             **_state(first, len(found), translator, now),
             "changed": str(self._changed),
             **self._sound(),
@@ -64,11 +65,6 @@ class AlarmBanner:
         return {"alarm": first.mark if first else "", "alarm_text": name} | {
             f"alarm_{field}": text for field, text in fields.items()
         }
-
-    def _place_and_name(self, alarm: Alarm, translator: Translator) -> str:
-        definition = alarm.definition
-        place = self._alarms.place(definition.bus, definition.unit)
-        return f"{place} · {translator.t(definition.name)}".removeprefix(" · ")
 
 
 def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTime) -> Fields:

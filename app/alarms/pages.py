@@ -66,7 +66,7 @@ async def alarms_page(
     return render(
         request,
         "alarms/page.html",
-        **listed(alarms, chosen),
+        **listed(alarms, chosen, unix_now()),
         chosen=chosen,
         states=[(each, state_text(each)) for each in PRESENT_STATES],
         places=places_of(alarms),
@@ -92,7 +92,9 @@ async def alarms_list(
 def _list(
     request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
 ) -> Response:
-    return render(request, "alarms/_list.html", **listed(alarms, chosen, shown), left_out=left_out)
+    return render(
+        request, "alarms/_list.html", **listed(alarms, chosen, unix_now(), shown), left_out=left_out
+    )
 
 
 @router.get("/alarms/journal")
@@ -147,7 +149,7 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
     return render(
         request,
         "alarms/one.html",
-        row=row_of(alarms, alarm),
+        row=row_of(alarms, alarm, unix_now()),
         record=alarm.definition.record,
         transitions=entries,
         place_of=alarms.place,
@@ -164,13 +166,16 @@ async def acknowledge_shown(
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
-    reports it. The list that they are acknowledged in keeps the places of its rows."""
+    reports it. The list that they are acknowledged in keeps the places of its rows; the head of a page, which
+    follows the alarms, needs no response."""
     left_out = 0
     for alarm_id in id:
         try:
             await alarms.act(person, ACKNOWLEDGE, alarm_id)
         except Problem:
             left_out += 1
+    if not shown and "HX-Request" in request.headers:
+        return Response(status_code=204)
     if shown:
         response = _list(request, alarms, chosen, shown, left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
