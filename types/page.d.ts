@@ -90,6 +90,8 @@ interface DOMStringMap {
   redraw: string;
   reload: string;
   tenMinutes: string;
+  alarmTrend: string;
+  came: string;
   trace: string;
   undo: string;
   countsOne: string;

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
-from app.alarms.alarm import state_text
+from app.alarms.alarm import Alarm, state_text
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
@@ -97,22 +97,6 @@ def _list(
     )
 
 
-@router.get("/alarms/journal")
-async def journal_page(
-    request: Request, _: Viewer, alarms: Alarms, before: Annotated[int | None, Query(ge=1, le=2**62)] = None
-) -> Response:
-    """Every transition, newest first."""
-    entries = await alarms.store.journal(ON_A_PAGE + 1, before)
-    return render(
-        request,
-        "alarms/journal.html",
-        transitions=entries[:ON_A_PAGE],
-        place_of=alarms.place,
-        older=entries[ON_A_PAGE - 1].id if len(entries) > ON_A_PAGE else None,
-        before=before,
-    )
-
-
 @router.get("/alarms/performance")
 async def performance_page(
     request: Request, _: Viewer, alarms: Alarms, days: Literal["1", "7", "31"] = "7"
@@ -131,7 +115,7 @@ async def performance_page(
         days=int(days),
         spans=(1, 7, 31),
         csv=f"/api/v1/alarms/performance.csv?{span}",
-        figures=[_figure(figure, formats) for figure in found.figures],
+        figures=[_figure(figure, formats, found.observed_s) for figure in found.figures],
         place_of=alarms.place,
     )
 
@@ -151,9 +135,18 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
         "alarms/one.html",
         row=row_of(alarms, alarm, unix_now()),
         record=alarm.definition.record,
+        beside=_beside(alarms, alarm),
         transitions=entries,
         place_of=alarms.place,
     )
+
+
+def _beside(alarms: LineAlarms, alarm: Alarm) -> list[Alarm]:
+    """The other alarms of its unit."""
+    bus, unit = alarm.definition.bus, alarm.definition.unit
+    if bus is None or unit is None:
+        return []
+    return [each for each in alarms.of_unit(bus, unit) if each is not alarm]
 
 
 @router.post("/alarms/acknowledge")
@@ -227,8 +220,11 @@ def given_reason(reason: str) -> str:
     return reason.strip()
 
 
-def _figure(figure: AlarmFigure, formats: Formats) -> tuple[Message, str, str, bool | None]:
-    """Its name, its value and its target as the page shows them, and whether it meets that."""
+def _figure(
+    figure: AlarmFigure, formats: Formats, observed_s: float
+) -> tuple[Message, str, str, bool | None]:
+    """Its name, its value and its target as the page shows them, and whether it meets that. A figure
+    of a day is not known of less than one."""
 
     def shown(value: float | None) -> str:
         if value is None:
@@ -243,4 +239,6 @@ def _figure(figure: AlarmFigure, formats: Formats) -> tuple[Message, str, str, b
         target = f"≤ {shown(figure.at_most)}"
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
+    if figure.code == "per_day" and observed_s < DAY_S:
+        return Message("alarm_figure_per_day_of_less"), UNKNOWN, target, None
     return Message(f"alarm_figure_{figure.code}"), shown(figure.value), target, figure.met

@@ -199,6 +199,32 @@ async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> Non
     assert "Alarmjournal" in text
 
 
+async def test_the_journal_is_found_by_unit_priority_state_day_and_the_names_people_use(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    remote_off(house, unit=2)
+    await house.services[LineAlarms].write()
+    first, second = (house.services[LineAlarms].place(BUS, unit) for unit in (1, 2))
+    for query, of_first, of_second in (
+        ("", True, True),
+        (f"place={BUS}/2", False, True),
+        (f"place={BUS}", True, True),
+        ("priority=urgent", True, False),
+        ("state=unack_active", True, True),
+        ("state=shelved", False, False),
+        ("day=2020-01-01", False, False),
+        (f"search={first.upper()}", True, False),
+        (f"search={second} remote", False, True),
+        ("search=nowhere", False, False),
+        ("place=nowhere/999999&before=1", False, False),
+    ):
+        text = await page(viewer, f"/alarms/journal?{query}")
+        found = (">Emergency stop</th>" in text, ">Not in REMOTE</th>" in text)
+        assert found == (of_first, of_second), query
+    viewer.headers["Accept-Language"] = "de"
+    assert ">Not-Halt</th>" in await page(viewer, f"/alarms/journal?search=not-halt {first}")
+
+
 HEAD = re.compile(
     r'class="top__alarm-link alarm-priority".*?data-is="([^"]*)".*?"alarms_present.place"[^>]*>([^<]*)<'
     r'.*?"alarms_present.text"[^>]*>([^<]*)<.*?"alarms_present.state"[^>]*>([^<]*)<.*?"alarms_present.more"[^>]*>([^<]*)<',
