@@ -33,6 +33,7 @@ interface PartsById {
 /** The same by the end of the name of an attribute, data-sound-…; on most pages without what sets it. */
 interface SoundParts {
   strip: HTMLElement;
+  word: HTMLElement;
   text: HTMLElement;
   press: HTMLElement;
   state: HTMLElement | null;
@@ -80,6 +81,7 @@ interface DOMStringMap {
   liveVar: string;
   liveTitle: string;
   liveHref: string;
+  liveValue: string;
   livePath: string;
   liveQuality: string;
   liveStep: string;
@@ -89,6 +91,8 @@ interface DOMStringMap {
   redraw: string;
   reload: string;
   tenMinutes: string;
+  alarmTrend: string;
+  came: string;
   trace: string;
   undo: string;
   countsOne: string;

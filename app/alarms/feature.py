@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.alarms import api, occurrences_api, own_api, own_pages, pages, performance_api
+from app.alarms import api, journal_pages, occurrences_api, own_api, own_pages, pages, performance_api
 from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
@@ -123,6 +123,7 @@ FEATURE = Feature(
         occurrences_api.router,
         own_api.router,
         api.router,
+        journal_pages.router,
         pages.router,
     ),
     acts=ACTS,

@@ -36,9 +36,9 @@ const LOOKS = {
   },
   medium: {
     number: "3",
-    fill: "--low",
-    ink: "--low-ink",
-    line: "--low",
+    fill: "--medium",
+    ink: "--medium-ink",
+    line: "--medium",
     shape: [
       [0.5, 0],
       [1, 0.5],
@@ -46,7 +46,7 @@ const LOOKS = {
       [0, 0.5],
     ],
   },
-  low: { number: "4", fill: "--panel", ink: "--text", line: "--line-strong", shape: [] },
+  low: { number: "4", fill: "--low", ink: "--low-ink", line: "--low", shape: [] },
 };
 
 /** Where each alarm of a span is drawn: `row` counts the priorities that occur, the most important at the top; `x`

@@ -166,7 +166,8 @@ class Hub:
             screen = broadcast.screen
             groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
             for bus, unit in units:
-                groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
+                fields = self._sources.alarms.of_unit(bus, unit, screen.translator, now)
+                groups |= screen.put(unit_key(bus, unit), fields)
             broadcast.publish(groups)
 
     def _show_control(self) -> None:

@@ -97,7 +97,7 @@ class Screen:
             "check": check_text(cause, self.translator),
             "blocked": blocked,
             "drift": drifted.key,
-            "alarm": self.sources.alarms.mark(bus_name, number),
+            **self.sources.alarms.of_unit(bus_name, number, self.translator, now),
         }
 
     def _recipe(self, bus_name: str) -> str:

@@ -58,9 +58,11 @@ class AlarmMarks(Protocol):
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, in the reader's language. ``now``: Unix time in seconds."""
 
-    def mark(self, bus: str, unit: int) -> str:
-        """The priority of a unit's first alarm, whether it has cleared and whether it waits for an
-        acknowledgement; empty without one."""
+    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm of a unit in the reader's language, all empty without one: ``alarm``, its priority,
+        whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
+        ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
+        ``alarm_at``, its page."""
 
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` when an alarm has changed."""
