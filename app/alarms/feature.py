@@ -10,6 +10,7 @@ from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
+from app.alarms.finding import AlarmFinder
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.simulation.simulator import Simulator
@@ -24,6 +25,7 @@ from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.database.availability import Availability
 from app.feature import Feature, Services
+from app.find.finders import Finders
 from app.history.service import History
 from app.home.homes import Homes
 from app.home.lease import SITE
@@ -56,6 +58,7 @@ def make(services: Services) -> None:
         at_home.add(f"own alarms {place}", start=partial(own_alarms.load, name))
         load, write = partial(alarms.load, name), partial(alarms.write, name)
         at_home.add(f"alarms {place}", follow, start=load, end=write)
+    services[Finders].add("find_alarms", AlarmFinder(alarms))
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 

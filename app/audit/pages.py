@@ -12,6 +12,7 @@ from starlette.responses import HTMLResponse
 
 from app.audit import groups
 from app.audit.api import Events
+from app.audit.finding import units_named
 from app.audit.store import Filter
 from app.settings import Settings
 from app.time_zone import day_begins
@@ -45,6 +46,7 @@ async def events_page(
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
     templates = templates_of(request)
     site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
+    settings = service_of(request, Settings)
     wanted = Filter(
         before=parse_integer(before),
         kind=kind or None,
@@ -54,9 +56,9 @@ async def events_page(
         since=day_begins(since, site_zone),
         until=day_begins(until, site_zone, timedelta(days=1)),
         search=formats.typed_number(search),
+        named=units_named(settings, search),
     )
     rows, after = await groups.page(events, wanted, ON_A_PAGE)
-    settings = service_of(request, Settings)
     return render(
         request,
         "events/page.html",
