@@ -1,4 +1,4 @@
-"""Find anything by its name: a list under the field of each page, and a page for a browser without scripts."""
+"""Find anything by its name: a list below the field of each page, and a page for browsers without scripts."""
 
 from __future__ import annotations
 
@@ -31,4 +31,5 @@ async def find_page(
     may = partial(templates.may, person)
     search = Search(typed, language, templates.formats(language.tag), may, near)
     found = await service_of(request, Finders).find(search)
-    return render(request, "find/_found.html" if part else "find/page.html", typed=typed, near=near, found=found)
+    template = "find/_found.html" if part else "find/page.html"
+    return render(request, template, typed=typed, near=near, found=found)
