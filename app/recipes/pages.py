@@ -99,6 +99,7 @@ async def review(
         run=run,
         was=was,
         followers=followers_of(bus),
+        draws=of_bus.draws({step.unit: step.raw for step in run.steps if step.unit in bus.units}),
         risks=by_remark((str(step.name), risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -22,6 +22,7 @@ from app.commands.review import (
     present_setpoint,
     ramp_parameters_missing,
 )
+from app.commands.rules.draw_changes import DrawChange, draw_changes
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -193,6 +194,10 @@ class BusPage(PageContext):
         """What a new setpoint means for a unit."""
         block = self.guards.block_reason(unit)
         return change_of(self.bus, self.bus.units[unit], raw, self.limits(unit), unix_now(), block=block)
+
+    def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:
+        """What new setpoints, raw by unit, do to the draw between neighbors."""
+        return draw_changes(self.bus, setpoints)
 
     def obstacle(self, unit: int) -> Message | None:
         """Why a unit cannot take a command now; None where nothing is known against it."""

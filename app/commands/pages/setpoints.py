@@ -64,6 +64,7 @@ async def review_setpoints(request: Request, page: Page) -> Response:
         bus=of_bus.name,
         changes=changes,
         obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
+        draws=of_bus.draws(setpoints),
         risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,

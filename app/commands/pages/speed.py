@@ -49,6 +49,7 @@ async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
         "unit/_review_speed.html",
         unit=page.on_line,
         change=page.change(page.id, raw),
+        draws=page.draws({page.id: raw}) if execute else [],
         execute=execute,
         follower=bool(follower(page.unit)),
     )
@@ -137,8 +138,8 @@ async def review_execute(page: OfUnit) -> Response:
         await page.know_ramps([page.id])
     except Problem as problem:
         return page.refused(problem, page.title)
-    change = page.change(page.id, staged)
-    return page.review("unit/_review_execute.html", unit=page.on_line, change=change)
+    change, draws = page.change(page.id, staged), page.draws({page.id: staged})
+    return page.review("unit/_review_execute.html", unit=page.on_line, change=change, draws=draws)
 
 
 @router.post("/execute", dependencies=[permitted_writer(EXECUTE_SPEED)])

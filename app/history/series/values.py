@@ -8,7 +8,7 @@ from typing import Literal
 
 from bus.settings import BusSettings, UnitSettings
 
-ValueKind = Literal["speed", "analog", "bit"]
+ValueKind = Literal["speed", "analog", "draw", "bit"]
 
 _INPUTS = {
     "run": "run",
@@ -27,7 +27,8 @@ _OUTPUTS = {f"output.{n}": "output {n}" for n in range(1, 7)} | {"remote": "remo
 @dataclass(frozen=True, slots=True)
 class Value:
     """One value of a unit. ``words`` names it in English, ``{n}`` is the number of an output; ``bit`` is its
-    place in ST2 * 256 + ST1; -1 for a number."""
+    place in ST2 * 256 + ST1; -1 for a number. A draw is not stored, but made of two of its ``column``: that
+    of the unit before, and its own."""
 
     name: str
     kind: ValueKind
@@ -42,6 +43,7 @@ VALUES: dict[str, Value] = {
         Value("commanded", "speed", "commanded", words="commanded"),
         Value("actual", "speed", "actual", words="actual"),
         Value("analog", "analog", "analog", words="analog input"),
+        Value("draw", "draw", "actual", words="draw"),
         *(Value(name, "bit", "word", bit, words) for bit, (name, words) in enumerate(_INPUTS.items())),
         *(Value(name, "bit", "word", 8 + bit, words) for bit, (name, words) in enumerate(_OUTPUTS.items())),
     )
@@ -69,4 +71,4 @@ def label(unit: UnitSettings, value: Value) -> str:
 
 def measure(unit: UnitSettings, value: Value) -> str:
     """The unit of measure; empty where none is configured."""
-    return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "bit": ""}[value.kind]
+    return {"speed": unit.labels.unit, "analog": unit.labels.analog_unit, "draw": "%", "bit": ""}[value.kind]

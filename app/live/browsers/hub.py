@@ -98,11 +98,12 @@ class Hub:
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, that the database is away, and alarms of lines of other servers."""
+        """Faults of the records, that the database is away, and lines of other servers and their alarms."""
         return {
             **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
             "away": self._sources.away(translator, now),
+            "elsewhere": self._sources.elsewhere(),
         }
 
     def _new_screen(self, language: str) -> Screen:

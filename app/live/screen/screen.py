@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
-from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
+from app.live.screen.fields import Fields, Translator, bus_fields, draw_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.live.state.draw import draw_of
 from bus.instants import UnixTime
 from bus.messages import Message, listed
 
@@ -48,8 +49,8 @@ class Screen:
         for number in units:
             changed |= self.put(unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if include_bus:
-            fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
-            changed |= self.put(bus_name, fields)
+            others = {"recipe": self._recipe(bus_name), "home": self.sources.home(bus_name)}
+            changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | others)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             changed |= self.put(LINE_GROUP, self._line(now))
         return changed
@@ -88,6 +89,7 @@ class Screen:
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         line = cause_texts(cause, self.translator, now).line if cause is not None else ""
+        fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",

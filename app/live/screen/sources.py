@@ -90,7 +90,8 @@ class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
     is stored, None while it is; ``away``: that the database is away, for the head of every page; empty while
-    it is not."""
+    it is not; ``home``: the server that has a bus; ``elsewhere``: the buses of other servers, each with its
+    server."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -100,3 +101,5 @@ class Sources:
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
     away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""
+    home: Callable[[str], str] = lambda _bus: ""
+    elsewhere: Callable[[], str] = lambda: ""
