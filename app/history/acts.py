@@ -7,5 +7,5 @@ from app.web.access import Role
 
 SHARE = Act("share_view", Role.OPERATOR, "configuration", "event_view_shared")
 DELETE_SHARED = Act("delete_shared_view", Role.ENGINEER, "configuration", "event_view_deleted")
-"""Of another person; each deletes what is their own."""
+"""Of another person; each deletes their own."""
 ACTS = (SHARE, DELETE_SHARED)

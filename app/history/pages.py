@@ -31,11 +31,11 @@ from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
 SEE_OTHER = 303
-Views = Annotated[TrendViews, service(TrendViews)]
+SavedViews = Annotated[TrendViews, service(TrendViews)]
 
 
 @router.get("/trends")
-async def trends(request: Request, person: Viewer, history: HistoryOf, views: Views) -> Response:
+async def trends(request: Request, person: Viewer, history: HistoryOf, views: SavedViews) -> Response:
     """Any values of any units over any span; the browser draws what its address names."""
     templates = templates_of(request)
     language = templates.language_of(request)
@@ -62,7 +62,7 @@ async def _views_seen(views: TrendViews, person: Person) -> list[TrendView]:
 @router.post("/trends/views")
 async def save_view(
     person: Viewer,
-    views: Views,
+    views: SavedViews,
     events: Events,
     name: Annotated[OneLine, Form(max_length=200)] = "",
     query: Annotated[OneLine, Form(max_length=MAX_QUERY)] = "",
@@ -75,7 +75,7 @@ async def save_view(
 
 @router.post("/trends/views/{number}/delete")
 async def delete_view(
-    person: Viewer, views: Views, events: Events, number: Annotated[int, Path(ge=1, le=2**62)]
+    person: Viewer, views: SavedViews, events: Events, number: Annotated[int, Path(ge=1, le=2**62)]
 ) -> Response:
     """Delete a saved view."""
     await views.delete(person, events, number)

@@ -7,7 +7,7 @@ const HISTORY = "/api/v1/history";
 const EXPAND_NULLS = 2;
 /** How long the last reading stands for what is now, seconds. */
 const STILL_S = 15;
-/** The part of a span without readings that is worth a sentence. */
+/** The part of a span without readings that is worth a line of text. */
 const UNREAD_PART = 0.02;
 
 /** @param {string} path @param {URLSearchParams} query @param {AbortSignal} [signal] */

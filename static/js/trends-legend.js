@@ -21,7 +21,7 @@ export class Legend {
     });
   }
 
-  /** One row for each curve, with what it was in the time compared. The rows are made anew only where the curves are
+  /** One row for each curve, with what it was in the time compared. The rows are made again only where the curves are
    * others, so that none moves under a finger.
    * @param {Curve[]} curves @param {Curve[]} past */
   draw(curves, past) {

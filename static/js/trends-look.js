@@ -4,7 +4,7 @@ const HUES = 8;
 const DASHES = [[], [12, 4], [5, 3], [14, 4, 3, 4], [24, 5], [14, 4, 3, 4, 3, 4], [6, 3, 6, 9], [3, 3, 3, 3, 3, 9]];
 /** In the place of the solid one, because what is commanded is always dashed. */
 const COMMANDED = [9, 9];
-/** Of an earlier time: thin, dotted and lighter. */
+/** Of an earlier time: narrow, dotted and lighter. */
 export const PAST = { dash: [1, 3], percent: 70, width: 1.5 };
 /** How much is left of the color of a dimmed line, percent. */
 export const DIMMED = 18;

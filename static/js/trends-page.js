@@ -279,12 +279,12 @@ export class TrendsPage {
     const { words } = this;
     const none = this.results.length > 0 && this.results.every(({ t }) => !t.length);
     /** @type {string[]} */
-    const sentences = [];
+    const texts = [];
     if (none && before)
-      sentences.push(words.none.replace("{from}", shortTime(before[0], to)).replace("{to}", shortTime(before[1], to)));
-    else if (before) sentences.push(words.unreadBefore.replace("{time}", shortTime(before[1], to)));
-    if (after) sentences.push(words.unreadAfter.replace("{time}", shortTime(after[0], to)));
-    document.getElementById("trend-unread").textContent = sentences.join(" ");
+      texts.push(words.none.replace("{from}", shortTime(before[0], to)).replace("{to}", shortTime(before[1], to)));
+    else if (before) texts.push(words.unreadBefore.replace("{time}", shortTime(before[1], to)));
+    if (after) texts.push(words.unreadAfter.replace("{time}", shortTime(after[0], to)));
+    document.getElementById("trend-unread").textContent = texts.join(" ");
   }
 
   /** @template {Mark | Alarm | Note} T @param {"events" | "alarms" | "notes"} name @param {T[]} items

@@ -84,7 +84,7 @@ export class Picture {
     for (const plot of [this.curves, this.lanes]) plot?.setScale("x", { min, max });
   }
 
-  /** What is over the curves has changed; the lanes above them may have more rows. */
+  /** The overlay has changed; the lanes above them may have more rows. */
   redraw() {
     if (this.above !== lanesHeight(this.overlay(), this.range)) this.resize();
     for (const plot of [this.curves, this.lanes]) plot?.redraw(false);

@@ -94,7 +94,7 @@ def test_an_address_that_is_none_of_the_page_is_refused(query: str) -> None:
         clean(query)
 
 
-def test_only_what_is_shown_is_kept_of_an_address() -> None:
+def test_only_known_members_of_an_address_are_kept() -> None:
     assert clean(f"{QUERY}&a=2026-01-01&next=//example.org&compare=day") == f"{QUERY}&compare=day"
 
 

@@ -103,18 +103,18 @@ def flat(place: int, value: str = "actual", *, begins: int = 0) -> dict[str, Any
     return {**of, "t": t, "avg": level, "min": level, "max": level}
 
 
-def opened(page: Page, answer: list[dict[str, Any]], more: str = "") -> list[str]:
+def opened(page: Page, found: list[dict[str, Any]], more: str = "") -> list[str]:
     """Open the page over a span with these values, and return the addresses of what is requested of them."""
     requested: list[str] = []
 
     def respond(route: Route) -> None:
         requested.append(route.request.url)
-        route.fulfill(json=answer)
+        route.fulfill(json=found)
 
     page.route("**/api/v1/history/series*", respond)
     moments = (datetime.fromtimestamp(at, UTC) for at in (FROM, FROM + LENGTH - 1))
     since, until = (moment.strftime("%Y-%m-%dT%H:%M:%SZ") for moment in moments)
-    series = "&".join(f"s=line/{each['unit']}/{each['value']}" for each in answer)
+    series = "&".join(f"s=line/{each['unit']}/{each['value']}" for each in found)
     page.goto(f"/trends?{series}&from={since}&to={until}&marks=0{more}")
     expect(page.locator("#trends[data-drawn]")).to_be_attached()
     return requested
@@ -166,9 +166,9 @@ def test_a_note_is_written_on_the_chart_and_a_view_is_kept(site: Site, browser_p
     page.get_by_text(re.compile("^Saved views")).click()
     page.locator("#trend-save [name=name]").fill("Infeed")
     page.get_by_role("button", name="Save view").click()
-    page.wait_for_url("**#trend-save")
+    expect(page).to_have_url(re.compile("span=600#trend-save$"))
     page.goto("/trends")
     page.get_by_text(re.compile("^Saved views")).click()
     page.get_by_role("link", name="Infeed").click()
-    page.wait_for_url("**span=600")
+    expect(page).to_have_url(re.compile("span=600$"))
     expect(page.locator("#trend-legend li")).to_have_count(1)
