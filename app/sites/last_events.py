@@ -48,7 +48,7 @@ class LastEvents:
             self._changed.add(event["bus"])
 
     async def follow(self) -> None:
-        """Run until canceled: read what was logged. While the log cannot be read, what is known stays."""
+        """Run until canceled: read what was logged. While the log cannot be read, the known ones stay."""
         while True:
             await self.read()
             await asyncio.sleep(READ_EVERY_S)
