@@ -19,7 +19,17 @@ SERVER_IN_QUERY, HERE = "home", "here"
 """The same for the socket of a page. ``here``: the server at hand."""
 OWN_PATHS = frozenset(
     {
-        *("/healthz", "/login", "/login/panel", "/logout", "/feed", "/lines", "/offline", "/sw.js"),
+        *(
+            "/healthz",
+            "/login",
+            "/login/panel",
+            "/logout",
+            "/feed",
+            "/lines",
+            "/wallboard",
+            "/offline",
+            "/sw.js",
+        ),
         *("/manifest.webmanifest", "/favicon.ico", "/api/v1/sites", "/api/v1/line", "/api/v1/openapi.json"),
         *("/metrics", "/api/v1/me"),
     }
