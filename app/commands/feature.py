@@ -9,7 +9,19 @@ from app.auth.signin import SignIn
 from app.commands.acts import ACTS
 from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
-from app.commands.pages import bus, control, outputs, parameters, setpoints, speed, undo, unit, zero
+from app.commands.finding import ParameterFinder
+from app.commands.pages import (
+    bus,
+    control,
+    faceplate,
+    outputs,
+    parameters,
+    setpoints,
+    speed,
+    undo,
+    unit,
+    zero,
+)
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
@@ -17,6 +29,7 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feature import Feature, Services
 from app.feed.channel import Channel
+from app.find.finders import Finders
 from app.live.state.bus_live import BusLive, LiveState
 from app.web.head_control import HeadControl
 from app.web.templating import Templates
@@ -25,6 +38,7 @@ from bus.instants import unix_now
 
 def make(services: Services) -> None:
     services[Templates].permit(ROLES_BY_COMMAND)
+    services[Finders].add("find_parameters", ParameterFinder(services[LiveState]))
     database, events, rights = services[Database], services[EventLog], services[Rights]
     record, idempotency = CommandRecord(events, database, unix_now), IdempotencyCache()
     for name, of_bus in services.buses.items():
@@ -59,6 +73,7 @@ FEATURE = Feature(
         control.router,
         undo.router,
         unit.router,
+        faceplate.router,
     ),
     ACTS,
 )

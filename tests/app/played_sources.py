@@ -52,9 +52,9 @@ class NoAlarms:
         """Nothing."""
         return {}
 
-    def mark(self, _bus: str, _unit: int) -> str:
+    def of_unit(self, _bus: str, _unit: int, _translator: Translator, _now: float) -> dict[str, str]:
         """Nothing."""
-        return ""
+        return {}
 
     def on_change(self, _subscriber: AlarmChangeSubscriber) -> None:
         """Never."""

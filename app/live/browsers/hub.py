@@ -100,11 +100,12 @@ class Hub:
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, that the database is away, and alarms of lines of other servers."""
+        """Faults of the records, that the database is away, and lines of other servers and their alarms."""
         return {
             **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
             "away": self._sources.away(translator, now),
+            "elsewhere": self._sources.elsewhere(),
         }
 
     def _new_screen(self, language: str) -> Screen:
@@ -165,7 +166,8 @@ class Hub:
             screen = broadcast.screen
             groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
             for bus, unit in units:
-                groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
+                fields = self._sources.alarms.of_unit(bus, unit, screen.translator, now)
+                groups |= screen.put(unit_key(bus, unit), fields)
             broadcast.publish(groups)
 
     def _show_control(self) -> None:

@@ -58,9 +58,11 @@ class AlarmMarks(Protocol):
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, in the reader's language. ``now``: Unix time in seconds."""
 
-    def mark(self, bus: str, unit: int) -> str:
-        """The priority of a unit's first alarm, whether it has cleared and whether it waits for an
-        acknowledgement; empty without one."""
+    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm of a unit in the reader's language, all empty without one: ``alarm``, its priority,
+        whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
+        ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
+        ``alarm_at``, its page."""
 
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` when an alarm has changed."""
@@ -94,7 +96,8 @@ class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
     is stored, None while it is; ``away``: that the database is away, for the head of every page; empty while
-    it is not."""
+    it is not; ``home``: the server that has a bus; ``elsewhere``: the buses of other servers, each with its
+    server."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -104,3 +107,5 @@ class Sources:
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
     away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""
+    home: Callable[[str], str] = lambda _bus: ""
+    elsewhere: Callable[[], str] = lambda: ""
