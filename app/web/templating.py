@@ -72,9 +72,9 @@ class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``; in a page or
     fragment of a request also ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``,
-    ``controls()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and ``may()``, whether
-    the person may send a command or perform an act, by its name. ``kept_in``: where they stay compiled between
-    two starts."""
+    ``controls()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and ``may()``,
+    whether the person may send a command or perform an act, by its name. ``kept_in``: where they stay
+    compiled between two starts."""
 
     def __init__(
         self,
