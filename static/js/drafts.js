@@ -110,7 +110,7 @@ function note(form, found, at) {
     forget(form);
   });
   const text = document.createElement("span");
-  text.textContent = word("draft", timeOfDay(at));
+  text.textContent = word("draftOf", timeOfDay(at));
   line.append(text, button);
   return line;
 }

@@ -71,7 +71,7 @@ class UndoModel(RuleBasedStateMachine):
         self.log = [entry for entry in self.log if entry[2] != who]
 
     @invariant()
-    def what_is_offered_is_what_was_there(self) -> None:
+    def offers_go_back_to_the_former_values(self) -> None:
         for who in ("anna", "ben"):
             can = self.expected(who)
             for _, id, *_ in self.log:

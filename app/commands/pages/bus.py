@@ -41,6 +41,7 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
         buses=list(page.live.buses),
         bauds=sorted(BAUDS),
         control_required=page.guards.control.required,
+        bus=page.bus,
         control=page.guards.bus_control(),
         others=others(page),
         fault="",
