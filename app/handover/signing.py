@@ -116,7 +116,7 @@ class Signing:
                 page_digest=signed.page_digest,
             ),
             at=now,
-            message=reason or None,
+            message=reason,
             also=store,
         )
 
