@@ -126,7 +126,7 @@ async def load(
         result = await book.load(person, recipe, page.made_at, confirm=True, command_id=confirmed.id)
     except Problem as problem:
         return page.refused(problem, recipe.name)
-    return proven(of_bus, recipe.name, setpoints, result, form)
+    return proven(of_bus, recipe.name, setpoints, result, confirmed.id)
 
 
 @router.post("/recipes/retire")

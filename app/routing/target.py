@@ -103,13 +103,13 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     passed over, so that a browser follows a bus to its next home."""
     if bus:
         place = SITE if bus == SITE_IN_ID else bus
-        holder = _holder(place, homes)
+        holder = holder_of(place, homes)
         return Destination(None if holder in ("", homes.server) else homes.of(place), holder)
     if server == HERE:
         return Destination()
     by_server: dict[str, Home] = {}
     for each in buses:
-        if holder := _holder(each, homes):
+        if holder := holder_of(each, homes):
             by_server.setdefault(holder, homes.of(each))
     if server in by_server:
         wanted = server
@@ -118,7 +118,7 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     return Destination(None if wanted == homes.server else by_server[wanted])
 
 
-def _holder(place: str, homes: BusHomes) -> str:
+def holder_of(place: str, homes: BusHomes) -> str:
     """The id of the server that is the home now; empty where none is known. The row of a bus that was just
     taken is as it was a second ago."""
     return homes.server if homes.is_here(place) else homes.of(place).server

@@ -6,7 +6,6 @@ import { language, word } from "./words.js";
 const DECIMAL_SIGN = new Intl.NumberFormat(language)
   .formatToParts(1.5)
   .find((part) => part.type === "decimal")?.value ?? ".";
-const UNDO_MS = 60_000;
 
 /** The number a person typed, comma or point, or NaN. Empty is not zero.
  * @param {string} text */
@@ -38,7 +37,7 @@ function followUnit(input) {
     input.dataset.touched = "";
     // A message about the former number does not apply to this one.
     const place = document.getElementById(input.getAttribute("aria-describedby") ?? "");
-    if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
+    place?.replaceChildren();
   });
   // A value half typed is not selected again: the next digit is appended.
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
@@ -46,8 +45,8 @@ function followUnit(input) {
     delete input.dataset.touched;
     refresh();
   };
-  // A review that ended without the person leaves what was typed.
-  document.addEventListener("lineside:done", ({ detail }) => detail !== "ended" && forget());
+  // A review that ended without the person, and a refusal, leave what was typed.
+  document.addEventListener("lineside:done", ({ detail }) => detail !== "ended" && detail !== "bad" && forget());
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }
@@ -62,15 +61,6 @@ function press(input, key) {
     input.value = (fresh ? "" : input.value) + key;
   input.setSelectionRange(input.value.length, input.value.length);
   input.dispatchEvent(new Event("input", { bubbles: true }));
-}
-
-/** The way back stays for a while after the dialog that offered it was closed. */
-function keepUndo() {
-  const undo = document.querySelector("#review-body [data-undo]");
-  const place = undo && document.querySelector(undo.dataset.undo);
-  if (!place) return;
-  place.replaceChildren(undo);
-  setTimeout(() => undo.remove(), UNDO_MS);
 }
 
 // --- many at once ----------------------------------------------------------------------------------------
@@ -136,7 +126,6 @@ const fieldOf = (key) =>
   /** @type {HTMLInputElement} */ (document.getElementById(key.closest("[data-pad-for]")?.dataset.padFor ?? ""));
 
 export function start() {
-  document.addEventListener("lineside:done", keepUndo);
   forgetDone();
   for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
   document.addEventListener("click", (event) => {

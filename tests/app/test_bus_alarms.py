@@ -213,18 +213,18 @@ def test_an_added_alarm_is_suppressed_as_the_others_are(bus: AlarmBus) -> None:
     assert alarm.facts.state == "suppressed"
 
 
-def figures(bus: AlarmBus, polls: int, timeouts: int = 0, foreign: int = 0) -> None:
-    unit = UnitFigures(unit=1, polls=polls, timeouts=timeouts, foreign=foreign)
-    bus.apply(BusFigures(bus.now, 10.0, 0.1, 0.5, 0.13, units=[unit]))
+def figures(bus: AlarmBus, polls: int, timeouts: int = 0, unrequested: int = 0) -> None:
+    unit = UnitFigures(unit=1, polls=polls, timeouts=timeouts, foreign=9 * polls)
+    bus.apply(BusFigures(bus.now, 10.0, 0.1, 0.5, 0.13, units=[unit], unrequested=unrequested))
 
 
 def test_a_poor_connection_and_a_second_master_come_from_the_counters_of_a_minute(bus: AlarmBus) -> None:
     figures(bus, 1000)
     bus.wait(61, 1, 2, 3)
-    figures(bus, 1600, timeouts=40, foreign=9)
+    figures(bus, 1600, timeouts=40, unrequested=9)
     assert bus.present() == {"1.link_degraded", "second_master"}
     bus.wait(61, 1, 2, 3)
-    figures(bus, 2200, timeouts=40, foreign=9)
+    figures(bus, 2200, timeouts=40, unrequested=9)
     bus.wait(61, 1, 2, 3)
     assert bus.state("second_master") == "rtn_unack"
 

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
+from app.commands.forms.page_context import Confirmation, Confirmed, OfUnit, UnitPage
 from app.commands.review import nudges
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
@@ -37,12 +37,13 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     try:
         raw = await page.typed(page.id).setpoint(value)
-        return await _review(page, raw, execute=how == "now")
+        return await review_setpoint(page, raw, execute=how == "now")
     except (CallerError, Problem) as error:
         return _explain(page, error)
 
 
-async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
+async def review_setpoint(page: UnitPage, raw: int, *, execute: bool = True) -> Response:
+    """A setpoint, to be confirmed. Raises Problem for what would not be sent."""
     await page.judge(SetSpeed(unit=page.id, raw=raw, execute=execute))
     await page.know_ramps([page.id])
     return page.review(
@@ -58,7 +59,7 @@ async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
 def _explain(page: UnitPage, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     status = error.status if isinstance(error, Problem) else 422
-    return page.explain(error.message, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
+    return page.explain(error, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
 
 
 @router.post("/speed", dependencies=[permitted_writer(SET_SPEED)])
@@ -76,11 +77,10 @@ async def set_speed(
         result = await page.carry_out(action, confirmed)
     except Problem as problem:
         return page.refused(problem, page.title)
-    return _done(page, raw, result, was if action.execute else "")
+    return _done(page, raw, result, confirmed)
 
 
-def _done(page: UnitPage, raw: int, result: Result, was: str) -> Response:
-    """The result; ``was``: what undo offers once the new setpoint is verified, empty where it offers none."""
+def _done(page: UnitPage, raw: int, result: Result, confirmed: Confirmation) -> Response:
     # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(page.unit) else f"{page.on_line.key}.commanded"
     return page.done(
@@ -88,8 +88,7 @@ def _done(page: UnitPage, raw: int, result: Result, was: str) -> Response:
         page.outcome(result, page.id),
         requested=page.setpoint(raw),
         reads=reads,
-        undo=page.setpoint(int(was)) if was and result.outcome == "verified" else "",
-        unit=page.on_line,
+        undo=page.undo(confirmed.id),
     )
 
 
@@ -112,12 +111,14 @@ async def nudge(
         if raw < 0:
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(page, step):
-            return await _review(page, raw, execute=True)
+            return await review_setpoint(page, raw, execute=True)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
     except Problem as problem:
         return _explain(page, problem)
     outcome = page.outcome(result, page.id)
-    response = page.render("unit/_nudged.html", requested=page.setpoint(raw), outcome=outcome)
+    response = page.render(
+        "unit/_nudged.html", requested=page.setpoint(raw), outcome=outcome, undo=page.undo(id)
+    )
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 
@@ -152,4 +153,4 @@ async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: W
         result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed)
     except Problem as problem:
         return page.refused(problem, page.title)
-    return _done(page, raw, result, was)
+    return _done(page, raw, result, confirmed)

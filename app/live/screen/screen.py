@@ -49,8 +49,8 @@ class Screen:
         for number in units:
             changed |= self.put(unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if include_bus:
-            fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
-            changed |= self.put(bus_name, fields)
+            others = {"recipe": self._recipe(bus_name), "home": self.sources.home(bus_name)}
+            changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | others)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             changed |= self.put(LINE_GROUP, self._line(now))
         return changed
@@ -97,7 +97,7 @@ class Screen:
             "check": check_text(cause, self.translator),
             "blocked": blocked,
             "drift": drifted.key,
-            "alarm": self.sources.alarms.mark(bus_name, number),
+            **self.sources.alarms.of_unit(bus_name, number, self.translator, now),
         }
 
     def _recipe(self, bus_name: str) -> str:
