@@ -21,6 +21,7 @@ from app.commands import feature as commands
 from app.database import feature as database
 from app.feature import Services
 from app.feed import feature as feed
+from app.find import feature as find
 from app.handover import feature as handover
 from app.history import feature as history
 from app.home import feature as home
@@ -56,6 +57,7 @@ from app.web.turns import Turns
 FEATURES = (
     database.FEATURE,
     web.FEATURE,
+    find.FEATURE,
     home.FEATURE,
     history.FEATURE,
     audit.FEATURE,

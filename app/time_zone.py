@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from datetime import datetime, time, timedelta
 from functools import cache
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
 from babel.localtime import get_localzone
+
+from bus.instants import UnixTime
 
 UTC = "UTC"
 LOCALTIME = Path("/etc/localtime")
@@ -40,3 +43,12 @@ def is_zone(name: str) -> bool:
         return name not in _NOT_IANA and ZoneInfo(name).key == name
     except (LookupError, ValueError, OSError):
         return False
+
+
+def day_begins(text: str, zone: str, later: timedelta = timedelta(0)) -> UnixTime | None:
+    """The instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
+    try:
+        day = datetime.fromisoformat(text).date() + later
+        return UnixTime(datetime.combine(day, time(), ZoneInfo(zone)).timestamp())
+    except (ValueError, OverflowError):
+        return None

@@ -26,12 +26,12 @@ TRANSITIONS = 1_000_000
 OPENINGS = 20
 WATCH_WAITING = """() => {
   window.seen = [];
-  const node = document.querySelector('[data-live="alarms_present.waiting"]');
+  const node = document.querySelector('[data-live="alarms_present.state"]');
   new MutationObserver(() => {
     window.seen.push([(performance.timeOrigin + performance.now()) / 1000, node.textContent]);
   }).observe(node, { characterData: true, childList: true, subtree: true });
 }"""
-WAITING = "document.querySelector('[data-live=\"alarms_present.waiting\"]').textContent"
+WAITING = "document.querySelector('[data-live=\"alarms_present.state\"]').textContent"
 OPENED = "performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd"
 INSERT = """
 INSERT INTO alarm_journal

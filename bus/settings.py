@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from decimal import Decimal
+from itertools import pairwise
+from typing import Annotated, Literal, NamedTuple
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from bus.messages import Message
@@ -61,12 +71,38 @@ class UnitLabels(StrictModel):
     """What the display shows, for example m/min."""
 
 
+def _check_band(value: object, check: ValidatorFunctionWrapHandler) -> tuple[Decimal, ...]:
+    """One message for each fault of it."""
+    try:
+        band: tuple[Decimal, ...] = check(value)
+    except ValidationError:
+        band = (Decimal(0),)
+    if band and (len(band) != 2 or band[0] >= band[1]):
+        raise ValueError(Message("setting_draw_band"))
+    return band
+
+
+DrawBand = Annotated[
+    tuple[Annotated[Decimal, Field(ge=-100, le=1000, decimal_places=1)], ...], WrapValidator(_check_band)
+]
+"""The least and the greatest draw of a section, in percent; empty: none is judged."""
+
+
+class Seam(NamedTuple):
+    """Where the web goes from one section to the next: the unit ``before``, and the band of the draw."""
+
+    before: int
+    band: DrawBand
+
+
 class UnitSettings(StrictModel):
     """One DIGIMAX IV: its address (#17) and its name on the floor."""
 
     id: Annotated[int, Field(strict=True, ge=1, le=255)]
     name: Annotated[OneLine, Field(min_length=1, max_length=60)]
     group: OneLine = ""
+    draw_percent: DrawBand | None = None
+    """Band of the draw to the unit before; None: that of the bus."""
     labels: UnitLabels = UnitLabels()
 
 
@@ -80,17 +116,22 @@ class BusSettings(Dialect):
     take_over: Literal["automatic", "manual"] | None = None
     """Whether another server becomes the home of the bus without a person; None: where its port is on a
     device server, which any server reaches."""
+    draw_percent: DrawBand = ()
+    """Band of each draw of its units that sets no other."""
     unit: tuple[UnitSettings, ...] = ()
 
     @field_validator("unit")
     @classmethod
-    def _addresses_are_unique(cls, units: tuple[UnitSettings, ...]) -> tuple[UnitSettings, ...]:
+    def _units_make_a_line(cls, units: tuple[UnitSettings, ...]) -> tuple[UnitSettings, ...]:
         seen: set[int] = set()
         for index, unit in enumerate(units):
             if unit.id in seen:
                 message = Message.of("setting_unit_twice", unit=unit.id)
                 raise PydanticCustomError("twice", "given twice", {"message": message, "at": (index, "id")})
             seen.add(unit.id)
+        if units and units[0].draw_percent:
+            message = Message.of("setting_draw_of_first", name=units[0].name)
+            raise PydanticCustomError("first", "first unit", {"message": message, "at": (0, "draw_percent")})
         return units
 
     @field_validator("port")
@@ -101,6 +142,14 @@ class BusSettings(Dialect):
     @property
     def dialect(self) -> Dialect:
         return Dialect.model_validate({name: getattr(self, name) for name in Dialect.model_fields})
+
+    @property
+    def seams(self) -> dict[int, Seam]:
+        """The seam before each unit but the first, by its address."""
+        return {
+            unit.id: Seam(before.id, self.draw_percent if unit.draw_percent is None else unit.draw_percent)
+            for before, unit in pairwise(self.unit)
+        }
 
     @property
     def is_taken_over(self) -> bool:

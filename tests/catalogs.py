@@ -18,6 +18,7 @@ from app.audit.kinds import EventKind
 from app.commands.catalogue import BAUD_DANGER
 from app.commands.service.command_request import CommandOrigin
 from app.handover.signatures import SignedPart
+from app.history.series.values import VALUES
 from app.live.screen.words import STAGE_WORDS, STATE_WORDS, STOPPED_WITH_RUN, TURNING
 from app.messages.languages import DEFAULT, catalogs
 from app.sets.model import SetOrigin
@@ -119,6 +120,7 @@ def in_tables() -> set[str]:
         *get_args(UnitLinkState),
         *REFUSED,
         BAUD_DANGER,
+        *(value.words for value in VALUES.values()),
     }
 
 

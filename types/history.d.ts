@@ -20,8 +20,55 @@ interface Result extends Spark {
   measure: string;
   decimals: number | null;
   bucket_s: number;
-  /** As the page calls it. */
+}
+
+/** A result as a line of the chart: the name of its series, what the page calls it, its label beside it,
+ * and its place among all.
+ * `past`: of the time compared. */
+interface Curve extends Result {
+  key: string;
   name: string;
+  label: string;
+  place: number;
+  dimmed: boolean;
+  past: boolean;
+}
+
+/** Where the name of a line stands. */
+interface LineEnd {
+  label: string;
+  place: number;
+  dimmed: boolean;
+  value: number;
+  scale: string;
+}
+
+/** By how much an earlier span is earlier, in seconds; null where there is none, and `name` is why. */
+interface Comparison {
+  offset: number | null;
+  name: string;
+}
+
+/** A note of the API: an ISO time. */
+interface StoredNote {
+  time: string;
+  who: string;
+  text: string;
+  bus: string | null;
+  unit: number | null;
+}
+
+interface Note extends StoredNote {
+  t: number;
+}
+
+/** What a preset shows now: from when, and until when; null: up to now. */
+type Preset = (now: number, starts: number[]) => [from: number, to: number | null];
+
+/** The names of the lanes above the curves. */
+interface LaneWords {
+  alarms: string;
+  notes: string;
 }
 
 /** What happened, for example an act of a person. */
@@ -59,7 +106,6 @@ interface Scale {
 
 /** The times of the cursors, null where one is not set. */
 interface Cursors {
-  at: number | null;
   a: number | null;
   b: number | null;
 }
@@ -68,6 +114,7 @@ interface Cursors {
 interface Overlay {
   marks: Mark[];
   alarms: Alarm[];
+  notes: Note[];
   a: number | null;
   b: number | null;
 }

@@ -22,6 +22,7 @@ interface Parts {
 /** The same by id. */
 interface PartsById {
   main: HTMLElement;
+  faceplate: HTMLElement;
   verdict: HTMLElement;
   announcement: HTMLElement;
   keypad: HTMLTemplateElement;
@@ -32,6 +33,7 @@ interface PartsById {
 /** The same by the end of the name of an attribute, data-sound-…; on most pages without what sets it. */
 interface SoundParts {
   strip: HTMLElement;
+  word: HTMLElement;
   text: HTMLElement;
   press: HTMLElement;
   state: HTMLElement | null;
@@ -79,6 +81,7 @@ interface DOMStringMap {
   liveVar: string;
   liveTitle: string;
   liveHref: string;
+  liveValue: string;
   livePath: string;
   liveQuality: string;
   liveStep: string;
@@ -88,6 +91,8 @@ interface DOMStringMap {
   redraw: string;
   reload: string;
   tenMinutes: string;
+  alarmTrend: string;
+  came: string;
   trace: string;
   undo: string;
   countsOne: string;
@@ -155,7 +160,7 @@ interface Place {
 interface HtmxRequest {
   readonly sourceElement: HTMLElement;
   readonly target: string | HTMLElement | null;
-  readonly request: { readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
+  readonly request: { action: string; readonly method: string; readonly headers: Record<string, string>; readonly body: FormData };
 }
 
 // --- sound --------------------------------------------------------------------------------------------------
@@ -183,7 +188,7 @@ interface Muted {
 // --- the trends page ---------------------------------------------------------------------------------------
 
 interface PartsById {
-  trends: HTMLElement & { dataset: { catalogue: string; valueWords: string } };
+  trends: HTMLElement & { dataset: { catalogue: string; valueWords: string; shiftStarts: string; locale: string } };
   "trend-add": HTMLFormElement & { readonly elements: { unit: HTMLSelectElement; value: HTMLSelectElement } };
   "trend-alarms-count": HTMLElement;
   "trend-alarms-list": HTMLElement;
@@ -193,35 +198,62 @@ interface PartsById {
   "trend-exact": HTMLFormElement & { readonly elements: { from: HTMLInputElement; to: HTMLInputElement } };
   "trend-fault": HTMLElement;
   "trend-lanes": HTMLElement;
+  "trend-at": HTMLElement;
+  "trend-compare": HTMLSelectElement;
+  "trend-legend": HTMLElement;
   "trend-marks": HTMLInputElement;
+  "trend-note": (HTMLFormElement & { readonly elements: NoteFields }) | null;
+  "trend-note-result": HTMLElement;
+  "trend-notes-count": HTMLElement;
+  "trend-notes-list": HTMLElement;
+  "trend-past": HTMLElement;
+  "trend-save": HTMLFormElement & { readonly elements: { query: HTMLInputElement } };
   "trend-picture": HTMLElement;
   "trend-plot": HTMLElement;
   "trend-scale": HTMLSelectElement;
   "trend-span": HTMLElement;
   "trend-summary": HTMLElement;
+  "trend-unread": HTMLElement;
   "trend-values": HTMLTableSectionElement;
   "trend-words": HTMLTemplateElement & { dataset: TrendWords };
   "time-a": HTMLElement;
   "time-b": HTMLElement;
-  "time-cursor": HTMLElement;
   "time-difference": HTMLElement;
+}
+
+/** Of the form for a note. */
+interface NoteFields {
+  time: HTMLInputElement;
+  unit: HTMLSelectElement;
+  text: HTMLTextAreaElement;
 }
 
 /** The texts of the page, data-… of its template. */
 interface TrendWords extends DOMStringMap {
-  language: string;
   active: string;
+  alarms: string;
   backwards: string;
+  before: string;
   every: string;
   fault: string;
   full: string;
   holes: string;
+  language: string;
+  latest: string;
   live: string;
   more: string;
   noResponse: string;
+  none: string;
+  norun: string;
+  notes: string;
   nothing: string;
   off: string;
   on: string;
   per: string;
   remove: string;
+  run: string;
+  stored: string;
+  unreadAfter: string;
+  unreadBefore: string;
+  yesterday: string;
 }

@@ -39,11 +39,11 @@ class AlarmBanner:
         shown = [alarm for alarm in found if alarm.facts.active] or found
         first = min(shown, key=rank, default=None)
         return {
-            "waiting": str(sum(alarm.is_unacknowledged for alarm in found) or ""),
             "mark": first.mark if first else "",
-            "text": self._place_and_name(first, translator) if first else "",
-            "state": _state(first, translator, now) if first else "",
-            "more": f" · {translator.t(Message.of('alarms_more', n=len(found) - 1))}" if found[1:] else "",
+            "place": self._alarms.place(first.definition.bus, first.definition.unit) if first else "",
+            "text": translator.t(first.definition.name) if first else "",
+            "acknowledge": first.id if first and first.is_unacknowledged else "",
+            **_state(first, len(found), translator, now),
             "changed": str(self._changed),
             **self._sound(),
         }
@@ -56,19 +56,22 @@ class AlarmBanner:
         at = max(float(alarm.facts.since or 0.0) for alarm in sounding)
         return {"sound": sounding[0].definition.priority, "sound_at": repr(at)}
 
-    def mark(self, bus: str, unit: int) -> str:
-        """How the first alarm of a unit is drawn; empty without one."""
-        first = self._alarms.first_of_unit(bus, unit)
-        return first.mark if first else ""
+    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm of a unit, as it is drawn and in words, its page, and how many more there are."""
+        found = self._alarms.of_unit(bus, unit)
+        first = found[0] if found else None
+        fields = _state(first, len(found), translator, now)
+        name = translator.t(first.definition.name) if first else ""
+        return {"alarm": first.mark if first else "", "alarm_text": name} | {
+            f"alarm_{field}": text for field, text in fields.items()
+        }
 
-    def _place_and_name(self, alarm: Alarm, translator: Translator) -> str:
-        definition = alarm.definition
-        place = self._alarms.place(definition.bus, definition.unit)
-        return f"{place} · {translator.t(definition.name)}".removeprefix(" · ")
 
-
-def _state(alarm: Alarm, translator: Translator, now: UnixTime) -> str:
-    """Its state and the time that matters: of a cleared one, when it cleared."""
+def _state(alarm: Alarm | None, count: int, translator: Translator, now: UnixTime) -> Fields:
+    """The state of the first of ``count`` alarms and the time that matters: of a cleared one, when it
+    cleared; how many more there are; and the page of the first."""
+    if alarm is None:
+        return {"state": "", "more": "", "at": ""}
     facts = alarm.facts
     if not facts.active:
         code, at = "alarm_cleared_at", facts.cleared
@@ -76,4 +79,9 @@ def _state(alarm: Alarm, translator: Translator, now: UnixTime) -> str:
         code, at = "alarm_unknown_since", facts.unknown_since
     else:
         code, at = "alarm_active_since", facts.came
-    return translator.t(Message.of(code, time=translator.formats.since(at or facts.since or now, now)))
+    time = translator.formats.since(at or facts.since or now, now)
+    return {
+        "state": translator.t(Message.of(code, time=time)),
+        "more": f" · {translator.t(Message.of('alarms_more', n=count - 1))}" if count > 1 else "",
+        "at": f"/alarms/{alarm.id}",
+    }

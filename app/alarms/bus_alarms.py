@@ -52,7 +52,7 @@ class BusAlarms:
         }
         for settings in own:
             self.add_own(settings, Alarm(own_definition(settings)))
-        self._foreign = CountWindow()
+        self._unrequested = CountWindow()
         self._second_master, self._control_left = map(self._alarm_of, (SECOND_MASTER.code, CONTROL_LEFT.code))
         self._estops: set[int] = set()
         self._suppressors = Suppressors()
@@ -88,7 +88,7 @@ class BusAlarms:
         """Take up the states that the last run left, or another server."""
         now = self._clock()
         self.list.forget()
-        self._foreign = CountWindow()
+        self._unrequested = CountWindow()
         self._estops.clear()
         for monitor in self._monitors.values():
             monitor.forget()
@@ -181,8 +181,8 @@ class BusAlarms:
         for unit in figures.units:
             if unit.unit in self._monitors:
                 self._monitors[unit.unit].see_figures(unit, now)
-        self._foreign.see(0, sum(unit.foreign for unit in figures.units), now)
-        is_present = figures.has_second_master or self._foreign.judged(SECOND_MASTER.holds)
+        self._unrequested.see(0, figures.unrequested, now)
+        is_present = figures.has_second_master or self._unrequested.judged(SECOND_MASTER.holds)
         self._observe(self._second_master, is_present, now)
 
     # --- suppression ----------------------------------------------------------------------------------

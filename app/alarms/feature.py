@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.alarms import api, occurrences_api, own_api, own_pages, pages, performance_api
+from app.alarms import api, journal_pages, occurrences_api, own_api, own_pages, pages, performance_api
 from app.alarms.acts import ACTS
 from app.alarms.banner import AlarmBanner
 from app.alarms.bus_alarms import BusAlarms
 from app.alarms.control_left import control_left_by
 from app.alarms.expiry_watch import ExpiryWatch
+from app.alarms.finding import AlarmFinder
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.simulation.simulator import Simulator
@@ -24,6 +25,7 @@ from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.database.availability import Availability
 from app.feature import Feature, Services
+from app.find.finders import Finders
 from app.history.service import History
 from app.home.homes import Homes
 from app.home.lease import SITE
@@ -56,6 +58,7 @@ def make(services: Services) -> None:
         at_home.add(f"own alarms {place}", start=partial(own_alarms.load, name))
         load, write = partial(alarms.load, name), partial(alarms.write, name)
         at_home.add(f"alarms {place}", follow, start=load, end=write)
+    services[Finders].add("find_alarms", AlarmFinder(alarms))
     services.add(Simulator(services[History]))
     _add_banner(services, AlarmBanner(alarms))
 
@@ -123,6 +126,7 @@ FEATURE = Feature(
         occurrences_api.router,
         own_api.router,
         api.router,
+        journal_pages.router,
         pages.router,
     ),
     acts=ACTS,

@@ -15,6 +15,7 @@ from app.alarms.rules import changes
 from app.alarms.rules.changes import NoTransitionError
 from app.alarms.rules.facts import AlarmFacts
 from app.alarms.rules.observed import ObservedSpan
+from app.alarms.rules.rates import AlarmRates
 from app.alarms.site_alarms import SiteAlarms
 from app.alarms.store import AlarmStore
 from app.alarms.transaction import ActTransaction
@@ -63,6 +64,9 @@ class LineAlarms:
         self._lists = (site.list, *(bus.list for bus in buses.values()))
         self._present: dict[str, Alarm] = {}
         self._of_unit: dict[tuple[str, int], dict[str, Alarm]] = {}
+        self.rates = AlarmRates()
+        self._annunciated: dict[str, UnixTime | None] = {}
+        """When each alarm was annunciated last."""
         self.subscribe(self._note)
 
     async def load(self, bus: str) -> None:
@@ -76,6 +80,10 @@ class LineAlarms:
 
     def _note(self, alarm: Alarm) -> None:
         definition, is_present = alarm.definition, alarm.facts.state != "normal"
+        if alarm.facts.state == "unack_active" and alarm.facts.since is not None:
+            if self._annunciated.get(definition.key) != alarm.facts.since:
+                self.rates.note(definition.key, alarm.facts.since)
+            self._annunciated[definition.key] = alarm.facts.since
         indexes = [self._present]
         if definition.bus is not None and definition.unit is not None:
             indexes.append(self._of_unit.setdefault((definition.bus, definition.unit), {}))
@@ -150,12 +158,12 @@ class LineAlarms:
         sounding = (alarm for alarm in self._present_here() if alarm.facts.sounds)
         return sorted(sounding, key=lambda alarm: PRIORITIES.index(alarm.definition.priority))
 
-    def first_of_unit(self, bus: str, unit: int) -> Alarm | None:
-        """The first of those of a unit that are annunciated; None where none is."""
+    def of_unit(self, bus: str, unit: int) -> list[Alarm]:
+        """Those of a unit that are annunciated, by :func:`rank`."""
         of_unit = self._of_unit.get((bus, unit))
         if not of_unit or self._is_elsewhere(bus):
-            return None
-        return min((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank, default=None)
+            return []
+        return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:
         """The name of a unit or bus, which may be configured no longer; empty for the site."""

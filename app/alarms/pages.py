@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ACKNOWLEDGE, ALARM_ACTS, MAX_MINUTES, SILENCE_SOUNDING, AlarmAct
-from app.alarms.alarm import state_text
+from app.alarms.alarm import Alarm, state_text
 from app.alarms.api import Alarms
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.performance import measure
@@ -66,7 +66,7 @@ async def alarms_page(
     return render(
         request,
         "alarms/page.html",
-        **listed(alarms, chosen),
+        **listed(alarms, chosen, unix_now()),
         chosen=chosen,
         states=[(each, state_text(each)) for each in PRESENT_STATES],
         places=places_of(alarms),
@@ -92,22 +92,8 @@ async def alarms_list(
 def _list(
     request: Request, alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str], left_out: int = 0
 ) -> Response:
-    return render(request, "alarms/_list.html", **listed(alarms, chosen, shown), left_out=left_out)
-
-
-@router.get("/alarms/journal")
-async def journal_page(
-    request: Request, _: Viewer, alarms: Alarms, before: Annotated[int | None, Query(ge=1, le=2**62)] = None
-) -> Response:
-    """Every transition, newest first."""
-    entries = await alarms.store.journal(ON_A_PAGE + 1, before)
     return render(
-        request,
-        "alarms/journal.html",
-        transitions=entries[:ON_A_PAGE],
-        place_of=alarms.place,
-        older=entries[ON_A_PAGE - 1].id if len(entries) > ON_A_PAGE else None,
-        before=before,
+        request, "alarms/_list.html", **listed(alarms, chosen, unix_now(), shown), left_out=left_out
     )
 
 
@@ -129,7 +115,7 @@ async def performance_page(
         days=int(days),
         spans=(1, 7, 31),
         csv=f"/api/v1/alarms/performance.csv?{span}",
-        figures=[_figure(figure, formats) for figure in found.figures],
+        figures=[_figure(figure, formats, found.observed_s) for figure in found.figures],
         place_of=alarms.place,
     )
 
@@ -147,11 +133,20 @@ async def one_page(request: Request, _: Viewer, alarms: Alarms, alarm_id: str) -
     return render(
         request,
         "alarms/one.html",
-        row=row_of(alarms, alarm),
+        row=row_of(alarms, alarm, unix_now()),
         record=alarm.definition.record,
+        beside=_beside(alarms, alarm),
         transitions=entries,
         place_of=alarms.place,
     )
+
+
+def _beside(alarms: LineAlarms, alarm: Alarm) -> list[Alarm]:
+    """The other alarms of its unit."""
+    bus, unit = alarm.definition.bus, alarm.definition.unit
+    if bus is None or unit is None:
+        return []
+    return [each for each in alarms.of_unit(bus, unit) if each is not alarm]
 
 
 @router.post("/alarms/acknowledge")
@@ -164,13 +159,16 @@ async def acknowledge_shown(
     shown: Annotated[ShownKeys, Form(max_length=MAX_ROWS)] = (),
 ) -> Response:
     """Acknowledge the alarms that the person saw. One that has changed since is left as it is, and the page
-    reports it. The list that they are acknowledged in keeps the places of its rows."""
+    reports it. The list that they are acknowledged in keeps the places of its rows; the head of a page, which
+    follows the alarms, needs no response."""
     left_out = 0
     for alarm_id in id:
         try:
             await alarms.act(person, ACKNOWLEDGE, alarm_id)
         except Problem:
             left_out += 1
+    if not shown and "HX-Request" in request.headers:
+        return Response(status_code=204)
     if shown:
         response = _list(request, alarms, chosen, shown, left_out)
         response.headers["HX-Retarget"], response.headers["HX-Reswap"] = "#alarms", "innerMorph"
@@ -222,8 +220,11 @@ def given_reason(reason: str) -> str:
     return reason.strip()
 
 
-def _figure(figure: AlarmFigure, formats: Formats) -> tuple[Message, str, str, bool | None]:
-    """Its name, its value and its target as the page shows them, and whether it meets that."""
+def _figure(
+    figure: AlarmFigure, formats: Formats, observed_s: float
+) -> tuple[Message, str, str, bool | None]:
+    """Its name, its value and its target as the page shows them, and whether it meets that. A figure
+    of a day is not known of less than one."""
 
     def shown(value: float | None) -> str:
         if value is None:
@@ -238,4 +239,6 @@ def _figure(figure: AlarmFigure, formats: Formats) -> tuple[Message, str, str, b
         target = f"≤ {shown(figure.at_most)}"
     else:
         target = "" if figure.at_least is None else f"≥ {shown(figure.at_least)}"
+    if figure.code == "per_day" and observed_s < DAY_S:
+        return Message("alarm_figure_per_day_of_less"), UNKNOWN, target, None
     return Message(f"alarm_figure_{figure.code}"), shown(figure.value), target, figure.met

@@ -97,6 +97,38 @@ def entry_of(
 
 
 @dataclass(frozen=True, slots=True)
+class JournalFilter:
+    """Which transitions: of ``alarms`` by their keys, None: of all; of a ``bus`` and a ``unit``, a priority,
+    into a state, from ``start`` up to ``end``."""
+
+    alarms: Sequence[str] | None = None
+    bus: str | None = None
+    unit: int | None = None
+    priority: str | None = None
+    after: str | None = None
+    start: UnixTime | None = None
+    end: UnixTime | None = None
+
+    @property
+    def sql(self) -> tuple[str, list[Any]]:
+        """Conditions, each after AND, and their values."""
+        comparisons = {
+            "bus = ?": self.bus,
+            "unit = ?": self.unit,
+            "priority = ?": self.priority,
+            "after = ?": self.after,
+            "at >= ?": self.start,
+            "at < ?": self.end,
+        }
+        known = {text: value for text, value in comparisons.items() if value is not None}
+        conditions, values = "".join(f" AND {text}" for text in known), [*known.values()]
+        if self.alarms is None:
+            return conditions, values
+        marks = ", ".join("?" * len(self.alarms)) or "NULL"
+        return f"{conditions} AND alarm IN ({marks})", [*values, *self.alarms]
+
+
+@dataclass(frozen=True, slots=True)
 class StoredAlarm:
     """What the store keeps of an alarm."""
 
@@ -146,15 +178,20 @@ class AlarmStore:
         return await self._database.read_costly(work)
 
     async def journal(
-        self, limit: int, before: int | None = None, alarm: str | None = None
+        self,
+        limit: int,
+        before: int | None = None,
+        alarm: str | None = None,
+        chosen: JournalFilter | None = None,
     ) -> list[JournalEntry]:
-        """Transitions, of all or of one alarm, newest first; ``before``: older than this entry."""
-        query = (
-            f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE id < ?"
-            f"{'' if alarm is None else ' AND alarm = ?'} ORDER BY id DESC LIMIT ?"
-        )
-        values = (before or 2**62, *(() if alarm is None else (alarm,)), limit)
-        rows = await self._database.read(lambda connection: connection.execute(query, values).fetchall())
+        """Transitions, of all, of one alarm or as ``chosen``, newest first; ``before``: older than this
+        entry. Raises TooCostlyError where few of very many are chosen."""
+        conditions, values = (chosen or JournalFilter(None if alarm is None else (alarm,))).sql
+        where = f"id < ?{conditions} ORDER BY id DESC LIMIT ?"
+        query = f"SELECT {', '.join(_COLUMNS)}, id FROM alarm_journal WHERE {where}"
+        every = (before or 2**62, *values, limit)
+        read = self._database.read_costly if chosen is not None else self._database.read
+        rows = await read(lambda connection: connection.execute(query, every).fetchall())
         return [JournalEntry(*row) for row in rows]
 
 

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 from urllib.parse import urlencode
 
 from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
+from app.alarms.line_alarms import LineAlarms, rank
 from app.alarms.shown import present_value
+from bus.instants import UnixTime
 from bus.messages import Message
 
 MAX_ROWS = 100
@@ -16,27 +17,33 @@ MAX_ROWS = 100
 
 
 class AlarmRow(NamedTuple):
-    """An alarm as a page shows it: with where it is, and the present value of what it is about."""
+    """An alarm as a page shows it: with where it is, the present value of what it is about, and whether it
+    came three times within a minute."""
 
     alarm: Alarm
     place: str
     value: Message | None
+    chatters: bool
 
 
-def listed(alarms: LineAlarms, chosen: dict[str, str], shown: Sequence[str] = ()) -> dict[str, Any]:
+def listed(
+    alarms: LineAlarms, chosen: dict[str, str], now: UnixTime, shown: Sequence[str] = ()
+) -> dict[str, Any]:
     """What the list of alarms shows. ``shown``: the keys of the rows that a person sees. These stay in their
     places, also where they match no longer, and new alarms come after them."""
     known = (alarms.known(key) for key in shown)
     kept = dict.fromkeys(alarm for alarm in known if alarm is not None and alarms.is_here(alarm))
     new = [alarm for alarm in alarms.present() if alarm not in kept and _matches(alarm, chosen)]
     found = [*kept, *new]
-    rows = [row_of(alarms, alarm) for alarm in found[:MAX_ROWS]]
+    rows = [row_of(alarms, alarm, now) for alarm in found[:MAX_ROWS]]
     return {
         "rows": rows,
         "waiting": [row.alarm.id for row in rows if row.alarm.is_unacknowledged],
         "more": max(0, len(found) - MAX_ROWS),
         "query": query_of(chosen),
         "is_filtered": any(chosen.values()),
+        "is_sorted": found == sorted(found, key=rank),
+        "flood": alarms.rates.flood(now),
     }
 
 
@@ -67,7 +74,9 @@ def places_of(alarms: LineAlarms) -> list[tuple[str, str]]:
     return places
 
 
-def row_of(alarms: LineAlarms, alarm: Alarm) -> AlarmRow:
+def row_of(alarms: LineAlarms, alarm: Alarm, now: UnixTime) -> AlarmRow:
     """An alarm as it is now."""
-    place = alarms.place(alarm.definition.bus, alarm.definition.unit)
-    return AlarmRow(alarm, place, present_value(alarms, alarm))
+    definition = alarm.definition
+    place = alarms.place(definition.bus, definition.unit)
+    chatters = alarms.rates.chatters(definition.key, now)
+    return AlarmRow(alarm, place, present_value(alarms, alarm), chatters)

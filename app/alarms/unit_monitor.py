@@ -16,6 +16,7 @@ from app.conditions.condition import Tuning
 from app.conditions.evidence import LimitCheck
 from app.live.diagnosis.links import link_facts, unit_facts
 from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.draw import draw_of
 from app.live.state.scan_time import scan_s_of, stale_after_s
 from bus.contract import Reading, UnitFigures
 from bus.instants import UnixTime
@@ -53,6 +54,7 @@ class UnitMonitor:
             for row in of_unit.BY_VALUE
             for alarm in (self._alarms[row.code],)
         ]
+        self._draw = self._alarms[of_unit.DRAW_OUT_OF_BAND.code]
         self._offline = self._alarms[of_unit.UNIT_OFFLINE.code]
         self._degraded = self._alarms[of_unit.LINK_DEGRADED.code]
         self._drift = self._alarms[of_unit.PARAMETER_DRIFT.code]
@@ -125,6 +127,9 @@ class UnitMonitor:
             found = holds(bus, unit, reading, passes)
             if found is not alarm.holds:
                 self._observe(alarm, found, now)
+        is_out = of_unit.DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now))
+        if is_out is not self._draw.holds:
+            self._observe(self._draw, is_out, now)
         if self._own_values:
             self._see_own(self._own_values, reading, known_decimals(bus, unit), now)
 
@@ -146,6 +151,7 @@ class UnitMonitor:
             return
         self._status = None
         self._observe(self._degraded, None, now)
+        self._observe(self._draw, None, now)
         for alarm in (*(each for each, _ in self._by_reading), *(each for each, *_ in self._by_value)):
             self._observe(alarm, None, now)
         for alarm, own in self._own.values():

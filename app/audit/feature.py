@@ -9,6 +9,7 @@ from functools import partial
 from app.audit import api, pages
 from app.audit.anchoring import Anchoring
 from app.audit.configuration import change_since_last
+from app.audit.finding import EventFinder
 from app.audit.keys import Keys, open_keys
 from app.audit.local_log.file import LocalFile
 from app.audit.local_log.local_log import LocalLog
@@ -18,6 +19,7 @@ from app.database import Database
 from app.database.migration import FIRST, Migration
 from app.database.reserve import Reserve
 from app.feature import Feature, Services
+from app.find.finders import Finders
 from app.home.lease import SITE
 from app.settings import Settings
 from bus.messages import Message
@@ -28,6 +30,7 @@ def make(services: Services) -> None:
     keys = open_keys(settings.key_files, database.file, database.read_now(heads_of))
     local = _local_log(services, keys)
     events = services.add(EventLog(database, keys=keys, local=local))
+    services[Finders].add("find_events", EventFinder(events, settings))
     is_configured = settings.audit.anchor is not None
     anchoring = services.add(Anchoring(events, settings.anchor_file, is_configured=is_configured))
     lifespan.add("audit anchor", anchoring.follow, end=anchoring.end)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from datetime import datetime, time, timedelta
+from datetime import timedelta
 from typing import Annotated, Any
 from urllib.parse import urlencode
-from zoneinfo import ZoneInfo
 
 from fastapi import APIRouter, Query
 from starlette.requests import Request
@@ -13,15 +12,16 @@ from starlette.responses import HTMLResponse
 
 from app.audit import groups
 from app.audit.api import Events
+from app.audit.finding import units_named
 from app.audit.store import Filter
 from app.settings import Settings
+from app.time_zone import day_begins
 from app.web.access import Viewer
 from app.web.formats import Formats
 from app.web.services import service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
 from app.web.turns import SEARCH
-from bus.instants import UnixTime
 
 router = APIRouter(include_in_schema=False)
 ON_A_PAGE = 100
@@ -46,18 +46,19 @@ async def events_page(
     chosen = dict(zip(FIELDS, (kind, bus, unit, who, since, until, search), strict=True))
     templates = templates_of(request)
     site_zone, formats = templates.site.zone, templates.formats(templates.language_of(request).tag)
+    settings = service_of(request, Settings)
     wanted = Filter(
         before=parse_integer(before),
         kind=kind or None,
         bus=bus or None,
         unit=parse_integer(unit),
         who=who or None,
-        since=_day(since, site_zone),
-        until=_day(until, site_zone, timedelta(days=1)),
+        since=day_begins(since, site_zone),
+        until=day_begins(until, site_zone, timedelta(days=1)),
         search=formats.typed_number(search),
+        named=units_named(settings, search),
     )
     rows, after = await groups.page(events, wanted, ON_A_PAGE)
-    settings = service_of(request, Settings)
     return render(
         request,
         "events/page.html",
@@ -69,15 +70,6 @@ async def events_page(
         newest=_address("/events", chosen) if before else "",
         csv=_address("/api/v1/events.csv", _of_api(wanted, formats)),
     )
-
-
-def _day(text: str, time_zone: str, later: timedelta = timedelta(0)) -> UnixTime | None:
-    """The instant at which a day (2026-11-21) begins at the site; None for an invalid day."""
-    try:
-        day = datetime.fromisoformat(text).date() + later
-        return UnixTime(datetime.combine(day, time(), ZoneInfo(time_zone)).timestamp())
-    except (ValueError, OverflowError):
-        return None
 
 
 def _address(path: str, query: dict[str, Any]) -> str:

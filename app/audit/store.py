@@ -27,6 +27,8 @@ FROM events e LEFT JOIN events f ON f.about = e.id
 WHERE e.about IS NULL
 """
 _EXTENT = "SELECT * FROM (SELECT max(id) AS last FROM events) AS log LEFT JOIN events_head ON 1 = 1"
+UnitPlace = tuple[str, int]
+"""The name of a bus, and the address of a unit."""
 _SEARCHED = ("what", "who", "old", "new", "message")
 _IN_GROUP = """
 SELECT 1 FROM event_parts JOIN events change ON change.id = event_parts.change
@@ -39,6 +41,7 @@ WHERE event_parts.event = e.id
 class Filter:
     """The events of a query; None or empty does not filter. Times in seconds since the epoch. ``code`` and
     ``number`` are those of the message in ``what``, which older events do not have.
+    ``named``: units that ``search`` names; what is about them is found too.
     ``folded`` leaves out the parts of a change that is in the result, ``parts_of`` all but the parts of
     these."""
 
@@ -50,6 +53,7 @@ class Filter:
     since: UnixTime | None = None
     until: UnixTime | None = None
     search: str = ""
+    named: tuple[UnitPlace, ...] = ()
     code: str | None = None
     number: int | None = None
     old_raw: int | None = None
@@ -80,9 +84,14 @@ class Filter:
         values: list[Any] = [value for value in given.values() if value is not None]
         if self.search:
             columns = (*(f"{event}.{column}" for column in _SEARCHED), f"{conclusion}.message")
-            either = " OR ".join(f"{column} LIKE ? ESCAPE '!'" for column in columns)
-            parts.append(f"AND ({either})")
+            either = [f"{column} LIKE ? ESCAPE '!'" for column in columns]
+            if self.named:
+                either.append(
+                    f"({event}.bus, {event}.unit) IN (VALUES {', '.join(['(?, ?)'] * len(self.named))})"
+                )
+            parts.append(f"AND ({' OR '.join(either)})")
             values += [_pattern(self.search)] * len(columns)
+            values += [part for place in self.named for part in place]
         for clause, more in self._grouping():
             parts.append(clause)
             values += more

@@ -74,7 +74,7 @@ def configuration(line: Path, port: int, units: Sequence[UnitSettings]) -> str:
     sections = {
         "site": {"name": "Demo line", "simulated": True},
         "server": {"port": port},
-        "bus": [{"name": "demo", "port": str(line), "unit": unit}],
+        "bus": [{"name": "demo", "port": str(line), "draw_percent": [-0.5, 1.0], "unit": unit}],
     }
     return "".join(f"{name} = {_toml(value)}\n" for name, value in sections.items())
 

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from app.audit.keys import find_key_file
 from app.cli.findings import Finding, existing_part, fault, is_read_only, is_visible
-from app.database.opening import main_presence
+from app.database.migrating import is_unfinished
+from app.database.opening import main_presence, require_finished_database
 from app.database.presence import examining, presence_of, refusal_to_start
+from app.database.unfinished import refuse_unfinished
 from app.errors import StoreError, TooCostlyError
 from app.history.intake.upkeep import DiskReserve, space
 from app.settings import Settings
@@ -48,6 +50,7 @@ def store_findings(settings: Settings) -> Iterator[Finding]:
 def _database(settings: Settings) -> Finding:
     try:
         presence = main_presence(settings.store, settings.server.store)
+        require_finished_database(settings.store)
     except StoreError as error:
         return fault("check_store_refused", reason=error.message)
     key = find_key_file(settings.key_files)
@@ -76,6 +79,7 @@ def _store(store: Path) -> Finding:
         with examining(store) as connection:
             end = monotonic_now() + MAX_EXAMINED_S
             connection.set_progress_handler(lambda: monotonic_now() > end, STEPS)
+            refuse_unfinished(str(store), has_ledger=is_unfinished(connection))
             (verdict,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     except TooCostlyError:
         verdict = "ok"

@@ -13,4 +13,14 @@ HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_co
 FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
 """Handing over what another user holds."""
 RELEASE_CONTROL = Act("release_control", Role.OPERATOR, "control", "event_control_given_back", locally=True)
-ACTS = (SET_LIMITS, BLOCK, UNBLOCK, TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL)
+REQUEST_CONTROL = Act("request_control", Role.OPERATOR, "control", "event_control_requested", locally=True)
+GRANT_CONTROL = Act("grant_control", Role.OPERATOR, "control", "event_control_handed_over")
+"""Handing over to the account that has requested control."""
+END_CONTROL_REQUEST = Act(
+    "end_control_request", Role.OPERATOR, "control", "event_control_request_ended", locally=True
+)
+"""Declining a request, by the holder, or withdrawing it."""
+ACTS = (
+    *(SET_LIMITS, BLOCK, UNBLOCK, TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL),
+    *(REQUEST_CONTROL, GRANT_CONTROL, END_CONTROL_REQUEST),
+)

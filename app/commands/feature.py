@@ -9,7 +9,19 @@ from app.auth.signin import SignIn
 from app.commands.acts import ACTS
 from app.commands.api import commands, safeguards, trace
 from app.commands.catalogue import ROLES_BY_COMMAND
-from app.commands.pages import bus, outputs, parameters, setpoints, speed, unit, zero
+from app.commands.finding import ParameterFinder
+from app.commands.pages import (
+    bus,
+    control,
+    faceplate,
+    outputs,
+    parameters,
+    setpoints,
+    speed,
+    undo,
+    unit,
+    zero,
+)
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
 from app.commands.service.idempotency import IdempotencyCache
@@ -17,13 +29,16 @@ from app.commands.service.record import CommandRecord
 from app.database import Database
 from app.feature import Feature, Services
 from app.feed.channel import Channel
-from app.live.state.bus_live import BusLive
+from app.find.finders import Finders
+from app.live.state.bus_live import BusLive, LiveState
+from app.web.head_control import HeadControl
 from app.web.templating import Templates
 from bus.instants import unix_now
 
 
 def make(services: Services) -> None:
     services[Templates].permit(ROLES_BY_COMMAND)
+    services[Finders].add("find_parameters", ParameterFinder(services[LiveState]))
     database, events, rights = services[Database], services[EventLog], services[Rights]
     record, idempotency = CommandRecord(events, database, unix_now), IdempotencyCache()
     for name, of_bus in services.buses.items():
@@ -39,6 +54,8 @@ def make(services: Services) -> None:
         services.at_home(name).add(f"safeguards of {name}", start=of_bus.add(guards).load)
         live, channel = of_bus[BusLive], of_bus[Channel]
         of_bus.add(CommandService(live, channel, record, idempotency, guards, rights))
+    here, guards_of = services[LiveState], services.of_buses(Safeguards)
+    services.add(HeadControl(lambda: [guards_of[name].bus_control() for name in here.here]))
 
 
 FEATURE = Feature(
@@ -53,7 +70,10 @@ FEATURE = Feature(
         outputs.router,
         parameters.router,
         bus.router,
+        control.router,
+        undo.router,
         unit.router,
+        faceplate.router,
     ),
     ACTS,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
+from app.conditions.draw import Draw
 from bus.catalogue.numbers import FOLLOWER_MODE
 from bus.catalogue.status import StatusBits
 from bus.catalogue.values import is_follower
@@ -90,6 +91,7 @@ StatusPredicate = Callable[[StatusBits], bool]
 ReadingPredicate = Callable[[UnitFacts], bool]
 ValuePredicate = Callable[[BusValues, UnitValues, Reading, LimitCheck], bool | None]
 ParameterPredicate = Callable[[BusValues, UnitValues], bool | None]
+DrawPredicate = Callable[[Draw], bool | None]
 LinkPredicate = Callable[[LinkFacts], bool | None]
 BusPredicate = Callable[[BusFacts], bool | None]
 CountPredicate = Callable[[int, int], bool]

@@ -68,7 +68,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
 SECOND_MASTER: Condition[CountPredicate] = Condition(
     "second_master",
     ("severe", "half_hour"),
-    holds=lambda _, foreign: foreign >= MIN_FAULTS,
+    holds=lambda _, unrequested: unrequested >= MIN_FAULTS,
     means="three responses in a minute that Lineside had not requested",
     tuning=Tuning(off_delay_s=60),
     group="bus",

@@ -10,6 +10,7 @@ from app.conditions.condition import Condition, ConditionEvent, Tuning
 from app.conditions.evidence import (
     BusValues,
     CountPredicate,
+    DrawPredicate,
     LimitCheck,
     LinkFacts,
     LinkPredicate,
@@ -181,6 +182,18 @@ BY_VALUE: tuple[Condition[ValuePredicate], ...] = (
 )
 """Conditions that are judged by each reading and have limits."""
 
+DRAW_OUT_OF_BAND: Condition[DrawPredicate] = Condition(
+    "draw_out_of_band",
+    ("major", "minutes"),
+    holds=lambda draw: None if draw.state == "unknown" else draw.state == "out_of_band",
+    means="the actual speed of the unit is to that of the unit before it, while neither ramps or stands, in a"
+    " ratio outside the band that the site sets (`draw_percent`); without a band never",
+    tuning=Tuning(on_delay_s=5, off_delay_s=2),
+    group="speed",
+    tiles=("draw_out_of_band",),
+)
+"""Judged by each reading of the unit."""
+
 BY_PARAMETER: tuple[Condition[ParameterPredicate], ...] = (
     Condition(
         "ratio_out_of_limits",
@@ -259,6 +272,7 @@ BLOCKED: Condition[Callable[[object], bool]] = Condition(
 OF_UNIT: tuple[Condition[Any], ...] = (
     *BY_READING,
     *BY_VALUE,
+    DRAW_OUT_OF_BAND,
     *BY_PARAMETER,
     UNIT_OFFLINE,
     UNIT_UNKNOWN,

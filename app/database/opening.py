@@ -63,6 +63,14 @@ def main_presence(store: StoreSettings, file: Path) -> Presence:
     return "sound" if has_site(store, MAIN) else "vacant"
 
 
+def require_finished_database(store: StoreSettings) -> None:
+    """Raises StoreError where the database is a copy that is not finished."""
+    require_driver()
+    from app.database.postgresql.examination import require_finished
+
+    require_finished(store, MAIN)
+
+
 @contextmanager
 def examining_main(store: StoreSettings, file: Path) -> Iterator[StoreConnection]:
     """Read the main store as it is; nothing is brought up to date. Raises StoreError in words."""

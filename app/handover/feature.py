@@ -10,7 +10,7 @@ from app.audit.log import EventLog
 from app.auth.signin import SignIn
 from app.database import Database
 from app.feature import Feature, Services
-from app.handover import api, pages
+from app.handover import api, notes_api, pages
 from app.handover.acts import ACTS
 from app.handover.document import SheetDocuments
 from app.handover.pictures import PictureStore
@@ -30,4 +30,4 @@ def make(services: Services) -> None:
     services.add(Signing(handover, database, events, services[SignIn], documents.page))
 
 
-FEATURE = Feature(make, (api.router, pages.router), ACTS)
+FEATURE = Feature(make, (notes_api.router, api.router, pages.router), ACTS)

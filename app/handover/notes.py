@@ -13,6 +13,9 @@ from bus.messages import Message
 
 MAX_NOTES = 500
 """Notes of a shift: a sheet is read by people."""
+MAX_OF_SPAN = 200
+"""Notes of a span of any length: a chart has room for fewer."""
+MAX_READ = 5000
 MAX_PICTURES = 20
 MAX_OF_SITE = 200_000
 """Notes of all shifts: five years with 100 a day."""
@@ -57,6 +60,15 @@ def notes_of(connection: StoreConnection, shift: Shift) -> list[Note]:
     """The notes of a shift in the order of what they are about."""
     rows = connection.execute(f"{_SELECT} WHERE at >= ? AND at < ? ORDER BY at, id", (shift.start, shift.end))
     return [Note(*row) for row in rows]
+
+
+def notes_between(connection: StoreConnection, start: UnixTime, end: UnixTime) -> list[Note]:
+    """The newest notes about a time of a span, in order, without those that were corrected."""
+    corrected = "SELECT corrects FROM shift_note WHERE corrects IS NOT NULL"
+    query = (
+        f"{_SELECT} WHERE at >= ? AND at < ? AND id NOT IN ({corrected}) ORDER BY at DESC, id DESC LIMIT ?"
+    )
+    return [Note(*row) for row in connection.execute(query, (start, end, MAX_READ))][::-1]
 
 
 def counts_of(connection: StoreConnection, shifts: list[Shift]) -> list[int]:

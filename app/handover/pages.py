@@ -41,6 +41,7 @@ FORM_LIMITS: Any = {"max_files": MAX_OF_NOTE, "max_fields": 20}
 FormNoteText = Annotated[Lines, Form(max_length=MAX_NOTE_LENGTH)]
 PinnedPlace = Annotated[OneLine, Query(max_length=100)]
 PinnedAlarm = Annotated[OneLine, Query(max_length=300)]
+FormReason = Annotated[OneLine, Form(max_length=200)]
 FormWord = Annotated[OneLine, Form(max_length=300)]
 
 
@@ -68,7 +69,7 @@ async def present_page(
     its form."""
     pinned = urlencode({name: value for name, value in (("place", place), ("alarm", alarm)) if value})
     path = _path(shifts.present().start)
-    return RedirectResponse(f"{path}?{pinned}#write" if pinned else path, SEE_OTHER)
+    return RedirectResponse(f"{path}/note?{pinned}" if pinned else path, SEE_OTHER)
 
 
 @router.get("/shifts/pictures/{digest}")
@@ -83,8 +84,31 @@ async def picture(
 
 @router.get("/shifts/{start}", dependencies=[SEARCH])
 async def sheet_page(
+    request: Request, person: Viewer, shifts: Shifts, signing: Sign, alarms: Alarms, shift: ShiftOfPath
+) -> Response:
+    """The sheet of a shift, its signatures, and what signs it."""
+    found = await shifts.sheet(shift)
+    return render(
+        request,
+        "handover/sheet.html",
+        sheet=readable(msgspec.json.decode(found.sheet)),
+        later=readable(notes_json(found.later)),
+        signed=found.signed,
+        missing=found.missing,
+        signs_as=person.name if person.via == "session" and not person.panel else "",
+        signs_from=None if found.signed else signing.early_until(shift),
+        shift=shift,
+        page=_path(shift.start),
+        place_of=alarms.place,
+        is_present=shift == shifts.present(),
+        is_recent=shifts.quota.is_recent(shift),
+    )
+
+
+@router.get("/shifts/{start}/note", dependencies=[SEARCH])
+async def note_page(
     request: Request,
-    person: Viewer,
+    _: Annotated[Person, WRITE_NOTE.permitted],
     shifts: Shifts,
     alarms: Alarms,
     shift: ShiftOfPath,
@@ -92,31 +116,24 @@ async def sheet_page(
     place: PinnedPlace = "",
     alarm: PinnedAlarm = "",
 ) -> Response:
-    """The sheet, and the form for a note. ``correct``: the note that the form corrects; ``place`` and
-    ``alarm``: what a new one is about, as long as the person chooses nothing else."""
+    """The form for a note. ``correct``: the note that it corrects; ``place`` and ``alarm``: what a new one is
+    about, as long as the person chooses nothing else."""
     shifts.check_place(*_place(place))
     pinned_alarm = await shifts.occurrence(alarm) if alarm else None
     found = await shifts.sheet(shift)
-    sheet = readable(msgspec.json.decode(found.sheet))
-    later = readable(notes_json(found.later))
-    corrected = next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None)
+    sheet, later = readable(msgspec.json.decode(found.sheet)), readable(notes_json(found.later))
     return render(
         request,
-        "handover/sheet.html",
+        "handover/note.html",
         sheet=sheet,
-        later=later,
-        signed=found.signed,
-        missing=found.missing,
-        signs_as=person.name if person.via == "session" and not person.panel else "",
         shift=shift,
         page=_path(shift.start),
-        corrected=corrected,
+        corrected=next((note for note in (*sheet["notes"], *later) if note["id"] == correct), None),
         pinned_place=place,
         pinned_alarm=pinned_alarm and readable(transition_json(pinned_alarm)),
         places=_places(alarms),
         place_of=alarms.place,
         is_present=shift == shifts.present(),
-        is_recent=shifts.quota.is_recent(shift),
         key=secrets.token_urlsafe(16),
         longest=MAX_NOTE_LENGTH,
     )
@@ -166,9 +183,10 @@ async def sign(
     digest: Annotated[str | None, Form(max_length=64)] = None,
     name: Annotated[str, Form(max_length=64)] = "",
     password: Annotated[str, Form(max_length=1000)] = "",
+    reason: FormReason = "",
 ) -> Response:
     """Sign as the user of the session, or by name and password."""
-    wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password)
+    wanted = ShiftSignRequest(part=part, digest=digest, name=name, password=password, reason=reason)
     await signing.sign(person, address_of(request), shift, wanted)
     return RedirectResponse(f"{_path(shift.start)}#signatures", SEE_OTHER)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from itertools import islice
@@ -120,7 +121,11 @@ class Handover:
 
     def present(self) -> Shift:
         """The shift that is under way."""
-        return shift_at(self._clock(), self._starts, self.zone)
+        return self.shift_at(self._clock())
+
+    def shift_at(self, at: UnixTime) -> Shift:
+        """The shift that a moment is in."""
+        return shift_at(at, self._starts, self.zone)
 
     async def summaries(self, before: UnixTime | None, limit: int) -> list[ShiftSummary]:
         """The shifts that begin before a moment, newest first; None: from the present one on."""
@@ -157,6 +162,19 @@ class Handover:
     ) -> tuple[SignedSheet | None, list[MissingSignature]]:
         missing = missing_signatures(connection, self.local(shift.start))
         return signed_sheet(connection, shift.start), missing
+
+    async def notes_between(self, start: UnixTime, end: UnixTime, units: Sequence[str]) -> list[Note]:
+        """The newest notes about a time of a span, in order: of the site, and of each ``bus/unit`` and its
+        bus; without any, all."""
+        buses = {unit.rpartition("/")[0] for unit in units}
+
+        def concerns(note: Note) -> bool:
+            if not units or note.bus is None:
+                return True
+            return note.bus in buses if note.unit is None else f"{note.bus}/{note.unit}" in units
+
+        found = await self._database.read(lambda store: notes.notes_between(store, start, end))
+        return [note for note in found if concerns(note)][-notes.MAX_OF_SPAN :]
 
     async def write(self, person: Person, shift: Shift, new: NewNote) -> Note:
         """Store a note; one that its sender sends again with its key is stored once. Raises Problem."""

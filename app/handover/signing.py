@@ -18,8 +18,9 @@ from app.handover.service import Handover
 from app.handover.signatures import SignedPart, SignedSheet
 from app.web.access import Person
 from app.web.shape import StrictBody
-from bus.instants import Clock, unix_now
+from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
+from bus.text import OneLine
 
 PageWriter = Callable[[bytes], bytes]
 """Makes the page of a sheet, in the language of the site, from its JSON."""
@@ -38,6 +39,10 @@ class ShiftSignRequest(StrictBody):
     ] = None
     name: Annotated[str, Field(max_length=64)] = ""
     password: Annotated[str, Field(max_length=1000)] = ""
+    reason: Annotated[
+        OneLine,
+        Field(max_length=200, description="Why it is signed earlier than half an hour before its end."),
+    ] = ""
 
 
 class Signing:
@@ -73,22 +78,27 @@ class Signing:
         there = {} if signed is None else signed.signatures
         signatures.check_turn(there, part, signer.name, self._handover.zone)
         if signed is None:
-            signed = await self._freeze(shift)
+            signed = await self._freeze(shift, request.reason.strip())
         elif request.digest not in (None, signed.digest):
             raise Problem(409, "superseded", Message("shift_sheet_differs"), digest=signed.digest)
         elif signed.is_altered:
             raise Problem(409, "not_in_state", Message("shift_sheet_altered"))
-        await self._store(signer, part, signed)
+        await self._store(signer, part, signed, request.reason.strip())
 
-    async def _freeze(self, shift: Shift) -> SignedSheet:
+    def early_until(self, shift: Shift) -> UnixTime | None:
+        """Until when only a reason lets a shift be handed over; None: its end is near."""
         earliest = shift.end - EARLIEST_S
-        if self._clock() < earliest:
+        return earliest if self._clock() < earliest else None
+
+    async def _freeze(self, shift: Shift, reason: str) -> SignedSheet:
+        earliest = self.early_until(shift)
+        if earliest is not None and not reason:
             times = {"end": self._handover.local(shift.end), "earliest": self._handover.local(earliest)}
             raise Problem(409, "not_in_state", Message.of("shift_sign_too_early", **times))
         sheet = (await self._handover.sheet(shift)).sheet
         return SignedSheet(shift, sheet, self._page_of(sheet))
 
-    async def _store(self, signer: Person, part: SignedPart, signed: SignedSheet) -> None:
+    async def _store(self, signer: Person, part: SignedPart, signed: SignedSheet, reason: str) -> None:
         start, now = signed.shift.start, self._clock()
 
         def store(connection: StoreConnection) -> None:
@@ -106,6 +116,7 @@ class Signing:
                 page_digest=signed.page_digest,
             ),
             at=now,
+            message=reason,
             also=store,
         )
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import asyncio
 from functools import partial
 
+from app.database import Database
 from app.feature import Feature, Services
 from app.history import pages
+from app.history.acts import ACTS
 from app.history.api import routes
 from app.history.service import History
+from app.history.views import TrendViews
 from app.home.homes import Homes
 from app.web.assets import Assets
 from app.web.templating import Templates
@@ -17,6 +20,7 @@ from app.web.templating import Templates
 def make(services: Services) -> None:
     lifespan, language = services.lifespan, services.settings.site.language
     homes = services[Homes]
+    services.add(TrendViews(services[Database]))
     history = services.add(History(services.settings, homes.is_here))
 
     def adopt(bus: str) -> None:
@@ -33,4 +37,4 @@ def make(services: Services) -> None:
     lifespan.add("warming", once=warm)
 
 
-FEATURE = Feature(make, (routes.router, pages.router))
+FEATURE = Feature(make, (routes.router, pages.router), ACTS)

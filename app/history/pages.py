@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from itertools import islice
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Form, Path
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
+from app.audit.api import Events
 from app.errors import Problem, StoreError
 from app.history.api.spans import HistoryOf, Span, series_queries
 from app.history.export import parquet_file
@@ -19,16 +20,22 @@ from app.history.series.runs import DAY, micros
 from app.history.series.values import VALUES
 from app.history.service import History
 from app.history.status import store_notice
-from app.web.access import Viewer
+from app.history.views import MAX_QUERY, TrendView, TrendViews
+from app.settings import Settings
+from app.web.access import Person, Viewer
 from app.web.assets import Assets
+from app.web.services import service, service_of
 from app.web.templating import Templates, render, templates_of
 from bus.instants import unix_now
+from bus.text import OneLine
 
 router = APIRouter(include_in_schema=False)
+SEE_OTHER = 303
+SavedViews = Annotated[TrendViews, service(TrendViews)]
 
 
 @router.get("/trends")
-async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
+async def trends(request: Request, person: Viewer, history: HistoryOf, views: SavedViews) -> Response:
     """Any values of any units over any span; the browser draws what its address names."""
     templates = templates_of(request)
     language = templates.language_of(request)
@@ -36,10 +43,43 @@ async def trends(request: Request, _: Viewer, history: HistoryOf) -> Response:
         request,
         "trends/page.html",
         catalogue=_catalogue(history),
-        values=VALUES,
+        words={name: values.text(value, language.t) for name, value in VALUES.items()},
         has_parquet=parquet_file.is_installed(),
         memory=store_notice(history.status, templates.formats(language.tag), unix_now()),
+        shift_starts=service_of(request, Settings).shift.minutes,
+        views=await _views_seen(views, person),
     )
+
+
+async def _views_seen(views: TrendViews, person: Person) -> list[TrendView]:
+    """None while the store is away: the chart is shown without them."""
+    try:
+        return await views.seen_by(person)
+    except StoreError:
+        return []
+
+
+@router.post("/trends/views")
+async def save_view(
+    person: Viewer,
+    views: SavedViews,
+    events: Events,
+    name: Annotated[OneLine, Form(max_length=200)] = "",
+    query: Annotated[OneLine, Form(max_length=MAX_QUERY)] = "",
+    shared: Annotated[bool, Form()] = False,
+) -> Response:
+    """Save what is shown under a name; an operator may share it with everyone."""
+    address = await views.save(person, events, name, query, shared=shared)
+    return RedirectResponse(f"/trends?{address}#trend-save", SEE_OTHER)
+
+
+@router.post("/trends/views/{number}/delete")
+async def delete_view(
+    person: Viewer, views: SavedViews, events: Events, number: Annotated[int, Path(ge=1, le=2**62)]
+) -> Response:
+    """Delete a saved view."""
+    await views.delete(person, events, number)
+    return RedirectResponse("/trends", SEE_OTHER)
 
 
 def _catalogue(history: History) -> list[dict[str, Any]]:

@@ -31,6 +31,11 @@ class Home(NamedTuple):
     epoch: int = 0
     until: UnixTime = UnixTime(0.0)
 
+    @property
+    def label(self) -> str:
+        """The bus and the server, for a list."""
+        return f"{self.bus} ({self.server})"
+
 
 class BusHome:
     """The home of one bus, as what belongs to the bus sees it."""

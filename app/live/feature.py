@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from app.audit.log import EventLog
 from app.feature import Feature, Services
+from app.find.finders import Finders
 from app.history.service import History
 from app.live.api import routes
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import LineEvent
+from app.live.finding import UnitFinder
 from app.live.state.bus_live import LiveState
 from app.routing.site_servers import SiteServers
 from app.web.services import Registry
@@ -17,6 +19,7 @@ from bus.instants import unix_now
 def make(services: Services) -> None:
     is_elsewhere = services[SiteServers].is_elsewhere
     live = services.add(LiveState(services.settings.bus, unix_now(), is_elsewhere))
+    services[Finders].add("find_units", UnitFinder(live))
     recorder = _make_recorder(services, services, None)
     services[History].on_fault(lambda kind, what, at: recorder.note(LineEvent(kind, None, at, what, "", "")))
     for name, bus in services.buses.items():

@@ -31,8 +31,7 @@ ViewSize = Annotated[
     Literal["auto", "tiles", "rows", "matrix"],
     BeforeValidator(lambda view: FORMER_VIEWS.get(view, view)),
 ]
-MAX_TILES = 12
-MAX_ROWS = 40
+MAX_TILES = 24
 VIEW_COOKIE = "lineside_view"
 YEAR_S = 365 * 24 * 3600
 
@@ -100,9 +99,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
 
 def view_for(units: int) -> View:
     """As generous as the number of units allows."""
-    if units <= MAX_TILES:
-        return "tiles"
-    return "rows" if units <= MAX_ROWS else "matrix"
+    return "tiles" if units <= MAX_TILES else "matrix"
 
 
 def unit_on_line(bus: str, unit: UnitLive, most_decimals: int = 0) -> UnitOnLine:

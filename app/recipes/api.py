@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Request, Response
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 from starlette.requests import HTTPConnection
 from typing_extensions import TypedDict
 
+from app.audit.api import Events
+from app.audit.store import Filter
 from app.commands.api.commands import RESULT_RESPONSES
 from app.commands.api.responses import FramesWanted, command_response
 from app.commands.catalogue import SET_LINE
@@ -19,15 +21,18 @@ from app.live.api.routes import Live
 from app.live.api.schemas import Time
 from app.live.lookup import bus_or_404
 from app.live.state.bus_live import BusLive
-from app.recipes.acts import DELETE, SAVE
+from app.recipes.acts import DELETE, LOAD, SAVE
 from app.recipes.book import RecipeBook
 from app.recipes.rules import Recipe, RecipeDeparture, RecipeDryRun, setpoints_now
+from app.recipes.runs import MAX_LOADS, RecipeRuns, runs_of
 from app.routing.at_home import at_home_of
 from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.services import service
 from app.web.shape import StrictBody, iso, parse_integer
+from app.web.turns import SEARCH
+from bus.instants import UnixTime
 from bus.messages import Message
 from bus.text import Lines, OneLine
 
@@ -164,6 +169,18 @@ async def get_loaded_recipe(_: Viewer, book: Book, live: Live, bus: str) -> Load
         "loaded_at": iso(loaded.at),
         "departed": book.departed(bus),
     }
+
+
+@router.get("/buses/{bus}/recipe/runs", dependencies=[SEARCH])
+async def get_recipe_runs(
+    _: Viewer, events: Events, live: Live, bus: str, at: AwareDatetime | None = None
+) -> RecipeRuns | None:
+    """The recipe that ran at a time (else now), since when, and when it ran before; null: none was loaded."""
+    bus_or_404(live, bus)
+    until = UnixTime(at.timestamp()) if at is not None else None
+    wanted = Filter(kind=LOAD.kind, bus=bus, code=LOAD.event, until=until)
+    found, _next = await events.page(wanted, MAX_LOADS)
+    return runs_of(found)
 
 
 @router.delete("/buses/{bus}/recipes/{name}", status_code=204)

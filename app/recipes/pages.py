@@ -99,6 +99,7 @@ async def review(
         run=run,
         was=was,
         followers=followers_of(bus),
+        draws=of_bus.draws({step.unit: step.raw for step in run.steps if step.unit in bus.units}),
         risks=by_remark((str(step.name), risk) for step in run.steps for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
@@ -125,7 +126,7 @@ async def load(
         result = await book.load(person, recipe, page.made_at, confirm=True, command_id=confirmed.id)
     except Problem as problem:
         return page.refused(problem, recipe.name)
-    return proven(of_bus, recipe.name, setpoints, result, form)
+    return proven(of_bus, recipe.name, setpoints, result, confirmed.id)
 
 
 @router.post("/recipes/retire")

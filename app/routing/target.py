@@ -19,7 +19,17 @@ SERVER_IN_QUERY, HERE = "home", "here"
 """The same for the socket of a page. ``here``: the server at hand."""
 OWN_PATHS = frozenset(
     {
-        *("/healthz", "/login", "/login/panel", "/logout", "/feed", "/lines", "/offline", "/sw.js"),
+        *(
+            "/healthz",
+            "/login",
+            "/login/panel",
+            "/logout",
+            "/feed",
+            "/lines",
+            "/wallboard",
+            "/offline",
+            "/sw.js",
+        ),
         *("/manifest.webmanifest", "/favicon.ico", "/api/v1/sites", "/api/v1/line", "/api/v1/openapi.json"),
         *("/metrics", "/api/v1/me"),
     }
@@ -93,13 +103,13 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     passed over, so that a browser follows a bus to its next home."""
     if bus:
         place = SITE if bus == SITE_IN_ID else bus
-        holder = _holder(place, homes)
+        holder = holder_of(place, homes)
         return Destination(None if holder in ("", homes.server) else homes.of(place), holder)
     if server == HERE:
         return Destination()
     by_server: dict[str, Home] = {}
     for each in buses:
-        if holder := _holder(each, homes):
+        if holder := holder_of(each, homes):
             by_server.setdefault(holder, homes.of(each))
     if server in by_server:
         wanted = server
@@ -108,7 +118,7 @@ def place_of(bus: str, server: str, homes: BusHomes, buses: Collection[str]) -> 
     return Destination(None if wanted == homes.server else by_server[wanted])
 
 
-def _holder(place: str, homes: BusHomes) -> str:
+def holder_of(place: str, homes: BusHomes) -> str:
     """The id of the server that is the home now; empty where none is known. The row of a bus that was just
     taken is as it was a second ago."""
     return homes.server if homes.is_here(place) else homes.of(place).server

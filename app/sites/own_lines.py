@@ -6,12 +6,15 @@ import asyncio
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from msgspec.structs import replace
+
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.live.screen.fields import Translator
-from app.live.screen.sources import GoldenDrift, UnitGuards
+from app.live.screen.sources import GoldenDrift, LoadedRecipes, UnitGuards
 from app.live.state.bus_live import LiveState
 from app.routing.homes import BusHomes
+from app.sites.last_events import LastEvents
 from app.sites.summarize import LineOrigin, SpeedTrace, summary_of, view_of
 from app.sites.summary import LineSummary
 from bus.instants import Clock, Monotonic, MonotonicClock, monotonic_now, unix_now
@@ -32,6 +35,8 @@ class OwnLines:
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
     homes: BusHomes
+    recipes: LoadedRecipes
+    events: LastEvents
     english: Translator
     clock: Clock = unix_now
     monotonic: MonotonicClock = monotonic_now
@@ -77,7 +82,17 @@ class OwnLines:
         ]
         origin = LineOrigin(self.site, self.homes.server, self.homes.epoch(name))
         trace = self._traces.get(name, SpeedTrace())
-        return summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
+        found = summary_of(bus, views, self._alarms_of(name), trace.points, origin, now)
+        return replace(found, recipe=self._recipe(name), event=self.events.of(name))
+
+    def _recipe(self, bus: str) -> Message | None:
+        loaded = self.recipes.loaded_words(bus)
+        if loaded is None:
+            return None
+        name, departed = loaded
+        if not departed:
+            return Message.of("line_recipe", name=name)
+        return Message.of("recipe_with_drift_of_many", name=name, n=len(departed))
 
     def _alarms_of(self, bus: str) -> Iterator[tuple[Alarm, Message]]:
         for alarm in self.alarms.annunciated():

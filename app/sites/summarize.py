@@ -92,7 +92,7 @@ def summary_of(
 def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
     """How a unit looks."""
     unit = bus.units[number]
-    cause = shown_cause(bus, unit, unit_cause(bus, unit, now), blocked=blocked, drifted=drifted)
+    cause = shown_cause(bus, unit, unit_cause(bus, unit, now), now, blocked=blocked, drifted=drifted)
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 

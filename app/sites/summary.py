@@ -57,11 +57,19 @@ class CauseSummary(msgspec.Struct, frozen=True):
         return Cause(self.code, level, onset, {name: value for name, value in params.items() if value})
 
 
+class EventSummary(msgspec.Struct, frozen=True):
+    """The last event of a line. ``at``: Unix time in seconds."""
+
+    at: float
+    text: Message
+
+
 class LineSummary(msgspec.Struct, frozen=True):
     """One line. ``verdict``: the text while there is no ``cause``; ``place``: the unit or bus of the
     cause. ``states``: units by state, and how many are ``online``; ``active`` and ``waiting`` (for an
     acknowledgement): alarms by priority; ``alarm``: the text of the first of them. ``speeds``: of the first
-    unit, the newest last, in display units, None where none was read; ``scan_hz``: scans a second."""
+    unit, the newest last, in display units, None where none was read; ``scan_hz``: scans a second;
+    ``recipe``: the one loaded last."""
 
     bus: _Name
     site: _Name
@@ -79,6 +87,8 @@ class LineSummary(msgspec.Struct, frozen=True):
     alarm_priority: Level = ""
     scan_hz: float | None = None
     speeds: Annotated[list[LineSpeed | None], Meta(max_length=MAX_POINTS)] = []
+    recipe: Message | None = None
+    event: EventSummary | None = None
 
 
 class Notice(msgspec.Struct, frozen=True):
@@ -137,5 +147,5 @@ def _within_bounds(line: LineSummary) -> bytes:
     part = _encode(line)
     if len(part) > MAX_LINE_BYTES:
         cause = line.cause and msgspec.structs.replace(line.cause, why=None)
-        part = _encode(msgspec.structs.replace(line, cause=cause, alarm=None))
+        part = _encode(msgspec.structs.replace(line, cause=cause, alarm=None, event=None))
     return part

@@ -33,7 +33,22 @@ _NO_REPORT: tuple[tuple[float, str, str, int], ...] = (
 )
 """Up to which age, the text for it while nothing is known and where its server has stopped, and in what."""
 _NEVER: Fields = {
-    **dict.fromkeys(("place", "last", "counts", "alarm", "alarm_mark", "alarms", "home", "spark"), ""),
+    **dict.fromkeys(
+        (
+            "place",
+            "last",
+            "counts",
+            "alarm",
+            "alarm_mark",
+            "alarms",
+            "home",
+            "spark",
+            "recipe",
+            "event",
+            "event_at",
+        ),
+        "",
+    ),
     "speed": UNKNOWN,
     "scan": UNKNOWN,
 }
@@ -71,7 +86,16 @@ def tile_fields(line: LineOnBoard, translator: Translator, now: UnixTime) -> Fie
         "scan": translator.formats.number(summary.scan_hz, 1) if summary.scan_hz is not None else UNKNOWN,
         "speed": _speed(summary, translator),
         "spark": outline(summary.speeds),
-    }
+        "recipe": translator.t(summary.recipe) if summary.recipe is not None else "",
+    } | _event(summary, translator, now)
+
+
+def _event(summary: LineSummary, translator: Translator, now: UnixTime) -> Fields:
+    event = summary.event
+    if event is None:
+        return {"event": "", "event_at": ""}
+    at = translator.formats.since(UnixTime(event.at), now)
+    return {"event": translator.t(event.text), "event_at": at}
 
 
 def shown_level(line: LineOnBoard) -> Level:

@@ -20,6 +20,8 @@ from app.settings import Site
 from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
 from app.web.formats import Formats
+from app.web.head_control import HeadControl
+from app.web.navigation import ON_PHONE, pages_for
 from app.web.services import service_of
 
 
@@ -68,10 +70,11 @@ class Compiled(FileSystemBytecodeCache):
 
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
-    ``language``, ``languages``, ``site``, ``Role``, ``demo``; in a page or fragment of a request also
-    ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``, ``head_others()``, ``has_lines()``,
-    ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an act,
-    by its name. ``kept_in``: where they stay compiled from one start to the next."""
+    ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``; in a page or
+    fragment of a request also ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``,
+    ``controls()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and ``may()``,
+    whether the person may send a command or perform an act, by its name. ``kept_in``: where they stay
+    compiled between two starts."""
 
     def __init__(
         self,
@@ -112,6 +115,8 @@ class Templates:
             "site": self.site,
             "demo": self._demo,
             "Role": Role,
+            "navigation": pages_for,
+            "on_phone": ON_PHONE,
         }
         return environment
 
@@ -175,6 +180,7 @@ def render(
         "head_others": lambda: service_of(request, PageFleet).alarms(language),
         "home_server": lambda: service_of(request, PageFleet).server,
         "head_alarms": lambda: service_of(request, PageHead).alarms(language),
+        "controls": lambda: service_of(request, HeadControl).of_buses(),
         "head_away": lambda: service_of(request, PageHead).away(language),
         **context,
     }

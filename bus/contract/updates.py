@@ -149,6 +149,8 @@ class BusFigures(TaggedStruct, frozen=True, tag="bus_figures"):
     """
     has_second_master: bool = False
     """Units respond to what was not requested: another host is on the wire, and nothing is written."""
+    unrequested: Total = 0
+    """Responses that no request of this host explains, not even one of long ago."""
 
 
 class Frame(TaggedStruct, frozen=True, tag="frame"):

@@ -314,4 +314,7 @@ class LineLoop:
         now = self.clock.now()
         at = self.clock.epoch(now)
         figures = self._figures.take(now, at, self.link.counts, self.roster, self.schedule)
-        return msgspec.structs.replace(figures, has_second_master=self.link.second_master.is_present(now))
+        other = self.link.second_master
+        return msgspec.structs.replace(
+            figures, has_second_master=other.is_present(now), unrequested=other.noted
+        )

@@ -66,7 +66,9 @@ def _settings(address: int) -> UnitSettings:
     bank = (address - 1) // len(_MACHINES)
     labels = UnitLabels(output=machine.outputs, analog="Web tension", analog_unit="N", unit="m/min")
     name = f"{machine.name} {chr(ord('A') + bank - 1)}" if bank else machine.name
-    return UnitSettings(id=address, name=name, group=machine.group, labels=labels)
+    # Where a web begins, there is no draw to the end of the one before.
+    band = () if bank and machine is _MACHINES[0] else None
+    return UnitSettings(id=address, name=name, group=machine.group, draw_percent=band, labels=labels)
 
 
 def _section(address: int, units: int, seed: int, traits: Traits) -> Section:

@@ -143,7 +143,12 @@ export function start() {
   });
   for (const item of document.querySelectorAll("[data-full-screen-item]"))
     item.hidden = !document.fullscreenEnabled;
-  if (home === undefined) return;
+  const isWall = document.querySelector("[data-wall]") !== null;
+  if (home === undefined && !isWall) return;
+  stayAwake();
+  document.addEventListener("visibilitychange", stayAwake);
+  // A wallboard is read from afar, and never touched: it neither darkens nor goes anywhere.
+  if (isWall) return;
   arrive();
   listen("line_summary", (fields) => {
     verdict = fields.verdict ?? "";
@@ -153,7 +158,5 @@ export function start() {
     else cover?.firstElementChild?.replaceChildren(verdict);
   });
   document.addEventListener("lineside:lost", () => isDark() && uncover());
-  stayAwake();
-  document.addEventListener("visibilitychange", stayAwake);
   setInterval(look, LOOK_MS);
 }

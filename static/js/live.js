@@ -109,7 +109,7 @@ const clockFormat = new Intl.DateTimeFormat(language, {
   timeZone: clock.zone,
 });
 /** @param {number} seconds */
-const timeOfDay = (seconds) => clockFormat.format(seconds * 1000) + clock.zoneNote;
+export const timeOfDay = (seconds) => clockFormat.format(seconds * 1000) + clock.zoneNote;
 let beaten = 0;
 
 /** @param {number} serverTime */

@@ -2,8 +2,12 @@
 import "../vendor/htmx.min.js";
 import { draw, drawAll, rebind } from "./bind.js";
 import * as blink from "./blink.js";
+import * as control from "./control.js";
+import * as drafts from "./drafts.js";
 import * as counts from "./counts.js";
+import * as find from "./find.js";
 import * as focus from "./focus.js";
+import * as headAlarm from "./head-alarm.js";
 import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
@@ -13,28 +17,34 @@ import * as redraw from "./redraw.js";
 import * as review from "./review.js";
 import * as setter from "./setter.js";
 import * as visibility from "./visibility.js";
+import * as timeLeft from "./time-left.js";
 import * as sound from "./sound.js";
 import * as strip from "./strip.js";
 import * as announce from "./announce.js";
 import * as trace from "./trace.js";
 
-// On a phone the rail and the tabs are longer than the window: scroll to the current page.
-for (const current of document.querySelectorAll(":is(.rail__item, .tabs__tab)[aria-current]"))
+// On a phone the tabs are longer than the window: scroll to the current page.
+for (const current of document.querySelectorAll(".tabs__tab[aria-current]"))
   current.scrollIntoView({ block: "nearest", inline: "center" });
 rebind();
 visibility.start(draw, drawAll);
 blink.start();
 focus.start();
+find.start();
 quality.findUnits();
 quality.start();
 strip.start();
 sound.start();
+headAlarm.start();
 review.start();
+drafts.start();
 setter.start();
+timeLeft.start();
 trace.start();
 people.start();
 redraw.start();
 announce.start();
+control.start();
 counts.start();
 keypad.start();
 kiosk.start();

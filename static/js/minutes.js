@@ -15,14 +15,14 @@ const [WIDTH, HEIGHT] = [600, 100];
 const SVG = "http://www.w3.org/2000/svg";
 
 /** @param {string} className */
-function path(className) {
+export function path(className) {
   const line = document.createElementNS(SVG, "path");
   line.setAttribute("class", className);
   return line;
 }
 
 /** @param {HTMLElement} figure */
-function build(figure) {
+export function build(figure) {
   const svg = document.createElementNS(SVG, "svg");
   svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
   svg.setAttribute("preserveAspectRatio", "none");
@@ -79,7 +79,7 @@ async function drawFlags(unit, { flags }) {
 
 /** The range to draw: never so narrow that noise looks like movement.
  * @param {(number | null)[]} all */
-function range(all) {
+export function range(all) {
   const known = all.filter((value) => value !== null);
   if (!known.length) return null;
   const [least, most] = [Math.min(...known), Math.max(...known)];
@@ -88,7 +88,7 @@ function range(all) {
 }
 
 /** @param {Spark} spark @param {number} from @param {Scale} scale @param {boolean} step */
-function outline({ t, avg }, from, { least, most }, step) {
+export function outline({ t, avg }, from, { least, most }, step) {
   let d = "";
   let pen = false;
   let y = "";
@@ -110,7 +110,7 @@ function outline({ t, avg }, from, { least, most }, step) {
 
 /** A number with as many decimals as the unit itself shows.
  * @param {string} unit @param {number} number */
-function inUnitsDecimals(unit, number) {
+export function inUnitsDecimals(unit, number) {
   const decimals = value(`${unit}.setpoint`)?.[1] ?? 0;
   const [minimumFractionDigits, maximumFractionDigits] = [decimals, decimals];
   const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };

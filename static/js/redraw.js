@@ -4,12 +4,18 @@
 //   data-reload="GROUP.FIELD" data-drawn-of="what it was when the page was drawn"
 import { listen, value } from "./bind.js";
 
+/** @type {WeakSet<HTMLElement>} */
+const followed = new WeakSet();
+
 /** @param {HTMLElement} part */
 function follow(part) {
+  if (followed.has(part)) return;
+  followed.add(part);
   const key = part.dataset.redraw;
   const dot = key.indexOf(".");
   const field = key.slice(dot + 1);
-  listen(key.slice(0, dot), (fields) => {
+  const end = listen(key.slice(0, dot), (fields) => {
+    if (!part.isConnected) return end();
     const present = /** @type {string} */ (fields[field] ?? "");
     if (part.dataset.drawnOf === present) return;
     part.dataset.drawnOf = present;
@@ -33,6 +39,10 @@ function followPage(page) {
 
 export function start() {
   for (const page of document.querySelectorAll("[data-reload]")) followPage(page);
+  followParts();
+  document.addEventListener("lineside:changed", followParts);
+}
 
+function followParts() {
   for (const part of document.querySelectorAll("[data-redraw]")) follow(part);
 }

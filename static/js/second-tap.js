@@ -6,8 +6,10 @@
   /** Less than from one button to the next. */
   const NEAR_PX = 40;
   const STORED = "lineside-last-tap";
-  const ACTS =
-    "button:is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press]), input[type=submit]";
+  /** All but the keys of a number pad, on which a digit is typed twice. */
+  const ACTS = "button:not([data-pad], [data-keypad-next]), input[type=submit], a:is([hx-get], [hx-post])";
+  /** Which send something: also not where another has just been pressed at the same place. */
+  const SENDS = ":is([type=submit], :not([type]), [hx-get], [hx-post], [data-sound-press])";
   /** @type {Element | null} */
   let button = null;
   let last = read();
@@ -46,13 +48,24 @@
       if (!event.isTrusted) return;
       const acting = event.target instanceof Element ? event.target.closest(ACTS) : null;
       const tap = { at: Date.now(), x: event.clientX, y: event.clientY, isTouch: event.detail > 0 };
-      if (acting && last && isSoon(tap, last) && (acting === button || isNear(tap, last))) {
+      if (acting && last && isSoon(tap, last) && (acting === button || (acting.matches(SENDS) && isNear(tap, last)))) {
         event.preventDefault();
         event.stopImmediatePropagation();
         return;
       }
       button = acting;
       remember(tap);
+    },
+    { capture: true },
+  );
+
+  // A key that is held down presses once.
+  addEventListener(
+    "keydown",
+    (event) => {
+      const isRepeated = event.repeat && (event.key === "Enter" || event.key === " ");
+      if (isRepeated && event.target instanceof Element && event.target.matches(`${ACTS}, input, select`))
+        event.preventDefault();
     },
     { capture: true },
   );

@@ -6,7 +6,6 @@ import { language, word } from "./words.js";
 const DECIMAL_SIGN = new Intl.NumberFormat(language)
   .formatToParts(1.5)
   .find((part) => part.type === "decimal")?.value ?? ".";
-const UNDO_MS = 60_000;
 
 /** The number a person typed, comma or point, or NaN. Empty is not zero.
  * @param {string} text */
@@ -38,7 +37,7 @@ function followUnit(input) {
     input.dataset.touched = "";
     // A message about the former number does not apply to this one.
     const place = document.getElementById(input.getAttribute("aria-describedby") ?? "");
-    if (place && !place.querySelector("[data-undo]")) place.replaceChildren();
+    place?.replaceChildren();
   });
   // A value half typed is not selected again: the next digit is appended.
   input.addEventListener("focus", () => input.dataset.touched === undefined && input.select());
@@ -62,17 +61,6 @@ function press(input, key) {
     input.value = (fresh ? "" : input.value) + key;
   input.setSelectionRange(input.value.length, input.value.length);
   input.dispatchEvent(new Event("input", { bubbles: true }));
-}
-
-/** The way back stays for a while, also after a dialog that offered it was closed.
- * @param {Event} event */
-function keepUndo({ type }) {
-  const undo = document.querySelector("[data-undo]:not([data-kept])");
-  const place = undo && document.querySelector(undo.dataset.undo);
-  if (!place || (type === "lineside:changed" && !place.contains(undo))) return;
-  undo.dataset.kept = "";
-  if (!place.contains(undo)) place.replaceChildren(undo);
-  setTimeout(() => undo.remove(), UNDO_MS);
 }
 
 // --- many at once ----------------------------------------------------------------------------------------
@@ -138,7 +126,6 @@ const fieldOf = (key) =>
   /** @type {HTMLInputElement} */ (document.getElementById(key.closest("[data-pad-for]")?.dataset.padFor ?? ""));
 
 export function start() {
-  for (const event of ["lineside:done", "lineside:changed"]) document.addEventListener(event, keepUndo);
   forgetDone();
   for (const input of document.querySelectorAll("[data-follows]")) followUnit(input);
   document.addEventListener("click", (event) => {

@@ -97,10 +97,10 @@ function draw() {
   const shownNow = `${state} ${link()}`;
   if (shownNow === drawn) return;
   drawn = shownNow;
-  const [strip, button, shown] = [find("strip"), find("press"), find("state")];
+  const [strip, shown] = [find("strip"), find("state")];
   strip.hidden = state !== "blocked" && state !== "sounding";
   find("text").textContent = state === "blocked" ? word("alarmSoundBlocked") : "";
-  button.textContent = word(
+  find("word").textContent = word(
     state === "blocked" ? "alarmSoundAllow" : link() === "lost" ? "lostSoundSilence" : "alarmSoundSilence",
   );
   /** @type {Record<string, string>} */
@@ -146,12 +146,14 @@ function bindSettings() {
 /** The overlay for a lost server covers the page: the strip is in it as long as it is there. */
 function followLink() {
   const [strip, gone] = [find("strip"), document.querySelector(".gone")];
+  const place = document.createComment("sound");
+  strip.before(place);
   document.addEventListener("lineside:lost", () => {
     gone.querySelector(".gone__box").append(strip);
     sound();
   });
   document.addEventListener("lineside:found", () => {
-    gone.before(strip);
+    place.before(strip);
     muted.lost = false;
     sound();
   });

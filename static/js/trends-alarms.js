@@ -1,8 +1,9 @@
-// Alarms over the curves: the shape and number of its priority where each begins, and a line while it was active.
+// Alarms in a lane above the curves: the shape and number of its priority where each begins, and a line while it was active.
 import { formatTime } from "./trends-time.js";
 
 const SIZE = 18;
-const EDGE = 4;
+/** Height of a row of their lane. */
+export const ROW = 22;
 /** By priority, the most important first; `shape`: corners as parts of its size, none: a disc.
  * @type {Record<string, AlarmLook>} */
 const LOOKS = {
@@ -35,9 +36,9 @@ const LOOKS = {
   },
   medium: {
     number: "3",
-    fill: "--low",
-    ink: "--low-ink",
-    line: "--low",
+    fill: "--medium",
+    ink: "--medium-ink",
+    line: "--medium",
     shape: [
       [0.5, 0],
       [1, 0.5],
@@ -45,7 +46,7 @@ const LOOKS = {
       [0, 0.5],
     ],
   },
-  low: { number: "4", fill: "--panel", ink: "--text", line: "--line-strong", shape: [] },
+  low: { number: "4", fill: "--low", ink: "--low-ink", line: "--low", shape: [] },
 };
 
 /** Where each alarm of a span is drawn: `row` counts the priorities that occur, the most important at the top; `x`
@@ -64,21 +65,27 @@ export function placed(alarms, [from, to], place) {
     .sort((a, b) => b.row - a.row || a.x - b.x);
 }
 
-/** Draw them at the top of a plot. `colour` gives a name of tokens.css as the canvas understands it.
- * @param {uPlot} plot @param {Alarm[]} alarms @param {Span} range @param {(name: string) => string} colour */
-export function drawAlarms(plot, alarms, range, colour) {
-  const { ctx, bbox } = plot;
+/** How many rows the alarms of a span take; at least one, so that the chart does not move with the first.
+ * @param {Alarm[]} alarms @param {Span} span */
+export const alarmRows = (alarms, span) => Math.max(1, ...placed(alarms, span, Number).map(({ row }) => row + 1));
+
+/** Draw them into their lane, from `top` on, in pixels of the canvas. `colour` gives a name of tokens.css as the canvas
+ * understands it.
+ * @param {uPlot} plot @param {Alarm[]} alarms @param {Span} range @param {number} top
+ * @param {(name: string) => string} colour */
+export function drawAlarms(plot, alarms, range, top, colour) {
+  const { ctx } = plot;
   const size = SIZE * devicePixelRatio;
-  const edge = EDGE * devicePixelRatio;
+  const row = ROW * devicePixelRatio;
   ctx.save();
   ctx.setLineDash([]);
   ctx.textAlign = "center";
   ctx.textBaseline = "middle";
   ctx.font = `700 ${11 * devicePixelRatio}px sans-serif`;
   for (const each of placed(alarms, range, (seconds) => plot.valToPos(seconds, "x", true))) {
-    const y = bbox.top + edge + each.row * (size + edge);
+    const y = top + each.row * row + (row - size) / 2;
     ctx.strokeStyle = colour(each.line);
-    ctx.lineWidth = 3 * devicePixelRatio;
+    ctx.lineWidth = 4 * devicePixelRatio;
     ctx.beginPath();
     ctx.moveTo(each.x, y + size / 2);
     ctx.lineTo(each.until, y + size / 2);

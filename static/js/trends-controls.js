@@ -24,7 +24,9 @@ export function bindControls(root, view, words, explain) {
     explain(showExactly(view) ? "" : words.backwards);
   });
   const [scale, marks] = [document.getElementById("trend-scale"), document.getElementById("trend-marks")];
+  const compare = document.getElementById("trend-compare");
   scale.addEventListener("change", () => view.change({ scale: scale.value }));
+  compare.addEventListener("change", () => view.change({ compare: compare.value }));
   marks.addEventListener("change", () => view.change({ marks: marks.checked }));
   document.getElementById("trend-add").addEventListener("submit", (event) => {
     event.preventDefault();
@@ -38,7 +40,7 @@ export function bindControls(root, view, words, explain) {
 function press(button, view) {
   const { span, preset, move } = button.dataset;
   if (span) view.follow(Number(span));
-  else if (preset) view.preset(preset);
+  else if (preset) view.showPreset(preset);
   else if (move) MOVES[move](view);
 }
 
@@ -54,10 +56,10 @@ function showExactly(view) {
 /** Show in the controls what the view is. @param {HTMLElement} root @param {View} view */
 export function showControls(root, view) {
   const [from, to] = view.range();
-  const spans = view.live && view.from === null;
+  const spans = view.live && !view.preset && view.from === null;
   for (const button of root.querySelectorAll("[data-span]"))
     setPressed(button, spans && Number(button.dataset.span) === view.span);
-  for (const button of root.querySelectorAll("[data-preset]")) setPressed(button, view.isPreset(button.dataset.preset));
+  for (const button of root.querySelectorAll("[data-preset]")) setPressed(button, view.preset === button.dataset.preset);
   setPressed(root.querySelector("[data-move=live]"), view.live);
   const exact = document.getElementById("trend-exact");
   if (!exact.contains(document.activeElement)) {
@@ -65,7 +67,9 @@ export function showControls(root, view) {
     exact.elements.to.value = toField(to);
   }
   document.getElementById("trend-scale").value = view.scale;
+  document.getElementById("trend-compare").value = view.compare;
   document.getElementById("trend-marks").checked = view.marks;
+  document.getElementById("trend-save").elements.query.value = String(view.query());
   for (const file of ["csv", "parquet"]) {
     const link = /** @type {HTMLAnchorElement | null} */ (document.getElementById(`export-${file}`));
     if (link) link.href = exportAddress(view.series, [from, to], file);

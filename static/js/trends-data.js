@@ -2,8 +2,13 @@
 import { iso } from "./trends-view.js";
 
 const HISTORY = "/api/v1/history";
-/** uPlot.join: null is a hole and stays one; what is missing because another value has a time there is no hole. */
-const RETAIN_NULLS = 1;
+/** uPlot.join: null is a hole, up to the points beside it, whatever times other values have in between. What else is
+ * missing because another value has a time there is no hole. */
+const EXPAND_NULLS = 2;
+/** How long the last reading stands for what is now, seconds. */
+const STILL_S = 15;
+/** The part of a span without readings that is worth a line of text. */
+const UNREAD_PART = 0.02;
 
 /** @param {string} path @param {URLSearchParams} query @param {AbortSignal} [signal] */
 async function get(path, query, signal) {
@@ -21,7 +26,7 @@ async function json(response) {
 const spanOf = ([from, to]) => ({ from: iso(from), to: iso(Math.max(to, from + 0.001)) });
 
 /** For each value named `{t, min, max, avg, decimals, bucket_s, …}`, times in seconds.
- * @param {string[]} names @param {Span} range @param {number} points @param {AbortSignal} signal
+ * @param {string[]} names @param {Span} range @param {number} points @param {AbortSignal} [signal]
  * @returns {Promise<Result[]>} */
 export function fetchSeries(names, range, points, signal) {
   if (!names.length) return Promise.resolve([]);
@@ -52,6 +57,33 @@ export async function fetchAlarms(names, range) {
   return { alarms, more };
 }
 
+/** The notes that people wrote about a time of the span. @param {string[]} names @param {Span} range
+ * @returns {Promise<Note[]>} */
+export async function fetchNotes(names, range) {
+  const { notes } = await json(await fetch(`/api/v1/shifts/notes?${unitQuery(names, range)}`));
+  return /** @type {StoredNote[]} */ (notes).map((note) => ({ ...note, t: Date.parse(note.time) / 1000 }));
+}
+
+/** Write a note about a time of the site, or of a unit "bus/unit". Repeated with the same key it is stored once.
+ * @param {{ time: number, text: string, unit: string, key: string }} note */
+export async function writeNote({ time, text, unit, key }) {
+  const [bus, number] = [unit.slice(0, unit.lastIndexOf("/")), unit.slice(unit.lastIndexOf("/") + 1)];
+  const place = unit ? { bus, unit: Number(number) } : {};
+  const headers = { "Content-Type": "application/json", "Idempotency-Key": key };
+  const body = JSON.stringify({ time: iso(time), text, ...place });
+  await json(await fetch("/api/v1/shifts/notes", { method: "POST", headers, body }));
+}
+
+/** When the recipe of a bus was loaded, at a time, and when its run before that began; null where there is none.
+ * @param {string} bus @param {number} at @returns {Promise<{ name: string, loaded: number, before: number } | null>} */
+export async function fetchRecipeRuns(bus, at) {
+  const found = await json(
+    await fetch(`/api/v1/buses/${encodeURIComponent(bus)}/recipe/runs?${new URLSearchParams({ at: iso(at) })}`),
+  );
+  if (!found?.before) return null;
+  return { name: found.name, loaded: Date.parse(found.loaded) / 1000, before: Date.parse(found.before) / 1000 };
+}
+
 /** @param {string[]} names @param {Span} range */
 function unitQuery(names, range) {
   const query = new URLSearchParams(spanOf(range));
@@ -63,6 +95,7 @@ function unitQuery(names, range) {
 /** @param {string[]} names @param {Span} range @param {string} file */
 export function exportAddress(names, range, file) {
   const query = new URLSearchParams({ ...spanOf(range), format: file });
+  if (file === "csv") query.set("layout", "table");
   for (const name of names) query.append("series", name);
   return `${HISTORY}/export?${query}`;
 }
@@ -79,7 +112,7 @@ export function joined(results, shift = (value) => value) {
   ]);
   return uPlot.join(
     /** @type {uPlot.AlignedData[]} */ (tables),
-    tables.map((table) => table.map(() => RETAIN_NULLS)),
+    tables.map((table) => table.map(() => EXPAND_NULLS)),
   );
 }
 
@@ -94,8 +127,24 @@ export function valueAt(result, at) {
     else high = middle;
   }
   if (!low) return null;
-  const last = low === result.t.length && at - result.t[low - 1] > 2 * result.bucket_s + 15;
+  const last = low === result.t.length && at - result.t[low - 1] > 2 * result.bucket_s + STILL_S;
   return last ? null : result.avg[low - 1];
+}
+
+/** The part of a span, up to now, before the first of all readings, and the part after the last, where it is a
+ * notable part of it. With no reading at all: all of it.
+ * @param {Result[]} results @param {Span} range @param {number} now @returns {{ before: Span | null, after: Span | null }} */
+export function unread(results, [from, to], now) {
+  const end = Math.min(to, now);
+  const notable = (to - from) * UNREAD_PART;
+  let [first, last] = [Number.POSITIVE_INFINITY, Number.NEGATIVE_INFINITY];
+  for (const { t, bucket_s } of results) {
+    if (!t.length) continue;
+    first = Math.min(first, t[0]);
+    last = Math.max(last, t[t.length - 1] + 2 * bucket_s + STILL_S);
+  }
+  if (first > end) return { before: [from, end], after: null };
+  return { before: first - from > notable ? [from, first] : null, after: end - last > notable ? [last, end] : null };
 }
 
 /** Least, average and greatest of all that is shown, and the holes in it.

@@ -5,58 +5,70 @@ const STILL = 4;
 const KEY_STEP = 0.01;
 const KEY_PAN = 0.25;
 
-/** `time(clientX)` gives the time at a place; `cursor` has `at` and `put(seconds)`.
- * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {Cursor} cursor */
-export function gestures(element, view, time, cursor) {
+/** `time(clientX)` gives the time at a place; `cursor` has `at` and `put(seconds)`; `item` opens what is at a place
+ * above the curves, and returns whether there was something.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {Cursor} cursor
+ * @param {(event: MouseEvent) => boolean} item */
+export function gestures(element, view, time, cursor, item) {
   element.addEventListener("wheel", (event) => wheel(event, view, time), { passive: false });
   drag(element, view);
-  press(element, view, time);
+  press(element, view, time, item);
   touch(element, view, time);
   element.addEventListener("keydown", (event) => key(event, view, cursor));
 }
 
-/** @param {WheelEvent} event @param {View} view @param {TimeAt} time */
+/** With Ctrl (so does a pinch on a touchpad) it zooms, sideways or with Shift it moves the picture; else the page.
+ * @param {WheelEvent} event @param {View} view @param {TimeAt} time */
 function wheel(event, view, time) {
+  const sideways = event.shiftKey ? event.deltaY || event.deltaX : event.deltaX;
+  if (event.ctrlKey) view.zoom(event.deltaY > 0 ? WHEEL_STEP : 1 / WHEEL_STEP, time(event.clientX));
+  else if (event.shiftKey || Math.abs(sideways) > Math.abs(event.deltaY)) view.pan(Math.sign(sideways) * 0.1);
+  else return;
   event.preventDefault();
-  const sideways = event.shiftKey ? event.deltaY : event.deltaX;
-  if (Math.abs(sideways) > Math.abs(event.shiftKey ? 0 : event.deltaY)) view.pan(Math.sign(sideways) * 0.1);
-  else view.zoom(event.deltaY > 0 ? WHEEL_STEP : 1 / WHEEL_STEP, time(event.clientX));
 }
 
-/** With Shift, or the middle button, the mouse pulls the picture; without it selects a span (uPlot's own).
+/** The mouse pulls the picture; with Shift it selects a span (uPlot's own).
  * @param {HTMLElement} element @param {View} view */
 function drag(element, view) {
-  /** @type {number | null} */
-  let last = null;
+  let last = 0;
+  let isMoving = false;
+  /** @param {MouseEvent} event */
+  const move = ({ clientX }) => {
+    if (!isMoving && Math.abs(clientX - last) <= STILL) return;
+    isMoving = true;
+    view.pan((last - clientX) / element.clientWidth);
+    last = clientX;
+  };
+  const end = () => {
+    window.removeEventListener("mousemove", move);
+    element.classList.remove("trends__picture--pulled");
+  };
   element.addEventListener(
     "mousedown",
     (event) => {
-      if (!event.shiftKey && event.button !== 1) return;
-      event.preventDefault();
+      if (event.shiftKey || event.button > 1) return;
       event.stopPropagation();
+      if (event.button === 1) event.preventDefault();
       last = event.clientX;
+      isMoving = false;
+      element.classList.add("trends__picture--pulled");
+      window.addEventListener("mousemove", move);
+      window.addEventListener("mouseup", end, { once: true });
     },
     true,
   );
-  window.addEventListener("mousemove", (event) => {
-    if (last === null) return;
-    view.pan((last - event.clientX) / element.clientWidth);
-    last = event.clientX;
-  });
-  window.addEventListener("mouseup", () => {
-    last = null;
-  });
 }
 
-/** A press that does not move sets cursor A, the next B, the third takes both away.
- * @param {HTMLElement} element @param {View} view @param {TimeAt} time */
-function press(element, view, time) {
+/** A press that does not move sets cursor A, the next B, the third takes both away; above the curves it opens what is
+ * there.
+ * @param {HTMLElement} element @param {View} view @param {TimeAt} time @param {(event: MouseEvent) => boolean} item */
+function press(element, view, time, item) {
   let begun = 0;
   element.addEventListener("pointerdown", (event) => {
     begun = event.clientX;
   });
   element.addEventListener("click", (event) => {
-    if (event.shiftKey || Math.abs(event.clientX - begun) > STILL) return;
+    if (event.shiftKey || Math.abs(event.clientX - begun) > STILL || item(event)) return;
     if (view.a === null) view.change({ a: time(event.clientX) });
     else if (view.b === null) view.change({ b: time(event.clientX) });
     else view.change({ a: null, b: null });

@@ -1,51 +1,26 @@
-// The trends page: the view selects, the history responds, the chart and the table show the result.
+// The trends page: the view selects, the history responds, the chart, the legend and the table show the result.
+import { now } from "./clock.js";
 import { alarmContent } from "./trends-alarms.js";
+import { Catalogue } from "./trends-catalogue.js";
+import { comparison, moved } from "./trends-compare.js";
 import { bindControls, showControls } from "./trends-controls.js";
-import { fetchAlarms, fetchMarks, fetchSeries } from "./trends-data.js";
+import { fetchAlarms, fetchMarks, fetchNotes, fetchSeries, unread } from "./trends-data.js";
 import { gestures } from "./trends-gestures.js";
+import { Legend } from "./trends-legend.js";
+import { isBit } from "./trends-look.js";
+import { bindNotes, noteContent } from "./trends-notes.js";
 import { Picture } from "./trends-plot.js";
 import { clearList, drawCursors, drawList, drawRows, eventContent, fineness, summaryText, valuesText } from "./trends-table.js";
-import { formatTime, length } from "./trends-time.js";
+import { formatTime, length, shortTime } from "./trends-time.js";
 import { View } from "./trends-view.js";
 
 const SETTLE_MS = 60;
 const BEAT_MS = 1000;
 const MARKS_EVERY_S = 15;
 const REFRESHES_PER_SPAN = 300;
-/** What changes the colours. */
+/** What changes the colors. */
 const MEDIA = ["(prefers-color-scheme: dark)", "(forced-colors: active)", "print"];
-
-/** Which values there are, and what each is called. */
-export class Catalogue {
-  /** @param {CatalogueUnit[]} units @param {Record<string, string>} words by the name of a value */
-  constructor(units, words) {
-    this.units = new Map(units.map((unit) => [unit.key, unit]));
-    this.words = words;
-  }
-
-  /** @param {string} name @returns {[CatalogueUnit | undefined, string]} */
-  split(name) {
-    const cut = name.lastIndexOf("/");
-    return [this.units.get(name.slice(0, cut)), name.slice(cut + 1)];
-  }
-
-  /** @param {string} name */
-  has(name) {
-    const [unit, value] = this.split(name);
-    return unit !== undefined && value in this.words;
-  }
-
-  /** @param {number} count */
-  first(count) {
-    return [...this.units.keys()].slice(0, count).map((key) => `${key}/actual`);
-  }
-
-  /** @param {string} name */
-  title(name) {
-    const [unit, value] = this.split(name);
-    return `${unit?.name} · ${unit?.labels[value] || this.words[value]}`;
-  }
-}
+const LISTS = /** @type {const} */ (["events", "alarms", "notes"]);
 
 /** The page as it is open: what was fetched last, and the parts that show it. */
 export class TrendsPage {
@@ -54,29 +29,38 @@ export class TrendsPage {
     this.body = document.getElementById("trend-values");
     this.fault = document.getElementById("trend-fault");
     this.words = document.getElementById("trend-words").dataset;
-    const { catalogue, valueWords } = this.root.dataset;
+    const { catalogue, valueWords, shiftStarts } = this.root.dataset;
     this.catalogue = new Catalogue(JSON.parse(catalogue), JSON.parse(valueWords));
-    this.view = new View(this.catalogue);
+    this.view = new View(this.catalogue, JSON.parse(shiftStarts));
     /** @type {Cursor} */
     this.cursor = { at: null, put: (seconds) => this.put(seconds) };
-    /** @type {Result[]} */
+    /** @type {Curve[]} */
     this.results = [];
-    /** @type {string[]} */
-    this.names = [];
+    /** The same of the time compared. @type {Curve[]} */
+    this.past = [];
+    /** @type {Comparison | null} */
+    this.compared = null;
+    /** The series whose lines are dimmed. @type {Set<string>} */
+    this.dimmed = new Set();
     /** @type {Mark[]} */
     this.marks = [];
     /** @type {Alarm[]} */
     this.alarms = [];
+    /** @type {Note[]} */
+    this.notes = [];
     this.chosen = 0;
     this.requestedAt = { data: 0, marks: 0 };
     /** @type {AbortController | null} */
     this.pending = null;
     this.settling = 0;
+    const [list, time] = [document.getElementById("trend-legend"), document.getElementById("trend-at")];
+    this.legend = new Legend(list, time, this.words, (key) => this.dim(key));
     this.picture = new Picture(
       document.getElementById("trend-plot"),
       document.getElementById("trend-lanes"),
       { cursor: (at) => this.moved(at), selected: (from, to) => this.view.show(from, to) },
       () => this.overlay(),
+      { alarms: this.words.alarms, notes: this.words.notes },
     );
   }
 
@@ -85,9 +69,11 @@ export class TrendsPage {
     const { root, view } = this;
     view.addEventListener("change", (event) => this.changed(/** @type {CustomEvent<string[]>} */ (event).detail));
     bindControls(root, view, this.words, (fault) => this.explain(fault));
+    bindNotes(this.words, () => view.a ?? this.cursor.at ?? now(), () => this.fetchEvents(), (error) => this.why(error));
     for (const media of MEDIA) matchMedia(media).addEventListener("change", () => this.recolour());
     new MutationObserver(() => this.recolour()).observe(document.documentElement, { attributeFilter: ["data-theme"] });
-    gestures(document.getElementById("trend-picture"), view, (x) => this.picture.timeAt(x), this.cursor);
+    const picture = document.getElementById("trend-picture");
+    gestures(picture, view, (x) => this.picture.timeAt(x), this.cursor, (event) => this.openItem(event));
     showControls(root, view);
     const first = this.fetchAll();
     first.finally(() => this.fetchEvents());
@@ -104,37 +90,67 @@ export class TrendsPage {
     this.requestedAt.data = Date.now();
     try {
       const found = await fetchSeries(wanted, this.view.range(), this.points(), this.pending.signal);
-      this.results = found.map((result, i) => ({ ...result, name: this.catalogue.title(wanted[i]) }));
-      this.names = wanted;
+      const labels = this.catalogue.labels(wanted);
+      this.results = found.map((result, i) => ({ ...this.curve(result, wanted[i], i), label: labels[i] }));
       this.explain("");
       this.drawAll();
     } catch (error) {
-      if (!(error instanceof DOMException && error.name === "AbortError")) this.showFault(error);
+      if (!(error instanceof DOMException && error.name === "AbortError")) this.explain(this.why(error));
     }
+  }
+
+  /** @param {Result} result @param {string} key @param {number} place @returns {Curve} */
+  curve(result, key, place) {
+    const name = this.catalogue.title(key);
+    return { ...result, key, place, name, label: name, dimmed: this.dimmed.has(key), past: false };
   }
 
   points() {
     return Math.max(200, Math.min(2000, Math.round(document.getElementById("trend-plot").clientWidth)));
   }
 
+  /** What happened in the span, and what it is compared with. */
   async fetchEvents() {
     const { view, words } = this;
     this.requestedAt.marks = Date.now();
     try {
       const range = view.range();
-      const [found, active] = await Promise.all([fetchMarks(view.series, range), fetchAlarms(view.series, range)]);
+      const [found, active, notes] = await Promise.all([
+        fetchMarks(view.series, range),
+        fetchAlarms(view.series, range),
+        fetchNotes(view.series, range),
+        this.fetchPast(range),
+      ]);
       this.marks = found.marks;
       this.alarms = active.alarms;
+      this.notes = notes;
       this.list("events", found.marks, found.more, eventContent);
       this.list("alarms", active.alarms, active.more, (alarm) => alarmContent(alarm, words));
-      this.picture.redraw();
+      const place = this.catalogue.place.bind(this.catalogue);
+      this.list("notes", notes, false, (note) => noteContent(note, notes.indexOf(note), place));
+      this.drawAll();
     } catch (error) {
       // None are known, though there may be some.
-      this.marks = [];
-      this.alarms = [];
-      for (const name of /** @type {const} */ (["events", "alarms"])) clearList(...listOf(name));
-      this.showFault(error);
+      [this.marks, this.alarms, this.notes, this.past] = [[], [], [], []];
+      for (const name of LISTS) clearList(...listOf(name));
+      this.explain(this.why(error));
     }
+  }
+
+  /** The span compared is requested with as much more as passes until it is requested again.
+   * @param {Span} range */
+  async fetchPast(range) {
+    const { view } = this;
+    this.compared = await comparison(view, range, this.words);
+    const offset = this.compared?.offset ?? null;
+    const wanted = view.series.filter((key) => !isBit({ value: this.catalogue.split(key)[1] }));
+    if (offset === null) {
+      this.past = [];
+      return;
+    }
+    const earlier = /** @type {Span} */ ([range[0] - offset, range[1] - offset + MARKS_EVERY_S]);
+    const found = await fetchSeries(wanted, earlier, this.points());
+    this.past = found.map((result, i) => moved(this.curve(result, wanted[i], view.series.indexOf(wanted[i])), offset));
   }
 
   /** Once a second: what follows now moves on, and requests as often as a pixel's worth has passed. */
@@ -181,7 +197,8 @@ export class TrendsPage {
   /** @param {number | null} at */
   moved(at) {
     this.cursor.at = at;
-    drawCursors(this.body, this.results, { at, a: this.view.a, b: this.view.b });
+    this.legend.show(at, this.view.range());
+    drawCursors(this.body, this.results, { a: this.view.a, b: this.view.b });
   }
 
   /** @param {number} place */
@@ -190,22 +207,47 @@ export class TrendsPage {
     this.drawAll();
   }
 
+  /** Dim the line of a series, or end that. @param {string} key */
+  dim(key) {
+    if (!this.dimmed.delete(key)) this.dimmed.add(key);
+    for (const curve of [...this.results, ...this.past]) curve.dimmed = this.dimmed.has(curve.key);
+    this.drawAll();
+  }
+
   recolour() {
     this.picture.forget();
     this.drawAll();
+  }
+
+  /** Open the list at the alarm or note that is above the curves at a place of the screen; whether one is.
+   * @param {MouseEvent} event */
+  openItem({ clientX, clientY }) {
+    const found = this.picture.itemAt(clientX, clientY);
+    if (!found) return false;
+    const [list] = listOf(found.list);
+    /** @type {HTMLDetailsElement} */ (list.closest("details")).open = true;
+    list.querySelectorAll("button")[found.place]?.focus();
+    return true;
   }
 
   // --- the parts ------------------------------------------------------------------------------------------
 
   drawAll() {
     const { view } = this;
-    this.picture.draw(this.results, view.range(), view.scale, this.chosen);
-    drawRows(this.body, this.results, this.names, {
+    const range = view.range();
+    const empty = unread(this.results, range, now());
+    const unknown = [empty.before, empty.after].filter((span) => span !== null);
+    this.picture.draw([...this.past, ...this.results], range, unknown, view.scale, this.chosen);
+    this.picture.redraw();
+    this.legend.draw(this.results, this.past);
+    drawRows(this.body, this.results, {
       remove: (name) => view.remove(name),
       choose: (place) => this.choose(place),
     });
     this.moved(this.cursor.at);
     this.describe();
+    this.writeUnread(empty, range);
+    document.getElementById("trend-past").textContent = this.compared?.name ?? "";
     document.getElementById("trend-summary").textContent = summaryText(this.results);
     requestAnimationFrame(() => this.shownToPeople());
   }
@@ -218,29 +260,44 @@ export class TrendsPage {
 
   overlay() {
     const { a, b, marks } = this.view;
-    return { marks: marks ? this.marks : [], alarms: marks ? this.alarms : [], a, b };
+    const { alarms, notes } = this;
+    return marks ? { marks: this.marks, alarms, notes, a, b } : { marks: [], alarms: [], notes: [], a, b };
   }
 
   /** No moment that passes while one looks: a live view is described by its length. */
   describe() {
     const { view, words } = this;
     const [from, to] = view.range();
-    const begins = view.live && view.from === null ? length(view.span) : formatTime(from);
+    const begins = view.live && view.from === null && !view.preset ? length(view.span) : formatTime(from, "minute");
     document.getElementById("trend-span").textContent =
-      `${begins} – ${view.live ? words.live : formatTime(to)} · ${fineness(this.results)}`;
+      `${begins} – ${view.live ? words.live : formatTime(to, "minute")} · ${fineness(this.results)}`;
   }
 
-  /** @template {Mark | Alarm} T @param {"events" | "alarms"} name @param {T[]} items @param {boolean} more
-   * @param {Content<T>} content */
+  /** In words, where a part of the chart is empty.
+   * @param {{ before: Span | null, after: Span | null }} empty @param {Span} range */
+  writeUnread({ before, after }, [, to]) {
+    const { words } = this;
+    const none = this.results.length > 0 && this.results.every(({ t }) => !t.length);
+    /** @type {string[]} */
+    const texts = [];
+    if (none && before)
+      texts.push(words.none.replace("{from}", shortTime(before[0], to)).replace("{to}", shortTime(before[1], to)));
+    else if (before) texts.push(words.unreadBefore.replace("{time}", shortTime(before[1], to)));
+    if (after) texts.push(words.unreadAfter.replace("{time}", shortTime(after[0], to)));
+    document.getElementById("trend-unread").textContent = texts.join(" ");
+  }
+
+  /** @template {Mark | Alarm | Note} T @param {"events" | "alarms" | "notes"} name @param {T[]} items
+   * @param {boolean} more @param {Content<T>} content */
   list(name, items, more, content) {
     drawList(...listOf(name), { items, more }, content, this.cursor.put);
   }
 
   /** A browser's own words for a request that came to nothing are in its language, not in the page's.
    * @param {unknown} error */
-  showFault(error) {
+  why(error) {
     const why = error instanceof TypeError ? this.words.noResponse : /** @type {Error} */ (error).message;
-    this.explain(this.words.fault.replace("{n}", why));
+    return this.words.fault.replace("{n}", why);
   }
 
   /** @param {string} fault */
@@ -249,7 +306,7 @@ export class TrendsPage {
   }
 }
 
-/** @param {"events" | "alarms"} name @returns {[list: HTMLElement, count: HTMLElement]} */
+/** @param {"events" | "alarms" | "notes"} name @returns {[list: HTMLElement, count: HTMLElement]} */
 const listOf = (name) => [
   document.getElementById(`trend-${name}-list`),
   document.getElementById(`trend-${name}-count`),

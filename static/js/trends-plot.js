@@ -1,74 +1,47 @@
 // The picture: curves with their bands above, bits as lanes below, one time axis for both.
 import { zone } from "./clock.js";
-import { drawAlarms } from "./trends-alarms.js";
 import { joined } from "./trends-data.js";
+import { drawLabels, lastValue } from "./trends-labels.js";
+import { colour, css, DIMMED, forgetColors, isBit, look, PAST } from "./trends-look.js";
+import { drawOverlay, laneItem, lanesHeight } from "./trends-overlay.js";
 import { axisLabels, axisNumbers } from "./trends-time.js";
 
-const CURVES = 8;
-const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 const LANE = 30;
 const LANE_FILL = 0.7;
-const MIN_HEIGHT = 260;
-/** Widths left and right of the curves, so that the lanes below stand under them. */
+/** Below the lanes: their time axis. */
+const FOOT = 54;
+const MIN_HEIGHT = 160;
+/** Widths left of the curves, so that the lanes below stand under them, and right of them for their names. */
 const GUTTER = 84;
 const GUTTER_WIDE = 168;
+const GUTTER_NARROW = 52;
+const NAMES = 132;
+const NAMES_NARROW = 24;
 const LABEL = 20;
-const PAD = 16;
 const NARROW = 700;
-/** How much of a curve's colour its band has, percent. */
+/** How much of a curve's color its band has, percent. */
 const BAND = 20;
 const LETTER = 7;
 const SYNC = "trends";
 const INVISIBLE = "rgb(0 0 0 / 0)";
-/** @param {string} name */
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
-/** @type {Map<string, string>} */
-const colours = new Map();
-
-/** A colour that light-dark() gives, as the canvas understands it; `percent` of it, the rest shines through. To
- * find one out costs a computation of style, and every mark needs one at every redraw.
- * @param {string} name */
-function colour(name, percent = 100) {
-  const key = `${name} ${percent}`;
-  const found = colours.get(key) ?? foundColour(name, percent);
-  colours.set(key, found);
-  return found;
-}
-
-/** @param {string} name @param {number} percent */
-function foundColour(name, percent) {
-  const probe = document.createElement("i");
-  const color = css(name) ? `var(${name})` : "currentcolor";
-  probe.style.color = percent < 100 ? `color-mix(in srgb, ${color} ${percent}%, transparent)` : color;
-  document.body.append(probe);
-  const found = getComputedStyle(probe).color;
-  probe.remove();
-  return found;
-}
-
-/** Hue and dash of the value at a place: 32 values differ in one of the two.
- * @param {number} place */
-export function look(place) {
-  return {
-    name: `--curve-${(place % CURVES) + 1}`,
-    dash: DASHES[Math.floor(place / CURVES) % DASHES.length],
-  };
-}
-
-/** @param {{ value: string }} result */
-export const isBit = (result) => !["commanded", "actual", "analog"].includes(result.value);
 
 export class Picture {
-  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: {marks, alarms, a, b} to be drawn over the curves.
-   * @param {HTMLElement} plot @param {HTMLElement} lanes @param {PictureEvents} on @param {() => Overlay} overlay */
-  constructor(plot, lanes, on, overlay) {
+  /** `on`: cursor(seconds or null), selected(from, to). `overlay()`: what is drawn over the curves.
+   * @param {HTMLElement} plot @param {HTMLElement} lanes @param {PictureEvents} on @param {() => Overlay} overlay
+   * @param {LaneWords} words */
+  constructor(plot, lanes, on, overlay, words) {
     this.elements = { plot, lanes };
     this.on = on;
     this.overlay = overlay;
+    this.words = words;
     /** @type {Span} */
     this.range = [0, 1];
+    /** @type {Span[]} */
+    this.unknown = [];
     this.shape = "";
+    this.above = 0;
+    /** @type {Curve[]} */
+    this.numbers = [];
     /** @type {uPlot | null} */
     this.curves = null;
     /** @type {uPlot | null} */
@@ -76,25 +49,31 @@ export class Picture {
     new ResizeObserver(() => this.resize()).observe(plot);
   }
 
-  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown.
-   * @param {Result[]} results @param {Span} range @param {string} bound @param {number} chosen */
-  draw(results, range, bound, chosen) {
-    const place = new Map(results.map((result, i) => [result, i]));
-    const numbers = results.filter((result) => !isBit(result));
-    const bits = results.filter(isBit);
+  /** New results over a span. `bound`: which scale each curve has, "shared" or "own"; `chosen`: whose axis is shown;
+   * `unknown`: where nothing was read.
+   * @param {Curve[]} results @param {Span} range @param {Span[]} unknown @param {string} bound @param {number} chosen */
+  draw(results, range, unknown, bound, chosen) {
+    this.numbers = results.filter((result) => !isBit(result));
+    const bits = results.filter((result) => isBit(result) && !result.past);
     const shape = JSON.stringify([
-      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name]),
+      results.map((a) => [a.bus, a.unit, a.value, a.measure, a.name, a.past, a.dimmed]),
       bound,
       chosen,
+      this.isNarrow(),
     ]);
     this.range = range;
-    if (shape !== this.shape) this.build(numbers, bits, place, bound, chosen);
+    this.unknown = unknown;
+    if (shape !== this.shape) this.build(bits, bound, chosen);
     this.shape = shape;
     /** @param {number} value @param {number} i */
     const lift = (value, i) => bits.length - 1 - i + value * LANE_FILL;
-    this.curves?.setData(joined(numbers), false);
+    this.curves?.setData(joined(this.numbers), false);
     this.lanes?.setData(joined(bits, lift), false);
     this.move(range);
+  }
+
+  isNarrow() {
+    return this.elements.plot.clientWidth <= NARROW;
   }
 
   /** Another span of the same data.
@@ -105,46 +84,45 @@ export class Picture {
     for (const plot of [this.curves, this.lanes]) plot?.setScale("x", { min, max });
   }
 
+  /** The overlay has changed; the lanes above them may have more rows. */
   redraw() {
+    if (this.above !== lanesHeight(this.overlay(), this.range)) this.resize();
     for (const plot of [this.curves, this.lanes]) plot?.redraw(false);
   }
 
-  /** New colours, since the theme changed. */
+  /** New colors, since the theme changed. */
   forget() {
-    colours.clear();
+    forgetColors();
     this.shape = "";
   }
 
-  /** @param {Result[]} numbers @param {Result[]} bits @param {Map<Result, number>} place
-   * @param {string} bound @param {number} chosen */
-  build(numbers, bits, place, bound, chosen) {
+  /** @param {Curve[]} bits @param {string} bound @param {number} chosen */
+  build(bits, bound, chosen) {
+    const { numbers } = this;
     this.curves?.destroy();
     this.lanes?.destroy();
-    /** @param {Result} result */
-    const scaleOf = (result) =>
-      bound === "own" ? `y${place.get(result)}` : result.value === "analog" ? "analog" : "speed";
-    const shown = bound === "own" ? scaleOf(numbers[chosen] ?? numbers[0]) : null;
-    const scales = [...new Set(numbers.map(scaleOf))];
-    const gutter = bits.length && this.elements.plot.clientWidth > NARROW ? GUTTER_WIDE : GUTTER;
+    /** @param {Curve} result */
+    const scaleOf = ({ value, place }) =>
+      bound === "own" ? `y${place}` : value === "analog" || value === "draw" ? value : "speed";
+    const shown = bound === "own" ? scaleOf(numbers.find(({ place }) => place === chosen) ?? numbers[0] ?? {}) : null;
+    const scales = [...new Set(numbers.map(scaleOf))].filter((scale) => shown === null || scale === shown);
+    const narrow = this.isNarrow();
+    const gutter = narrow ? GUTTER_NARROW : bits.length ? GUTTER_WIDE : GUTTER;
     const axes = scales.map((scale, i) => ({
       ...axis(),
       values: axisNumbers,
       scale,
-      side: i ? 1 : 3,
-      show: shown === null || shown === scale,
-      size: (i ? GUTTER : gutter) - LABEL,
-      labelSize: LABEL,
-      label: numbers.find((result) => scaleOf(result) === scale)?.measure || " ",
-      grid: { ...axis().grid, show: i === 0 || shown !== null },
+      side: 3,
+      size: (i ? GUTTER_NARROW : gutter) - (narrow ? 0 : LABEL),
+      labelSize: narrow ? 0 : LABEL,
+      label: (!narrow && numbers.find((result) => scaleOf(result) === scale)?.measure) || " ",
+      grid: { ...axis().grid, show: i === 0 },
     }));
-    const right = axes.filter(({ side, show }) => show && side === 1).length * GUTTER;
-    if (axes.length && shown !== null)
-      for (const shownAxis of axes) Object.assign(shownAxis, { side: 3, size: gutter - LABEL });
-    const margin = { left: axes.length ? 0 : gutter, right: PAD };
-    this.curves = this.plot(this.elements.plot, numbers, place, scaleOf, axes, {
-      margin,
-      barefoot: bits.length > 0,
-    });
+    const left = gutter + Math.max(0, axes.length - 1) * GUTTER_NARROW;
+    const right = numbers.length ? (narrow ? NAMES_NARROW : NAMES) : NAMES_NARROW;
+    this.elements.plot.classList.toggle("trends__plot--none", !numbers.length);
+    const margin = { left: axes.length ? 0 : left, right };
+    this.curves = this.plot(this.elements.plot, numbers, scaleOf, axes, { margin, barefoot: bits.length > 0 });
     if (!bits.length) {
       this.lanes = null;
       return;
@@ -153,48 +131,46 @@ export class Picture {
       ...axis(),
       scale: "lane",
       side: 3,
-      size: gutter,
+      size: left,
       splits: () => bits.map((_, i) => i + LANE_FILL / 2),
       grid: { show: false },
       ticks: { show: false },
-      values: () => bits.map((_, i) => shortened(bits[bits.length - 1 - i].name, gutter)),
+      values: () =>
+        bits.map((_, i) => {
+          const { place, name } = bits[bits.length - 1 - i];
+          return shortened(`${place + 1} ${name}`, left);
+        }),
     };
-    const beside = { left: 0, right: PAD + (shown === null ? right : 0) };
-    this.lanes = this.plot(this.elements.lanes, bits, place, () => "lane", [laneAxis], {
-      margin: beside,
-      lanes: bits.length,
-    });
+    const beside = { left: 0, right };
+    this.lanes = this.plot(this.elements.lanes, bits, () => "lane", [laneAxis], { margin: beside, lanes: bits.length });
   }
 
-  /** @param {HTMLElement} element @param {Result[]} results @param {Map<Result, number>} place
-   * @param {(result: Result) => string} scaleOf @param {uPlot.Axis[]} axes
-   * @param {PlotShape} shape @returns {uPlot} */
-  plot(element, results, place, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
-    const stepped = uPlot.paths.stepped?.({ align: 1 });
+  /** @param {HTMLElement} element @param {Curve[]} results @param {(result: Curve) => string} scaleOf
+   * @param {uPlot.Axis[]} axes @param {PlotShape} shape @returns {uPlot} */
+  plot(element, results, scaleOf, axes, { margin, barefoot = false, lanes = 0 }) {
     /** @type {uPlot.Series[]} */
     const series = [{}];
     /** @type {uPlot.Band[]} */
     const bands = [];
     for (const result of results) {
-      const { name, dash } = look(place.get(result) ?? 0);
-      const stroke = colour(name);
-      const common = { scale: scaleOf(result), spanGaps: false, paths: lanes ? stepped : undefined };
-      const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
-      bands.push({ series: [series.length + 2, series.length + 1], fill: colour(name, BAND) });
-      series.push(
-        { ...common, stroke, dash, width: lanes ? 2 : 1.75, points: lanes ? { show: false } : { size: 4 } },
-        edge,
-        {
-          ...edge,
-        },
-      );
+      if (!result.past)
+        bands.push({
+          series: [series.length + 2, series.length + 1],
+          fill: colour(look(result.place).name, result.dimmed ? 0 : BAND),
+        });
+      series.push(...strokes(result, scaleOf(result), lanes > 0));
     }
+    const range = () => this.range;
+    const above = () => {
+      this.above = lanesHeight(this.overlay(), this.range);
+      return this.above;
+    };
     /** @type {uPlot.Options} */
     const options = {
       width: element.clientWidth || 600,
-      height: this.height(results.length, lanes),
+      height: this.height(lanes),
       scales: {
-        x: { time: true, auto: false, range: () => this.range },
+        x: { time: true, auto: false, range },
         ...(lanes ? { lane: { range: () => [-0.2, lanes] } } : {}),
       },
       axes: [
@@ -203,7 +179,7 @@ export class Picture {
           : { ...axis(), values: axisLabels, space: 90, size: 44 },
         ...axes,
       ],
-      padding: [12, margin.right, barefoot ? 8 : 0, margin.left],
+      padding: [lanes ? 12 : above, margin.right, barefoot ? 8 : 0, margin.left],
       series,
       bands,
       legend: { show: false },
@@ -214,28 +190,41 @@ export class Picture {
         drag: { x: true, y: false, setScale: false },
       },
       hooks: {
-        setCursor: [
-          (plot) => this.on.cursor(cursorAt(plot)),
-        ],
+        setCursor: [(plot) => this.on.cursor(cursorAt(plot))],
         setSelect: [(plot) => this.selected(plot)],
-        draw: [(plot) => this.drawOverlay(plot)],
+        draw: [
+          (plot) => {
+            const words = lanes ? null : this.words;
+            drawOverlay(plot, this.overlay(), this.range, results.length ? this.unknown : [], words);
+            if (!lanes) drawLabels(plot, this.ends(scaleOf), margin.right);
+          },
+        ],
       },
       tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), zone),
     };
     return new uPlot(options, [[]], element);
   }
 
-  /** @param {number} values @param {number} lanes */
-  height(values, lanes) {
-    if (lanes) return lanes * LANE + 54;
-    if (!values) return LANE;
-    return Math.max(MIN_HEIGHT, Math.min(560, Math.round(window.innerHeight * 0.5)));
+  /** @param {(result: Curve) => string} scaleOf @returns {LineEnd[]} */
+  ends(scaleOf) {
+    return this.numbers.flatMap((result) => {
+      const value = result.past ? null : lastValue(result, this.range);
+      return value === null ? [] : [{ ...result, value, scale: scaleOf(result) }];
+    });
+  }
+
+  /** @param {number} lanes */
+  height(lanes) {
+    if (lanes) return lanes * LANE + FOOT;
+    if (!this.numbers.length) return LANE + lanesHeight(this.overlay(), this.range);
+    return Math.max(MIN_HEIGHT, this.elements.plot.clientHeight);
   }
 
   resize() {
     const width = this.elements.plot.clientWidth;
-    for (const plot of [this.curves, this.lanes])
-      if (plot && width && plot.width !== width) plot.setSize({ width, height: plot.height });
+    if (!width || !this.curves) return;
+    this.curves.setSize({ width, height: this.height(0) });
+    if (this.lanes && this.lanes.width !== width) this.lanes.setSize({ width, height: this.lanes.height });
   }
 
   /** @param {uPlot} plot */
@@ -255,39 +244,58 @@ export class Picture {
     return this.curves.posToVal(clientX - box.left, "x");
   }
 
+  /** The alarm or note at a place of the screen above the curves.
+   * @param {number} clientX @param {number} clientY */
+  itemAt(clientX, clientY) {
+    if (!this.curves) return null;
+    const { left, top } = this.curves.over.getBoundingClientRect();
+    return clientY < top ? laneItem(this.curves, this.overlay(), clientX - left) : null;
+  }
+
   /** Put the cursor on a time.
    * @param {number} at */
   point(at) {
     this.curves?.setCursor({ left: this.curves.valToPos(at, "x"), top: 10 });
   }
+}
 
-  /** @param {uPlot} plot */
-  drawOverlay(plot) {
-    const { marks, alarms, a, b } = this.overlay();
-    const { ctx, bbox } = plot;
-    /** @param {number | null} at @param {string} stroke @param {number[]} dash @param {string} label */
-    const line = (at, stroke, dash, label) => {
-      if (at === null || at < this.range[0] || at > this.range[1]) return;
-      const x = Math.round(plot.valToPos(at, "x", true)) + 0.5;
-      ctx.strokeStyle = ctx.fillStyle = stroke;
-      ctx.setLineDash(dash);
-      ctx.beginPath();
-      ctx.moveTo(x, bbox.top);
-      ctx.lineTo(x, bbox.top + bbox.height);
-      ctx.stroke();
-      if (label) ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
-    };
-    ctx.save();
-    ctx.lineWidth = devicePixelRatio;
-    ctx.textAlign = "left";
-    ctx.font = `${12 * devicePixelRatio}px ${css("--family")}`;
-    for (const mark of marks)
-      line(mark.t, colour("--line-strong"), [2 * devicePixelRatio, 4 * devicePixelRatio], "");
-    line(a, colour("--mark"), [], "A");
-    line(b, colour("--mark"), [], "B");
-    ctx.restore();
-    if (plot === this.curves) drawAlarms(plot, alarms, this.range, colour);
+/** The line of a result, and the edges of its band.
+ * @param {Curve} result @param {string} scale @param {boolean} isLane @returns {uPlot.Series[]} */
+function strokes({ place, value, past, dimmed }, scale, isLane) {
+  const { name, dash } = look(place, value);
+  const paths = isLane ? uPlot.paths.stepped?.({ align: 1 }) : undefined;
+  const common = { scale, spanGaps: false, paths };
+  const edge = { ...common, stroke: INVISIBLE, width: 1, points: { show: false } };
+  const line = past
+    ? { stroke: colour(name, dimmed ? DIMMED : PAST.percent), dash: PAST.dash, width: PAST.width, points: { show: false } }
+    : {
+        stroke: colour(name, dimmed ? DIMMED : 100),
+        dash: isLane ? [] : dash,
+        width: 2,
+        points: isLane ? { show: false } : { size: 5, show: true, filter: dots },
+      };
+  return [{ ...common, ...line }, edge, { ...edge }];
+}
+
+/** @type {uPlot.Series.Points.Filter} */
+const dots = (plot, series) => alone(plot.data[series]);
+
+/** The places of values with a hole on either side: no line shows them. Dots elsewhere would fill the dashes.
+ * @param {ArrayLike<number | null | undefined>} column */
+export function alone(column) {
+  /** @type {number[]} */
+  const found = [];
+  /** @type {number[]} Places since the last hole. */
+  let run = [];
+  for (let i = 0; i <= column.length; i++) {
+    if (column[i] === undefined && i < column.length) continue;
+    if (column[i] !== null && i < column.length) run.push(i);
+    else {
+      if (run.length === 1) found.push(run[0]);
+      run = [];
+    }
   }
+  return found;
 }
 
 /** @param {string} name @param {number} width */

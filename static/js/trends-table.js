@@ -1,44 +1,10 @@
-// The values as a table: what the cursors read, least, average, greatest; and what happened meanwhile as a list.
+// The values as a table: what A and B read, least, average, greatest; and what happened meanwhile as a list.
 import { summary, valueAt } from "./trends-data.js";
-import { isBit, look } from "./trends-plot.js";
-import { length, formatTime } from "./trends-time.js";
+import { isBit, swatch } from "./trends-look.js";
+import { formatTime, length } from "./trends-time.js";
+import { number, shownValue, UNKNOWN } from "./trends-values.js";
 
 const words = () => document.getElementById("trend-words").dataset;
-const UNKNOWN = "–";
-const MAX_DIGITS = 3;
-/** @type {Map<number | null, Intl.NumberFormat>} */
-const formats = new Map();
-
-/** @param {number} value @param {number | null} decimals */
-function number(value, decimals) {
-  const [minimumFractionDigits, maximumFractionDigits] = [decimals ?? 0, decimals ?? MAX_DIGITS];
-  const shape = { minimumFractionDigits, maximumFractionDigits, useGrouping: false };
-  const found = formats.get(decimals) ?? new Intl.NumberFormat(words().language, shape);
-  formats.set(decimals, found);
-  return found.format(value);
-}
-
-/** @param {Result} result @param {number | null} [value] */
-function text(result, value) {
-  if (value === null || value === undefined) return UNKNOWN;
-  if (isBit(result) && (value === 0 || value === 1)) return value ? words().on : words().off;
-  return number(value, isBit(result) ? 2 : result.decimals);
-}
-
-/** @param {number} place */
-function swatch(place) {
-  const { name, dash } = look(place);
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
-  svg.setAttribute("class", "trends__swatch");
-  svg.setAttribute("viewBox", "0 0 32 8");
-  svg.setAttribute("aria-hidden", "true");
-  path.setAttribute("d", "M0 4h32");
-  path.style.stroke = `var(${name})`;
-  if (dash.length) path.setAttribute("stroke-dasharray", dash.join(" "));
-  svg.append(path);
-  return svg;
-}
 
 /** With the head of its column, which a phone shows beside it.
  * @param {HTMLTableRowElement} row @param {string} content */
@@ -51,8 +17,8 @@ function cell(row, content, head = "") {
 }
 
 /** One row for each value; `on`: remove(name), choose(place).
- * @param {HTMLTableSectionElement} body @param {Result[]} results @param {string[]} names @param {RowActions} on */
-export function drawRows(body, results, names, on) {
+ * @param {HTMLTableSectionElement} body @param {Curve[]} results @param {RowActions} on */
+export function drawRows(body, results, on) {
   const { tHead } = /** @type {HTMLTableElement} */ (body.parentElement);
   const heads = /** @type {HTMLTableSectionElement} */ (tHead).rows[0].cells;
   const focused = body.contains(document.activeElement) ? /** @type {HTMLElement} */ (document.activeElement) : null;
@@ -65,23 +31,23 @@ export function drawRows(body, results, names, on) {
       const axis = document.createElement("button");
       axis.type = "button";
       axis.className = "trends__axis";
-      axis.dataset.key = `axis ${names[place]}`;
-      axis.append(swatch(place), result.name + (result.measure ? ` [${result.measure}]` : ""));
+      axis.dataset.key = `axis ${result.key}`;
+      axis.append(swatch(place, result.value), result.name + (result.measure ? ` [${result.measure}]` : ""));
       axis.addEventListener("click", () => on.choose(place));
       head.append(axis);
       row.append(head);
       const found = summary(result);
-      const read = [null, null, null, null, found?.least, found?.average, found?.greatest];
+      const read = [null, null, null, found?.least, found?.average, found?.greatest];
       read.forEach((value, i) => {
-        cell(row, text(result, value), heads[i + 1].textContent);
+        cell(row, shownValue(result, value), heads[i + 1].textContent);
       });
       const remove = document.createElement("button");
       remove.type = "button";
       remove.className = "button button--small";
       remove.textContent = "×";
-      remove.dataset.key = names[place];
+      remove.dataset.key = result.key;
       remove.setAttribute("aria-label", `${words().remove}: ${result.name}`);
-      remove.addEventListener("click", () => on.remove(names[place]));
+      remove.addEventListener("click", () => on.remove(result.key));
       cell(row, "").append(remove);
       return row;
     }),
@@ -98,45 +64,43 @@ function twinOf(button, body, place) {
   return same ?? next ?? document.getElementById("trend-add").elements.unit;
 }
 
-/** What the cursor and A and B read; B − A where both are set.
+/** What A and B read; B − A where both are set.
  * @param {HTMLTableSectionElement} body @param {Result[]} results @param {Cursors} cursors */
-export function drawCursors(body, results, { at, a, b }) {
+export function drawCursors(body, results, { a, b }) {
   [...body.rows].forEach((row, place) => {
     const result = results[place];
     if (!result) return;
     /** @param {number | null} time */
     const read = (time) => (time === null ? null : valueAt(result, time));
     const [va, vb] = [read(a), read(b)];
-    row.cells[1].textContent = text(result, read(at));
-    row.cells[2].textContent = text(result, va);
-    row.cells[3].textContent = text(result, vb);
-    row.cells[4].textContent =
+    row.cells[1].textContent = shownValue(result, va);
+    row.cells[2].textContent = shownValue(result, vb);
+    row.cells[3].textContent =
       va === null || vb === null || isBit(result) ? UNKNOWN : number(vb - va, result.decimals);
   });
   /** @param {number | null} time */
   const moment = (time) => (time === null ? UNKNOWN : formatTime(time));
-  document.getElementById("time-cursor").textContent = moment(at);
   document.getElementById("time-a").textContent = moment(a);
   document.getElementById("time-b").textContent = moment(b);
   document.getElementById("time-difference").textContent = a === null || b === null ? UNKNOWN : length(Math.abs(b - a));
 }
 
 /** The chart as text.
- * @param {Result[]} results */
+ * @param {Curve[]} results */
 export function summaryText(results) {
   const lines = results.map((result) => {
     const found = summary(result);
     if (!found) return `${result.name}: ${words().nothing}`;
     const holes = found.holes ? `, ${words().holes.replace("{n}", String(found.holes))}` : "";
-    return `${result.name}: ${text(result, found.least)} … ${text(result, found.greatest)}${holes}`;
+    return `${result.name}: ${shownValue(result, found.least)} … ${shownValue(result, found.greatest)}${holes}`;
   });
   return lines.join("; ");
 }
 
 /** What every value reads at a moment.
- * @param {Result[]} results @param {number} at */
+ * @param {Curve[]} results @param {number} at */
 export const valuesText = (results, at) =>
-  [formatTime(at), ...results.map((result) => `${result.name} ${text(result, valueAt(result, at))}`)].join("; ");
+  [formatTime(at), ...results.map((result) => `${result.name} ${shownValue(result, valueAt(result, at))}`)].join("; ");
 
 /** How fine the picture is.
  * @param {Result[]} results */
@@ -147,7 +111,7 @@ export const fineness = (results) => {
 
 /** What happened at times `t`, as a list with its count: a press puts the cursor there. `content` gives the nodes
  * of an item.
- * @template {Mark | Alarm} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
+ * @template {Mark | Alarm | Note} T @param {HTMLElement} list @param {HTMLElement} count @param {{ items: T[], more: boolean }} found
  * @param {Content<T>} content @param {(seconds: number) => void} put */
 export function drawList(list, count, { items, more }, content, put) {
   const focused = list.contains(document.activeElement) ? document.activeElement?.textContent : null;

@@ -1,13 +1,16 @@
 // Times at the site: its zone, not the browser's; and texts of spans.
 import { zone } from "./clock.js";
 
-const language = document.documentElement.lang || "en";
+/** With its region, so that a date is written as the server writes it. */
+const language = document.getElementById("trends")?.dataset.locale || document.documentElement.lang || "en";
 /** @type {Record<string, Intl.DateTimeFormatOptions>} */
 const PARTS = {
   clock: { hour: "2-digit", minute: "2-digit" },
   second: { hour: "2-digit", minute: "2-digit", second: "2-digit" },
   exact: { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 },
   day: { day: "numeric", month: "short" },
+  dayClock: { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" },
+  minute: { year: "numeric", month: "short", day: "numeric", hour: "2-digit", minute: "2-digit" },
   month: { month: "short", year: "numeric" },
   moment: {
     year: "numeric",
@@ -41,8 +44,6 @@ const WALL = new Intl.DateTimeFormat("en", {
   second: "numeric",
 });
 export const DAY = 86400;
-const SHIFT_HOURS = 8;
-const FIRST_SHIFT = 6;
 
 /** Seconds since the epoch as text; `kind` is a key of PARTS.
  * @param {number} seconds */
@@ -64,22 +65,26 @@ function instant(wallSeconds) {
   return guess - (wall(guess) - wallSeconds);
 }
 
-/** Six o'clock this morning, or yesterday's before six.
- * @param {number} now */
-export function morning(now) {
-  const clock = wall(now);
-  const six = clock - (clock % DAY) + FIRST_SHIFT * 3600;
-  return instant(six > clock ? six - DAY : six);
+/** The same time of day on the day before.
+ * @param {number} at */
+export const dayBefore = (at) => instant(wall(at) - DAY);
+
+/** The shift that a moment is in. `starts`: minutes after midnight at the site.
+ * @param {number} at @param {number[]} starts @returns {Span} */
+export function shiftAt(at, starts) {
+  const clock = wall(at);
+  const midnight = clock - (clock % DAY);
+  const edges = [-1, 0, 1, 2]
+    .flatMap((days) => starts.map((minute) => instant(midnight + days * DAY + minute * 60)))
+    .sort((a, b) => a - b);
+  const next = edges.findIndex((edge) => edge > at);
+  return [edges[next - 1], edges[next]];
 }
 
-/** The shift that ended last: shifts of eight hours change at six.
- * @param {number} now */
-export function lastShift(now) {
-  const clock = wall(now);
-  const length = SHIFT_HOURS * 3600;
-  const end = clock - ((((clock - FIRST_SHIFT * 3600) % length) + length) % length);
-  return [instant(end - length), instant(end)];
-}
+/** The time of day; with its day where that is another than of `beside`.
+ * @param {number} at @param {number} beside */
+export const shortTime = (at, beside) =>
+  formatTime(at, formatTime(at, "day") === formatTime(beside, "day") ? "clock" : "dayClock");
 
 /** For an input of type datetime-local, and back.
  * @param {number} seconds */

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from app.history.intake.folding import compact
 from app.history.intake.opening import MIGRATIONS
 from app.history.intake.recorder import Recorder
 from app.history.intake.tail import Tail
@@ -15,6 +16,7 @@ from app.history.query.query import QueryResult, SeriesQuery, run_query
 from app.history.series.runs import micros
 from app.history.series.values import VALUES
 from app.history.settings import HistorySettings
+from app.history.store import tables
 from bus.contract import ParameterValue, Reading, Update
 from bus.messages import Message
 from bus.settings import BusSettings, UnitSettings
@@ -63,6 +65,11 @@ class Shelf:
     def fold(self) -> None:
         """Every minute into its block."""
         self.recorder.fold_everything()
+
+    def pack(self) -> None:
+        """Every hour into its block."""
+        while found := self.database.read_now(lambda c: tables.next_to_compact(c, 2**62)):
+            self.database.write_now(lambda c, found=found: compact(c, *found))  # type: ignore[misc]
 
     def query(
         self, value: str, start: float, end: float, most: int = 20_000, bus: BusSettings = BUS

@@ -18,7 +18,7 @@ from typing import Any, cast
 
 import pytest
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from app.live.screen.fields import Fields, Translator
 from app.live.screen.sources import AlarmChangeSubscriber, Drifted, Sources, UnitSubscriber
+from app.web.head_control import BusControl
 from bus.messages import Message
 
 
@@ -22,9 +23,12 @@ class PlayedGuards:
         reason = self._blocks.get(unit)
         return None if reason is None else Message.of("block_by", reason=reason, who="anna")
 
-    def holder(self) -> str:
-        """As the real ones."""
-        return self._controls.get(self._bus, "")
+    def bus_control(self) -> BusControl:
+        """As the real ones; no request is open."""
+        return BusControl(self._bus, self._controls.get(self._bus, ""))
+
+    def on_control(self, _subscriber: Callable[[], None]) -> None:
+        """A change is seen at the next tick."""
 
     def on_block(self, _subscriber: UnitSubscriber) -> None:
         """These never change."""
@@ -48,9 +52,9 @@ class NoAlarms:
         """Nothing."""
         return {}
 
-    def mark(self, _bus: str, _unit: int) -> str:
+    def of_unit(self, _bus: str, _unit: int, _translator: Translator, _now: float) -> dict[str, str]:
         """Nothing."""
-        return ""
+        return {}
 
     def on_change(self, _subscriber: AlarmChangeSubscriber) -> None:
         """Never."""

@@ -26,6 +26,7 @@ def shown(
         bus,
         bus.units[1],
         unit_cause(bus, bus.units[1], NOW),
+        NOW,
         blocked=Message.of("block_by", reason=blocked, who="anna") if blocked else None,
         drifted=drifted,
     )
@@ -74,7 +75,7 @@ def test_a_unit_for_which_another_may_respond_is_abnormal(
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([reading(), update])
-    cause = shown_cause(bus, bus.units[1], unit_cause(bus, bus.units[1], NOW), blocked=None, drifted="")
+    cause = shown_cause(bus, bus.units[1], unit_cause(bus, bus.units[1], NOW), NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
     shown = line_view(live).unit("dry", 1, NOW)["suspect"]
     assert (shown and shown["detail"]) == found

@@ -199,15 +199,41 @@ async def test_the_journal_is_in_the_language_of_the_reader(house: House) -> Non
     assert "Alarmjournal" in text
 
 
+async def test_the_journal_is_found_by_unit_priority_state_day_and_the_names_people_use(house: House) -> None:
+    viewer = await house.signed_in(Role.VIEWER)
+    estop(house, active=True)
+    remote_off(house, unit=2)
+    await house.services[LineAlarms].write()
+    first, second = (house.services[LineAlarms].place(BUS, unit) for unit in (1, 2))
+    for query, of_first, of_second in (
+        ("", True, True),
+        (f"place={BUS}/2", False, True),
+        (f"place={BUS}", True, True),
+        ("priority=urgent", True, False),
+        ("state=unack_active", True, True),
+        ("state=shelved", False, False),
+        ("day=2020-01-01", False, False),
+        (f"search={first.upper()}", True, False),
+        (f"search={second} remote", False, True),
+        ("search=nowhere", False, False),
+        ("place=nowhere/999999&before=1", False, False),
+    ):
+        text = await page(viewer, f"/alarms/journal?{query}")
+        found = (">Emergency stop</th>" in text, ">Not in REMOTE</th>" in text)
+        assert found == (of_first, of_second), query
+    viewer.headers["Accept-Language"] = "de"
+    assert ">Not-Halt</th>" in await page(viewer, f"/alarms/journal?search=not-halt {first}")
+
+
 HEAD = re.compile(
-    r'class="top__alarms alarm-priority".*?data-is="([^"]*)".*?"alarms_present.text"[^>]*>([^<]*)<'
-    r'.*?"alarms_present.state"[^>]*>([^<]*)<.*?"alarms_present.more"[^>]*>([^<]*)<',
+    r'class="top__alarm-link alarm-priority".*?data-is="([^"]*)".*?"alarms_present.place"[^>]*>([^<]*)<'
+    r'.*?"alarms_present.text"[^>]*>([^<]*)<.*?"alarms_present.state"[^>]*>([^<]*)<.*?"alarms_present.more"[^>]*>([^<]*)<',
     re.S,
 )
 
 
 def head(text: str) -> tuple[str, ...]:
-    """The mark, the place with the name, the state and the rest of the alarms in the head of a page."""
+    """The mark, the place, the name, the state and the rest of the alarms in the head of a page."""
     found = HEAD.search(text)
     assert found is not None
     return found.groups()
@@ -215,17 +241,17 @@ def head(text: str) -> tuple[str, ...]:
 
 async def test_every_page_has_the_alarm_with_its_state_before_a_script_runs(house: House) -> None:
     viewer = await house.signed_in(Role.VIEWER)
-    assert head(await page(viewer, "/events")) == ("", "", "", "")
+    assert head(await page(viewer, "/events")) == ("", "", "", "", "")
     estop(house, active=True)
     name = house.services[LineAlarms].place(BUS, 1)
     came = facts_of(house).came or unix_now()
     since = house.services[Templates].formats("en").since(came, came)
     for path in ("/", "/events", "/alarms"):
-        mark, text, state, more = head(await page(viewer, path))
-        assert (mark, text, more) == ("urgent waiting", f"{name} · Emergency stop", "")
+        mark, place, text, state, more = head(await page(viewer, path))
+        assert (mark, place, text, more) == ("urgent waiting", name, "Emergency stop", "")
         assert state == f"active since {since}"
     viewer.headers["Accept-Language"] = "de"
-    assert head(await page(viewer, "/events"))[1:3] == (f"{name} · Not-Halt", f"aktiv seit {since}")
+    assert head(await page(viewer, "/events"))[1:4] == (name, "Not-Halt", f"aktiv seit {since}")
     assert f'data-live-is="{BUS}/1.alarm" data-is="urgent waiting"' in await page(viewer, "/")
 
 
@@ -239,19 +265,33 @@ async def test_the_head_has_active_alarms_before_cleared_ones_whatever_the_prior
     estop(house, active=True)
     estop(house, active=False)
     cleared = banner.banner(translator(), now)
-    assert (cleared["mark"], cleared["more"], cleared["waiting"]) == ("urgent cleared waiting", "", "1")
+    assert (cleared["mark"], cleared["more"], cleared["acknowledge"]) == (
+        *("urgent cleared waiting", ""),
+        f"{ESTOP}.1",
+    )
     at = translator().formats.since(facts_of(house).cleared or now, now)
     assert cleared["state"] == f"cleared {at}"
-    assert banner.mark(BUS, 1) == "urgent cleared waiting"
+    assert banner.of_unit(BUS, 1, translator(), now) == {
+        "alarm": "urgent cleared waiting",
+        "alarm_text": "Emergency stop",
+        "alarm_state": f"cleared {at}",
+        "alarm_more": "",
+        "alarm_at": f"/alarms/{ESTOP}.1",
+    }
     remote_off(house, unit=2)
     active = banner.banner(translator(), now)
-    assert (active["mark"], active["more"], active["waiting"]) == ("low waiting", " · 1 more", "2")
+    assert (active["mark"], active["more"]) == ("low waiting", " · 1 more")
     assert active["state"].startswith("active since")
-    await operator.post("/alarms/acknowledge", data={"id": f"{BUS}.2.not_in_remote.1"})
-    assert banner.banner(translator(), now)["mark"] == "low"
+    in_the_head = {"HX-Request": "true"}
+    response = await operator.post(
+        "/alarms/acknowledge", data={"id": active["acknowledge"]}, headers=in_the_head
+    )
+    assert response.status_code == 204
+    acknowledged = banner.banner(translator(), now)
+    assert (acknowledged["mark"], acknowledged["acknowledge"]) == ("low", "")
     await operator.post("/alarms/acknowledge", data={"id": f"{ESTOP}.1"})
     assert banner.banner(translator(), now)["more"] == ""
-    assert banner.mark(BUS, 1) == ""
+    assert set(banner.of_unit(BUS, 1, translator(), now).values()) == {""}
 
 
 def remote_off(house: House, unit: int) -> None:

@@ -125,5 +125,5 @@ async def test_a_page_preloads_exactly_the_imports_of_its_first_module(house: Ho
         assert request == house.services[Assets].imports(f"js/{first}.js")
         assert re.findall(r'<script type="module" src="([^"]+)">', page) == [
             house.services[Assets].url(f"js/{first}.js"),
-            *([house.services[Assets].url("js/sparkline.js")] if path == "/" else []),
+            *([house.services[Assets].url("js/faceplate.js")] if path == "/" else []),
         ]

@@ -22,7 +22,7 @@ from tests.stores import both_engines, only_sqlite, open_store
 
 pytestmark = both_engines
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 @contextmanager

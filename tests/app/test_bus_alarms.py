@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from decimal import Decimal
 
 import pytest
 
@@ -13,6 +14,7 @@ from app.alarms.rules import changes
 from app.alarms.settings import AlarmSettings
 from app.database import Database
 from bus.contract import BusFigures, BusLink, ParameterValue, Staged, UnitFigures, UnitLink
+from bus.settings import Seam
 from tests.app.alarm_bus import AT_SPEED, BUS, HEALTHY, REMOTE, RUN, AlarmBus
 
 
@@ -211,18 +213,18 @@ def test_an_added_alarm_is_suppressed_as_the_others_are(bus: AlarmBus) -> None:
     assert alarm.facts.state == "suppressed"
 
 
-def figures(bus: AlarmBus, polls: int, timeouts: int = 0, foreign: int = 0) -> None:
-    unit = UnitFigures(unit=1, polls=polls, timeouts=timeouts, foreign=foreign)
-    bus.apply(BusFigures(bus.now, 10.0, 0.1, 0.5, 0.13, units=[unit]))
+def figures(bus: AlarmBus, polls: int, timeouts: int = 0, unrequested: int = 0) -> None:
+    unit = UnitFigures(unit=1, polls=polls, timeouts=timeouts, foreign=9 * polls)
+    bus.apply(BusFigures(bus.now, 10.0, 0.1, 0.5, 0.13, units=[unit], unrequested=unrequested))
 
 
 def test_a_poor_connection_and_a_second_master_come_from_the_counters_of_a_minute(bus: AlarmBus) -> None:
     figures(bus, 1000)
     bus.wait(61, 1, 2, 3)
-    figures(bus, 1600, timeouts=40, foreign=9)
+    figures(bus, 1600, timeouts=40, unrequested=9)
     assert bus.present() == {"1.link_degraded", "second_master"}
     bus.wait(61, 1, 2, 3)
-    figures(bus, 2200, timeouts=40, foreign=9)
+    figures(bus, 2200, timeouts=40, unrequested=9)
     bus.wait(61, 1, 2, 3)
     assert bus.state("second_master") == "rtn_unack"
 
@@ -369,3 +371,23 @@ async def test_the_end_of_the_server_loses_no_transition_that_is_being_written(
     await blocked
     await database.write(lambda _: None)
     assert [entry.trigger for entry in await bus.store.journal(10, None)] == ["rise"]
+
+
+def test_a_draw_out_of_band_is_an_alarm_while_both_sections_respond_and_none_ramps(bus: AlarmBus) -> None:
+    def run(seconds: int, **second: int) -> None:
+        """The first unit at 100.0, the second as given."""
+        for _ in range(2 * seconds):
+            bus.read(1)
+            bus.wait(0.5, 2, **second)
+
+    bus.live.seams = {2: Seam(1, (Decimal(-1), Decimal(2)))}
+    run(4, actual=1030)
+    assert bus.present() == set()
+    run(2, actual=1030)
+    assert bus.present() == {"2.draw_out_of_band"}
+    run(3, actual=1030, commanded=1100, outputs=REMOTE)
+    assert bus.state("2.draw_out_of_band") == "rtn_unack"
+    run(6, actual=1030)
+    assert bus.state("2.draw_out_of_band") == "unack_active"
+    bus.wait(3, 2, actual=1030)
+    assert bus.alarm("2.draw_out_of_band").holds is None

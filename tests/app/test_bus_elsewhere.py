@@ -90,8 +90,36 @@ async def test_no_page_shows_it_and_each_leads_to_its_home(house: House) -> None
     assert 'href="/bus/wet-end"' in (await person.get("/bus/dry-end")).text
     assert (await person.get("/bus")).headers["location"] == "/bus/dry-end"
     screen = house.services[Hub].screen("en")
-    assert "wet-end" not in str(screen.shown["line_summary"])
+    line = dict(screen.shown["line_summary"])
+    assert line.pop("elsewhere") == "wet-end (app-2)"
+    assert "wet-end" not in str(line)
     assert screen.shown["alarms_present"]["text"] == ""
+
+
+async def test_an_open_page_follows_a_bus_to_another_server(house: House) -> None:
+    """Each page has what it was drawn of as the field by which it is loaded again."""
+    person = await house.signed_in(Role.ENGINEER, "follower")
+    screen, servers = house.services[Hub].screen("en"), house.services[SiteServers]
+    of_page = {
+        "/": ("line_summary", "elsewhere"),
+        f"/bus/{BUS}": (BUS, "home"),
+        f"/units/{BUS}/1": (BUS, "home"),
+    }
+    drawn_of = {}
+    for path, (group, field) in of_page.items():
+        reload = re.escape(f"{group}.{field}")
+        page = (await person.get(path)).text
+        [drawn_of[path]] = re.findall(rf'data-reload="{reload}" data-drawn-of="([^"]*)"', page)
+        assert drawn_of[path] == screen.shown[group][field], path
+    assert isinstance(servers.homes, PlayedHomes)
+    servers.homes.put(BUS, "app-3", "http://127.0.0.1:9")
+    try:
+        shown = house.services[Hub].screen("en").shown
+        assert [shown[group][field] == drawn_of[path] for path, (group, field) in of_page.items()] == [
+            False
+        ] * 3
+    finally:
+        servers.homes.put(BUS, "app-1")
 
 
 async def test_the_store_is_shown_of_every_bus(house: House) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pty
 import socket
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import check, findings
 from app.database import SqliteDatabase
+from app.database.unfinished import LEDGER
 from app.history.intake.opening import MIGRATIONS
 from tests.mounted import mounted
 
@@ -200,6 +203,14 @@ def test_a_store_that_was_cut_short_is_a_fault(config: Path, data: Path, name: s
     assert result.exit_code == 1
     assert f"the store {data / name}" in result.stderr
     assert result.stderr.count("damaged") == 1
+
+
+def test_a_copy_that_is_not_finished_is_a_fault(config: Path, data: Path) -> None:
+    with closing(sqlite3.connect(data / "history.db")) as connection:
+        connection.execute(f"CREATE TABLE {LEDGER} (name)")
+    result = run(config, bus("/dev/ttyUSB99"))
+    assert result.exit_code == 1
+    assert "is a copy that is not finished; run the same 'lineside migrate-store' again" in result.stderr
 
 
 def test_a_damaged_page_is_a_fault(config: Path, data: Path) -> None:

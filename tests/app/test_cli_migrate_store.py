@@ -17,7 +17,7 @@ from app.cli import copy_report, migrate_store
 from app.database import Database
 from app.database.copying.places import Folder, PostgresqlPlace
 from app.database.engine import upsert
-from app.database.opening import open_database
+from app.database.opening import open_database, require_finished_database
 from app.database.settings import StoreSettings
 from app.errors import ConstraintError, StoreError
 from app.home.lease import HomeRow
@@ -105,6 +105,8 @@ def test_a_running_site_is_copied_and_finished_once_it_is_stopped(
         assert end["finished"] is False
         with pytest.raises(StoreError, match="not finished"):
             opened(empty)
+        with pytest.raises(StoreError, match="not finished"):
+            require_finished_database(empty)
         site.change(
             "main",
             "DELETE FROM users WHERE name = 'Ben'",

@@ -18,6 +18,7 @@ from app.conditions.catalogue import (
     tile_text,
 )
 from app.conditions.condition import Condition, Tuning
+from app.conditions.draw import NO_DRAW, UNKNOWN_DRAW, Draw
 from app.conditions.evidence import BusFacts, LinkFacts, UnitFacts
 from app.conditions.of_unit import suspicion
 from app.live.state.bus_live import BusLive
@@ -104,6 +105,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
         [value_of(True)],
         [value_of(False), value_of(True, "ramping_up")],
         [deviation_without_full_scale()],
+    ),
+    "draw_out_of_band": (
+        [(Draw("out_of_band", 53),)],
+        [(Draw("in_band", 3),), (Draw("none", 53),), (NO_DRAW,)],
+        [(UNKNOWN_DRAW,)],
     ),
     "analog_out_of_limits": ([analog()], [analog("stopped"), value_of(True)], NEVER),
     "ratio_out_of_limits": (

@@ -189,9 +189,10 @@ async def test_a_correction_is_a_new_note_and_a_note_has_one(house: House) -> No
         ("Felt changed", second["id"]),
         ("Wire changed", None),
     ]
-    page = (await operator.get(f"/shifts/{await present(operator)}?correct={second['id']}")).text
-    assert "Corrected by note 2." in page
-    assert ">Wire changed</textarea>" in page
+    path = f"/shifts/{await present(operator)}"
+    assert "Corrected by note 2." in (await operator.get(path)).text
+    form = (await operator.get(f"{path}/note?correct={second['id']}")).text
+    assert ">Wire changed</textarea>" in form
     assert (await write(operator, "x", corrects=99)).json()["code"] == "unknown_note"
 
 
@@ -236,7 +237,7 @@ async def test_the_page_of_an_alarm_and_of_a_unit_open_the_form_with_what_they_a
         (f"/units/{BUS}/2", {"place": f"{BUS}/2", "alarm": ""}),
     ):
         shown = await operator.get(link_to_note((await operator.get(path)).text))
-        assert shown.headers["location"].endswith("#write")
+        assert "/note?" in shown.headers["location"]
         assert chosen((await operator.get(shown.headers["location"])).text) == expected
         assert "/shifts/present?" not in (await viewer.get(path)).text
     assert "/shifts/present?" not in (await operator.get(f"/alarms/{BUS}.2.estop_active.0")).text
@@ -244,7 +245,7 @@ async def test_the_page_of_an_alarm_and_of_a_unit_open_the_form_with_what_they_a
 
 async def test_a_link_to_the_form_names_what_there_is(house: House) -> None:
     operator = await house.signed_in(Role.OPERATOR)
-    path = f"/shifts/{await present(operator)}"
+    path = f"/shifts/{await present(operator)}/note"
     for wrong, status in (
         ({"alarm": f"{BUS}.1.estop_active.7"}, 404),
         ({"alarm": "no such"}, 404),

@@ -322,3 +322,18 @@ async def test_the_page_signs_for_the_user_of_the_session_in_both_languages(hous
     assert "Schicht übernehmen" not in text
     assert digest in text
     assert "bob" in (await bob.get("/shifts")).text
+
+
+async def test_a_shift_is_handed_over_early_only_with_a_reason(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    operator = await house.signed_in(Role.OPERATOR)
+    present = (await operator.get(API)).json()["shifts"][0]["start"]
+    begun = UnixTime(datetime.fromisoformat(present).timestamp() + 60)
+    monkeypatch.setattr(house.services[Signing], "_clock", lambda: begun)
+    refused = await operator.post(f"{API}/{present}/sign", json={"reason": " "})
+    assert code(refused) == (409, "not_in_state")
+    assert "earlier only with a reason" in (await operator.get(f"/shifts/{present}")).text
+    assert (await operator.post(f"{API}/{present}/sign", json={"reason": "Ill"})).status_code == 200
+    (event,) = await house.events("shift")
+    assert event["message"] == "Ill"

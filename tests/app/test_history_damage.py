@@ -68,6 +68,8 @@ def test_a_damaged_block_costs_itself_and_the_rest_is_read(shelf: Shelf) -> None
 def test_folding_goes_on_past_it(shelf: Shelf, table: str, late: bool) -> None:
     shelf.keep(polls(NOON, NOON + 60))
     shelf.fold()
+    if table != "raw":
+        shelf.pack()
     place = {"raw": START, "minutes": START, "hours": START - START % DAY}[table]
     spoil(shelf.database.path, table, place)
     shelf.keep(polls(NOON + 30.1, NOON + 90) if late else polls(NOON + 60, NOON + 90))
@@ -84,6 +86,10 @@ def test_a_damaged_block_is_set_aside_and_reported_once(tmp_path: Path, table: S
     writer = opened(tmp_path)
     writer.take((BUS.name, polls(NOON, NOON + 150)))
     writer.close()
+    if table != "raw":
+        shelf = Shelf(tmp_path / FILE)
+        shelf.pack()
+        shelf.close()
     place = START - START % DAY if table == "hours" else START
     spoil(tmp_path / FILE, table, place)
     damaged = BlockKey(table, unit_key(tmp_path), place)

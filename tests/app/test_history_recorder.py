@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from app.history.intake.folding import compact
+from app.history.query import unit_history
+from app.history.query.unit_history import StoredUnit
+from app.history.series.downsampling import Points
 from app.history.series.runs import HOUR, micros
+from app.history.series.values import VALUES
 from app.history.store import tables
 from bus.contract import BusLink, UnitLink
-from tests.app.history_line import NOON, Shelf, parameter, polls, reading
+from tests.app.history_line import BUS, NOON, Shelf, parameter, polls, reading
 from tests.stores import both_engines, only_sqlite
 
 pytestmark = both_engines
@@ -123,7 +128,7 @@ def test_a_duplicate_delivery_hides_no_gap(shelf: Shelf) -> None:
 
 
 def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None:
-    punctual = Shelf(tmp_path / "punctual.db")
+    punctual = _another_shelf(tmp_path)
     all_readings = polls(NOON, NOON + 600, lambda i: i * 7 % 2000)
     punctual.keep(all_readings)
     punctual.fold()
@@ -134,8 +139,15 @@ def test_late_minutes_are_worked_out_again(shelf: Shelf, tmp_path: Path) -> None
         for most in (20_000, 50, 7):
             late, early = (each.query(value, NOON, NOON + 600, most) for each in (shelf, punctual))
             assert late == early
+    shelf.pack()
+    punctual.pack()
     assert rows_of(shelf) == rows_of(punctual)
     punctual.close()
+
+
+def _another_shelf(folder: Path) -> Shelf:
+    (folder / "other").mkdir()
+    return Shelf(folder / "other" / "history.db")
 
 
 def rows_of(shelf: Shelf) -> list[tuple[object, ...]]:
@@ -155,18 +167,58 @@ def rows_of(shelf: Shelf) -> list[tuple[object, ...]]:
     return shelf.database.read_now(read)
 
 
-def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: Shelf) -> None:
+def test_an_hour_that_is_over_is_packed_and_still_takes_late_readings(shelf: Shelf, tmp_path: Path) -> None:
     shelf.keep(polls(NOON, NOON + 180))
     shelf.keep(polls(NOON + 240, NOON + 300))
     shelf.fold()
     before = shelf.query("actual", NOON, NOON + 300)
-    shelf.database.write_now(lambda c: compact(c, 1, micros(NOON)))
+    shelf.pack()
     spans = shelf.database.read_now(lambda c: c.execute("SELECT span FROM raw").fetchall())
     assert [row[0] for row in spans] == [HOUR]
     assert shelf.query("actual", NOON, NOON + 300) == before
     shelf.keep(polls(NOON + 180, NOON + 240))
     shelf.fold()
     assert shelf.query("actual", NOON, NOON + 300).series.average.count(None) == 0
+    punctual = _another_shelf(tmp_path)
+    punctual.keep(polls(NOON, NOON + 180) + polls(NOON + 240, NOON + 300) + polls(NOON + 180, NOON + 240))
+    punctual.fold()
+    punctual.pack()
+    assert rows_of(shelf) == rows_of(punctual)
+    punctual.close()
+
+
+@pytest.mark.parametrize("stored_before", [0, 40])
+def test_rollups_are_the_same_before_and_after_their_hour_is_packed(shelf: Shelf, stored_before: int) -> None:
+    """``stored_before``: minutes of which another version has stored the rollups already."""
+    shelf.keep(polls(NOON + 1800, NOON + 1800 + 60 * stored_before))
+    shelf.fold()
+    shelf.database.write_now(_roll_up_unpacked)
+    shelf.keep([reading(NOON + 1830 + i * 4.0, i * 11 % 1500, inputs=i // 9 % 4) for i in range(1800)])
+    shelf.fold()
+    wanted = [(value, tier) for value in ("actual", "run", "analog") for tier in ("minutes", "hours")]
+
+    def rollups() -> list[Points]:
+        return [shelf.database.read_now(partial(_rollups, value, tier)) for value, tier in wanted]
+
+    before = rollups()
+    assert min(len(each.at) for each in before) >= 2
+    assert before[0].weight[2] >= 15
+    shelf.pack()
+    assert rollups() == before
+
+
+def _roll_up_unpacked(connection: sqlite3.Connection) -> None:
+    blocks = [tuple(row) for row in connection.execute("SELECT unit, start, span, points, data FROM raw")]
+    for unit, start, *_ in blocks[:1]:
+        compact(connection, unit, start - start % HOUR)
+        compact(connection, unit, start - start % HOUR + HOUR)
+    connection.execute("DELETE FROM raw")
+    connection.executemany(tables.INSERT_RAW, blocks)
+
+
+def _rollups(value: str, tier: tables.RollupTier, connection: sqlite3.Connection) -> Points:
+    source = StoredUnit(connection, tables.units_of(connection, BUS.name)[0], ())
+    return unit_history.rollups(source, tier, VALUES[value], micros(NOON), micros(NOON + 10_000))
 
 
 def test_what_was_on_disk_survives_a_crash(shelf: Shelf, tmp_path: Path) -> None:
@@ -210,6 +262,7 @@ def test_a_long_span_is_read_from_minutes_and_hours(shelf: Shelf) -> None:
     readings = [reading(NOON + i * 20.0, 1000 + i % 3) for i in range(3 * 1440)]
     shelf.keep([parameter(3, 0), *readings])
     shelf.fold()
+    shelf.pack()
     day = shelf.query("actual", NOON, NOON + 86_400, 100)
     assert (day.resolution, len(day.series.at) <= 100) == ("minutes", True)
     assert (set(day.series.least), set(day.series.greatest)) == ({1000.0}, {1002.0})
@@ -224,7 +277,10 @@ def test_bits_are_kept_exactly_when_the_readings_are_given_up(shelf: Shelf) -> N
     shelf.fold()
     exact = shelf.query("run", NOON, NOON + 200)
     assert len(exact.series.at) == 2 * 10
+    drop = partial(tables.drop_raw, before=micros(NOON + 86_400), most=1000)
+    assert shelf.database.write_now(drop) == 0, "what has no rollups yet"
+    shelf.pack()
     shelf.database.write_now(lambda c: tables.write_raw_from(c, micros(NOON + 86_400)))
-    shelf.database.write_now(lambda c: tables.drop_raw(c, micros(NOON + 86_400), 1000))
+    assert shelf.database.write_now(drop) == 1
     assert shelf.query("run", NOON, NOON + 200) == exact
     assert shelf.query("actual", NOON, NOON + 200).resolution == "minutes"

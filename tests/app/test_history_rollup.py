@@ -9,8 +9,9 @@ from app.history.series.rollup import (
     FIELDS,
     Rollup,
     combine,
+    minute_rollups,
     pack_rollups,
-    replace_row,
+    replace_rows,
     rollup,
     unpack_rollups,
 )
@@ -54,6 +55,7 @@ def test_a_row_has_what_was_read(runs: list[Run]) -> None:
 
 @given(RUNS)
 def test_minutes_add_up_to_the_hour(runs: list[Run]) -> None:
+    assert minute_rollups(list(zip(*sorted(runs), strict=True))) == by_minute(runs)
     assert combine(by_minute(runs), 0) == rollup(runs, 0)
 
 
@@ -69,7 +71,7 @@ def test_a_block_gives_back_its_rows(runs: list[Run]) -> None:
 def test_a_minute_worked_out_again_takes_the_place_of_the_old(runs: list[Run], late: list[Run]) -> None:
     minute = late[0].at - late[0].at % MINUTE
     again = rollup([run for run in runs + late if run.at - run.at % MINUTE == minute], minute)
-    rows = replace_row(by_minute(runs), again)
+    rows = replace_rows(by_minute(runs), [again])
     assert [row.start for row in rows] == sorted({row.start for row in by_minute(runs)} | {minute})
     assert again in rows
 

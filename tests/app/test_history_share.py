@@ -61,7 +61,7 @@ def test_hours_are_packed_by_the_home_of_their_bus(shelf: Shelf) -> None:
 def test_old_readings_of_every_bus_are_given_up_by_the_home_of_the_site(shelf: Shelf) -> None:
     other, site = upkeep(shelf, "dry-end", "wet-end"), upkeep(shelf, "")
     for server, left in ((other, 4), (site, 0)):
-        server.give_up_old(NOW + 2 * DAY)
+        server.give_up_old(NOW + 3 * DAY)
         server.sweep(ENDLESS)
         assert len(shelf.database.read_now(spans)) == left
 

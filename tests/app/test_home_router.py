@@ -210,7 +210,7 @@ async def test_the_alarms_of_all_homes_are_those_of_their_homes(site: TwoServers
     there = site.second.services[LineAlarms]
     live = site.second.services[LiveState].buses[BUS_NAME]
     live.apply([Reading(2, time.time(), 0, 0, 0, REMOTE, 0)])
-    await until(lambda: there.first_of_unit(BUS_NAME, 2), "the alarm at the home")
+    await until(lambda: there.of_unit(BUS_NAME, 2), "the alarm at the home")
     expected = (await site.program(Role.VIEWER, site.second).get("/api/v1/alarms")).json()
     of_bus = [alarm for alarm in expected["alarms"] if alarm["bus"] == BUS_NAME]
     assert [alarm["code"] for alarm in of_bus] == ["estop_active"]

@@ -211,9 +211,12 @@ async def test_the_health_of_a_unit_goes_to_its_page_only(world: World) -> None:
 async def test_who_holds_control_is_on_every_page(world: World) -> None:
     world.controls["dry"] = "anna"
     browser = world.join()
-    await sent(browser)
+    snapshot = (await sent(browser))[0]
+    assert snapshot["f"]["line_summary"]["holder"] == "anna"
+    world.controls["dry"] = "ben"
     world.hub.tick()
-    assert (await sent(browser))[-1]["f"]["line_summary"] == {"holder": "anna"}
+    changed = (await sent(browser))[-1]["f"]
+    assert (changed["line_summary"]["holder"], changed["dry"]["held_by"]) == ("ben", "ben")
 
 
 class AlarmOfADay(NoAlarms):

@@ -35,7 +35,7 @@ from tests.app.notification_servers import PlayedMailServer, PlayedReceiver, mai
 from tests.app.played_line import BUS, HEALTHY, REMOTE, played_line
 from tests.stores import both_engines
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import Any
 
@@ -17,6 +18,7 @@ from app.live.diagnosis.cause import Cause, abnormal, bus_cause, unit_cause
 from app.live.diagnosis.links import unit_facts
 from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
+from app.web.assets import static_dir
 from bus.contract import BusLink, ParameterValue, UnitLink
 from bus.instants import UnixTime
 from bus.messages import TEXTS, Message
@@ -24,8 +26,9 @@ from docs.alarm_table import DOCUMENT, alarm_table, with_table
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading, screen, translator
 
 NOW = 100.0
-DRAWN = {"urgent", "high", "low"}
-"""What a tile, the strip and the verdict have a shape for."""
+CSS = "\n".join(path.read_text(encoding="utf-8") for path in (static_dir() / "css").rglob("*.css"))
+DRAWN_BY_PRIORITY = sorted(set(re.findall(r'([.\w-]+)\[data-is="low"\](?= \{|::)', CSS)))
+"""What draws the level of a unit or line by a style for each."""
 
 
 def of_alarm(code: str) -> AlarmPriority:
@@ -44,7 +47,9 @@ def after(seconds: float = 10.0, **changes: int) -> LiveState:
 def cause_of(live: LiveState, now: float = NOW + 10, drifted: str = "", blocked: str = "") -> Cause | None:
     bus = live.buses["dry"]
     why = Message.of("block_by", reason=blocked, who="anna") if blocked else None
-    return shown_cause(bus, bus.units[1], unit_cause(bus, bus.units[1], now), blocked=why, drifted=drifted)
+    return shown_cause(
+        bus, bus.units[1], unit_cause(bus, bus.units[1], now), now, blocked=why, drifted=drifted
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,6 +113,16 @@ def test_a_condition_of_parameters_has_the_priority_of_its_alarm() -> None:
     assert (found.code, found.level) == ("address_suspect", of_alarm("duplicate_address"))
 
 
+@pytest.mark.parametrize("priority", PRIORITIES)
+def test_every_surface_draws_every_priority(priority: AlarmPriority) -> None:
+    assert {".status", ".verdict"} <= set(DRAWN_BY_PRIORITY)
+    assert [name for name in DRAWN_BY_PRIORITY if f'{name}[data-is="{priority}"]' not in CSS] == []
+    assert f'[data-is="{priority}"] > .shape' in CSS
+    assert f'.alarm-priority[data-is^="{priority}"]' in CSS
+    assert f'.mark[data-level="{priority}"]' in CSS, "the strip"
+    assert f'id="{priority}"' in (static_dir() / "icons" / "sprite.svg").read_text(encoding="utf-8")
+
+
 EVERY_ROW = pytest.mark.parametrize("row", CONDITIONS.values(), ids=lambda row: row.code)
 EVERY_ALARM = pytest.mark.parametrize(
     "row", [row for row in CONDITIONS.values() if row.is_alarm], ids=lambda row: row.code
@@ -151,7 +166,6 @@ def test_every_tile_of_a_condition_has_its_priority_and_words(row: Condition[Any
         assert TILES[code] is row
         found = abnormal(code, params={"why": Message("worker_not_connected"), "mode": "LOCAL"})
         assert found.level == row.priority
-        assert found.level in DRAWN
         assert cause_texts(found, translator(), UnixTime(0.0)).text
         assert check_text(found, translator()) == TEXTS.get(f"tile_{code}_check", "")
 

@@ -28,7 +28,7 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 @pytest.mark.parametrize(
     ("units", "view"),
-    [(0, "tiles"), (12, "tiles"), (13, "rows"), (40, "rows"), (41, "matrix"), (255, "matrix")],
+    [(0, "tiles"), (24, "tiles"), (25, "matrix"), (255, "matrix")],
 )
 def test_the_view_follows_the_number_of_units(units: int, view: str) -> None:
     assert view_for(units) == view
@@ -71,6 +71,21 @@ async def test_bounds_without_decimals_are_numbers_of_the_wire_and_have_no_unit(
     assert f"200.0 {unit}</span>" in (await client.get("/units/dry-end/1")).text
 
 
+async def test_the_faceplate_is_a_part_of_the_line_with_what_the_role_may_do(house: House) -> None:
+    for role, may_set in ((Role.VIEWER, False), (Role.OPERATOR, True)):
+        part = await (await house.program(role)).get("/units/dry-end/1/faceplate")
+        assert part.status_code == 200
+        assert "<html" not in part.text
+        assert 'class="lamp' in part.text
+        assert ('name="value"' in part.text) is may_set
+
+
+async def test_the_line_has_lamps_on_the_faceplate_alone(house: House) -> None:
+    client = await house.program(Role.VIEWER)
+    for view in ("tiles", "rows", "matrix"):
+        assert 'class="lamp' not in (await client.get(f"/?view={view}")).text
+
+
 async def test_an_unknown_unit_is_explained(house: House) -> None:
     page = await (await house.program(Role.VIEWER)).get("/units/dry-end/200")
     assert page.status_code == 404
@@ -89,7 +104,7 @@ async def test_the_matrix_has_a_former_name_in_stored_home_pages_and_cookies(hou
     response = await client.get("/?view=board")
     assert (response.status_code, response.cookies["lineside_view"]) == (200, "matrix")
     client.cookies.set("lineside_view", "board")
-    assert '<ul class="matrix' in (await client.get("/")).text
+    assert 'class="line line--matrix"' in (await client.get("/")).text
 
 
 async def test_the_manifest_names_the_app(house: House) -> None:

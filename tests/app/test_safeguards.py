@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -231,6 +232,54 @@ async def test_control_is_handed_over_released_and_taken_by_an_admin(controlled:
     ]
 
 
+async def step(stage: Stage, method: str, path: str, name: str) -> tuple[int, dict[str, Any]]:
+    response = await stage.request(method, f"/control{path}", role="operator", name=name)
+    return response.status_code, response.json()
+
+
+async def test_control_is_requested_declined_requested_again_and_granted(controlled: Stage) -> None:
+    await obeying(controlled)
+    changes: list[str] = []
+    controlled.guards.on_control(lambda: changes.append(controlled.guards.bus_control().key))
+    assert (await step(controlled, "POST", "/request", "ben"))[0] == 409
+    await step(controlled, "POST", "/take", "anna")
+    status, shown = await step(controlled, "POST", "/request", "ben")
+    assert (status, shown["holder"], shown["request_lapses_after_s"]) == (200, "anna", 60.0)
+    assert (shown["request"]["by"], shown["request"]["state"]) == ("ben", "pending")
+    assert await speed(controlled, 5, name="ben") == (409, "controlled")
+    assert (await step(controlled, "POST", "/grant", "ben"))[0] == 409
+    status, shown = await step(controlled, "DELETE", "/request", "anna")
+    assert (status, shown["request"]["state"]) == (200, "declined")
+    status, problem = await step(controlled, "POST", "/request", "ben")
+    assert (status, problem["code"]) == (409, "controlled")
+    await step(controlled, "POST", "/release", "anna")
+    await step(controlled, "POST", "/take", "anna")
+    await step(controlled, "POST", "/request", "ben")
+    status, shown = await step(controlled, "POST", "/grant", "anna")
+    assert (status, shown["holder"], shown["request"]) == (200, "ben", None)
+    assert await speed(controlled, 5, name="ben") == (200, "verified")
+    assert len(changes) == len(set(changes)) == 7
+    events = (await controlled.http().get("/api/v1/events?kind=control")).json()["events"]
+    assert [(event["what"], event["who"], event["new"]) for event in events] == [
+        ("control handed over", "anna", "ben"),
+        ("control requested", "ben", "ben"),
+        ("control taken", "anna", "anna"),
+        ("control released", "anna", None),
+        ("request for control ended", "anna", "declined"),
+        ("control requested", "ben", "ben"),
+        ("control taken", "anna", "anna"),
+    ]
+
+
+async def test_requests_for_control_are_bounded(controlled: Stage) -> None:
+    await step(controlled, "POST", "/take", "anna")
+    statuses = []
+    for _ in range(service.MAX_REQUESTS + 1):
+        statuses.append((await step(controlled, "POST", "/request", "ben"))[0])
+        await step(controlled, "DELETE", "/request", "ben")
+    assert statuses == [200] * service.MAX_REQUESTS + [429]
+
+
 async def test_reading_needs_no_control(controlled: Stage) -> None:
     worker = await obeying(controlled)
     await controlled.request("GET", "/units/1/parameters?refresh=true", role="viewer")
@@ -258,6 +307,9 @@ async def test_a_caller_without_a_route_needs_the_role_too(controlled: Stage) ->
         guards.take(vera),
         guards.hand_over(vera, "vera"),
         guards.release(vera),
+        guards.request(vera),
+        guards.grant(vera),
+        guards.end_request(vera),
         guards.set_limits(vera, 1, Limits(highest=5)),
         guards.set_limits(anna, 1, Limits(highest=5)),
     ]

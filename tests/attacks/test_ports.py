@@ -25,7 +25,7 @@ from bus.simulator.serve import LineServer
 from tests.bus.rfc2217_server import DeviceServer
 from tests.bus.test_open_port import POLL, Receiver, on_both_loops
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 MODEM_STATE_WITHOUT_STATE = b"\xff\xfa\x2c\x6b\xff\xf0"
 """IAC SB COM-PORT-OPTION NOTIFY-MODEMSTATE IAC SE: RFC 2217, 3 wants one more byte."""
 NO_SUCH_PARITY = b"\xff\xfa\x2c\x67\x63\xff\xf0"

@@ -35,7 +35,7 @@ from bus.contract import (
 )
 
 TOKEN = "let-me-in"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class FakeApp:

@@ -21,6 +21,7 @@ from bus.wire.commands import SetAndExecuteSpeedRequest
 from bus.worker.service import run_worker
 from tests.bus.fake_app import TOKEN, FakeApp
 from tests.bus.rfc2217_server import DeviceServer
+from tests.bus.test_device_server import IN_USE, sending
 from tests.bus.test_open_port import POLL, Receiver, on_both_loops
 
 pytest.importorskip("serialx", reason="the extra 'rfc2217' is not installed")
@@ -81,6 +82,15 @@ async def test_a_server_that_closes_is_reported_once_and_found_again(server: Dev
 async def test_a_missing_server_is_reported() -> None:
     with pytest.raises(PortUnavailable, match=r"rfc2217://127\.0\.0\.1:1 (refuses|cannot be)"):
         await open_port("rfc2217://127.0.0.1:1", 9600, Receiver())
+
+
+@pytest.mark.parametrize("options", [b"", b"\xff\xfb\x2c\xff\xfd\x2c\xff\xfa\x2c\x64\x00\xff\xf0"])
+async def test_a_port_that_another_client_has_is_named(options: bytes) -> None:
+    """ser2net states it as data, after the options of Telnet, and closes."""
+    async with sending(options, b"Port already in use\r\n", closes=True) as number:
+        with pytest.raises(PortUnavailable) as raised:
+            await open_port(f"rfc2217://127.0.0.1:{number}", 9600, Receiver())
+    assert IN_USE in str(raised.value)
 
 
 async def test_a_worker_reads_and_writes_through_it(server: DeviceServer) -> None:

@@ -6,7 +6,12 @@ import asyncio
 
 from bus.contract import BusFigures, SetLine, SetSpeed
 from bus.instants import Monotonic
-from bus.line.statistics.second_master import CLEAR_AFTER_S, MAX_OUTSTANDING, SecondMaster
+from bus.line.statistics.second_master import (
+    CLEAR_AFTER_S,
+    LATE_WITHIN_S,
+    MAX_OUTSTANDING,
+    SecondMaster,
+)
 from bus.settings import Dialect
 from bus.wire.framing import encode_frame
 from tests.bus.virtual_line import VirtualLine, run
@@ -28,17 +33,27 @@ def test_three_within_two_seconds_are_another_host_and_ten_seconds_without_are_i
 
 
 def test_a_request_explains_one_response() -> None:
-    host = SecondMaster()
-    assert not host.explains(2)
+    host, now = SecondMaster(), Monotonic(9.0)
+    assert not host.explains(2, now)
     for _ in range(2):
-        host.requested(2)
+        host.requested(2, now)
     host.responded(2)
-    assert not host.explains(3)
-    assert host.explains(2), "the late response to the first"
-    assert not host.explains(2), "one response too many"
+    assert not host.explains(3, now)
+    assert host.explains(2, now), "the late response to the first"
+    assert not host.explains(2, now), "one response too many"
     for _ in range(100):
-        host.requested(2)
-    assert sum(host.explains(2) for _ in range(100)) == MAX_OUTSTANDING, "it was off"
+        host.requested(2, now)
+    assert sum(host.explains(2, now) for _ in range(100)) == MAX_OUTSTANDING, "it was off"
+
+
+def test_a_response_to_a_request_of_long_ago_is_one_to_another_host() -> None:
+    host = SecondMaster()
+    for at in (0.0, 30.0):
+        host.requested(2, Monotonic(at))
+    host.requested(2, Monotonic(31.0))
+    host.responded(2)
+    assert host.explains(2, Monotonic(30.0 + LATE_WITHIN_S)), "the second"
+    assert not host.explains(2, Monotonic(30.0 + LATE_WITHIN_S)), "the first"
 
 
 async def respond_to_another(line: VirtualLine) -> None:
@@ -64,6 +79,7 @@ def test_writing_stops_within_two_seconds_but_for_a_stop_and_is_reported() -> No
         assert (await line.perform(SetSpeed(1, 0))).outcome == "verified", "a stop is written"
         figures = [update for update in line.updates if isinstance(update, BusFigures)]
         assert any(each.has_second_master for each in figures)
+        assert figures[-1].unrequested > 0
         await asyncio.sleep(CLEAR_AFTER_S + 1.0)
         assert (await line.perform(SetSpeed(1, 650))).outcome == "verified"
 

@@ -36,7 +36,7 @@ from tests import fork_server
 from tests.simulator_remote import Remote
 
 PLAIN = Dialect()
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 def exchange(port: serial.SerialBase, request: Request, patience_s: float = PATIENCE_S) -> Reply | None:

@@ -15,6 +15,8 @@ import struct
 import sys
 import time
 import tty
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
@@ -22,6 +24,7 @@ READ_BYTES = 4096
 ALL_PROTOCOLS = 0x0003
 ETHERNET_BYTES, OUTGOING = 14, 4
 IPV4, TCP = 0x0800, 6
+SYN = 0x02
 SO_TIMESTAMPNS = 35
 """Linux; the kernel's time of arrival, however late this process is scheduled (socket(7))."""
 
@@ -56,10 +59,10 @@ def wire(link: Path, units_port: int, log: IO[str]) -> None:
 
 def connections(port: int, log: IO[str]) -> None:
     """Record each new byte that arrives for ``port``: a segment that is sent again counts once."""
+    streams = Streams()
     packets = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ALL_PROTOCOLS))
     packets.bind(("eth0", 0))
     packets.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-    expected: dict[str, int] = {}
     while True:
         frame, ((_, _, time_of_arrival),), _, (_, _, kind, *_) = packets.recvmsg(65536, 64)
         if kind == OUTGOING or int.from_bytes(frame[12:14], "big") != IPV4:
@@ -67,16 +70,38 @@ def connections(port: int, log: IO[str]) -> None:
         segment = _segment(frame[ETHERNET_BYTES:], port)
         if segment is None:
             continue
-        peer, sequence, data = segment
-        known = (expected.get(peer, sequence) - sequence) % 2**32
-        if known < len(data):
-            expected[peer] = (sequence + len(data)) % 2**32
+        peer, data = streams.take(*segment)
+        if data:
             seconds, nanoseconds = struct.unpack("qq", time_of_arrival)
-            write(log, at=seconds + nanoseconds / 1e9, peer=peer, data=data[known:].hex())
+            write(log, at=seconds + nanoseconds / 1e9, peer=peer, data=data.hex())
 
 
-def _segment(packet: bytes, port: int) -> tuple[str, int, bytes] | None:
-    """The peer, the sequence number and the bytes of a TCP segment to ``port``."""
+@dataclass
+class Streams:
+    """The connections of all peers. A peer that uses its port again has another connection."""
+
+    _expected: dict[str, int] = field(default_factory=dict)
+    _used: Counter[str] = field(default_factory=Counter)
+
+    def take(self, peer: str, sequence: int, data: bytes, begins: bool) -> tuple[str, bytes]:
+        """The name of the connection, and what is new of a segment of it."""
+        if begins:
+            # SYN takes a number. A repeated one begins the same connection.
+            if self._expected.get(peer) != (sequence + 1) % 2**32:
+                self._used[peer] += 1
+            self._expected[peer] = (sequence + 1) % 2**32
+        known = (self._expected.get(peer, sequence) - sequence) % 2**32
+        # What comes after bytes that were not seen is new too: half of all numbers lie ahead.
+        new = data[known:] if known < 2**31 else data
+        if new:
+            self._expected[peer] = (sequence + len(data)) % 2**32
+        uses = self._used[peer]
+        return (f"{peer}#{uses}" if uses > 1 else peer), new
+
+
+def _segment(packet: bytes, port: int) -> tuple[str, int, bytes, bool] | None:
+    """The peer, the sequence number and the bytes of a TCP segment to ``port``, and whether it begins a
+    connection."""
     header = (packet[0] & 0x0F) * 4
     if packet[9] != TCP:
         return None
@@ -84,7 +109,8 @@ def _segment(packet: bytes, port: int) -> tuple[str, int, bytes] | None:
     if target != port:
         return None
     begin, end = header + (packet[header + 12] >> 4) * 4, int.from_bytes(packet[2:4], "big")
-    return f"{socket.inet_ntoa(packet[12:16])}:{source}", sequence, packet[begin:end]
+    begins = bool(packet[header + 13] & SYN)
+    return f"{socket.inet_ntoa(packet[12:16])}:{source}", sequence, packet[begin:end], begins
 
 
 def main(kind: str, log: str, *words: str) -> None:

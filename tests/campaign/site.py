@@ -24,7 +24,8 @@ TURNAROUND_MS = 200
 INACTIVITY_S = 3
 """After so long without a byte the device server gives the port to the next: a stopped worker holds it no
 longer."""
-PATIENCE_S = 30.0
+PATIENCE_S = 180.0
+"""A server that starts while others load the machine."""
 FAKETIME = "usr/lib/*-linux-gnu/faketime/libfaketimeMT.so.1"
 SER2NET = """\
 connection: &{bus}

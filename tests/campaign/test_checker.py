@@ -11,8 +11,12 @@ from typing import Any
 
 import pytest
 
+from app.audit.entry import new_entry
+from bus.instants import UnixTime
+from bus.messages import Message
 from tests.campaign.checker.__main__ import main, violations
 from tests.campaign.checker.frames import Piece, Stray, WireFrame, decode
+from tests.campaign.recorders import Streams
 
 CHECKER = Path(__file__).with_name("checker")
 VECTORS = Path(__file__).parents[1] / "vectors" / "frames.json"
@@ -66,9 +70,9 @@ def good() -> Logs:
 
 def store(folder: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(folder / "store.db", isolation_level=None)
-    connection.execute("CREATE TABLE events (id, about, kind, bus, unit, new_raw, outcome)")
-    connection.execute("INSERT INTO events VALUES (1, NULL, 'command', 'line', 1, 1000, NULL)")
-    connection.execute("INSERT INTO events VALUES (2, 1, 'result', 'line', 1, 1000, 'verified')")
+    connection.execute("CREATE TABLE events (id, about, kind, bus, unit, new_raw, outcome, messages)")
+    connection.execute("INSERT INTO events VALUES (1, NULL, 'command', 'line', 1, 1000, NULL, NULL)")
+    connection.execute("INSERT INTO events VALUES (2, 1, 'result', 'line', 1, 1000, 'verified', NULL)")
     connection.execute("CREATE TABLE alarm_journal (alarm, occurrence, trigger, after, bus)")
     for trigger, after in (("rise", "unack_active"), ("acknowledge", "ack_active")):
         row = ("line/1.deviation", 1, trigger, after, "line")
@@ -181,6 +185,28 @@ def test_an_event_that_the_database_lost_fails(tmp_path: Path) -> None:
     store(tmp_path).execute("DELETE FROM events WHERE about = 1")
     (line,) = found(write(tmp_path, good()))
     assert "not in the database" in line
+
+
+def test_an_outcome_that_came_after_the_next_home_had_concluded_is_kept(tmp_path: Path) -> None:
+    events = store(tmp_path)
+    events.execute("UPDATE events SET outcome = 'unverified' WHERE about = 1")
+    assert "not in the database" in found(write(tmp_path, good()))[0]
+    what = Message.of("event_outcome_came_late", event=1, outcome="verified")
+    late = new_entry(kind="audit", time=UnixTime(1.0), what=what)["messages"]
+    events.execute("INSERT INTO events VALUES (3, NULL, 'audit', NULL, NULL, NULL, NULL, ?)", (late,))
+    assert found(write(tmp_path, good())) == []
+
+
+def test_a_port_that_is_used_again_is_another_connection() -> None:
+    streams = Streams()
+    assert streams.take(A, 999, b"", True) == (A, b"")
+    for sequence, data, new in ((1000, READ, READ), (1000, READ + ACK, ACK), (1000, READ, b"")):
+        assert streams.take(A, sequence, data, False) == (A, new)
+    for _ in range(2):
+        assert streams.take(A, 1 << 31, b"", True) == (f"{A}#2", b"")
+    assert streams.take(A, (1 << 31) + 1, READ, False) == (f"{A}#2", READ)
+    assert streams.take(A, 2**32 - 1, WRITE, False) == (f"{A}#2", WRITE), "after bytes that were not seen"
+    assert streams.take(A, len(WRITE) - 1, READ, False) == (f"{A}#2", READ), "past the last number"
 
 
 def test_its_decoder_reads_the_frames_of_the_manual() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from struct import pack
 from zlib import compress, crc32
@@ -12,6 +13,7 @@ from app.handover.rules.orientation import exif_of
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import PASSWORD
 
+MAX_SCREENS, MAX_PAPER = 12, 2
 PHONE: ViewportSize = {"width": 360, "height": 740}
 
 
@@ -35,6 +37,8 @@ def own(page: Page) -> dict[str, str]:
 def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., list[str]]) -> None:
     page = browser_page("operator", viewport=PHONE)
     page.goto("/shifts/present")
+    expect(page.locator(".sheet-verdict")).to_be_in_viewport()
+    page.get_by_role("link", name="Write note").click()
     page.get_by_label("Text", exact=True).focus()
     page.keyboard.type("Felt changed")
     page.get_by_label("Unit", exact=True).select_option(label="line · Infeed nip")
@@ -55,7 +59,7 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
 
     # Without the page's script, from a camera that was held upright.
     picture = {"name": "felt.png", "mimeType": "image/png", "buffer": png(60, 40, exif_of(6))}
-    address = page.locator("#write").get_attribute("action")
+    address = f"{page.url.partition('#')[0]}/notes"
     form = {"text": "Dryer", "pictures": picture}
     page.request.post(f"{address}", multipart=form, headers=own(page))
     page.goto("/shifts/present#note-3")
@@ -77,6 +81,9 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
     assert download.value.suggested_filename.endswith(".html")
     assert "<b>engineer</b>" in download.value.path().read_text(encoding="utf-8")
 
+    paper = re.findall(rb"/Type */Page[^s]", page.pdf(prefer_css_page_size=True))
+    assert len(paper) <= MAX_PAPER, "of a quiet shift"
+
     # The open sheet with its pictures, the signed one, and the list with the signatures.
     for locale, language in ((ENGLISH, "en"), (GERMAN, "de")):
         page.request.post("/account/language", form={"language": language}, headers=own(page))
@@ -84,5 +91,7 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
             page.set_viewport_size(PHONE)
             page.goto(path)
             expect(page.locator(f"html[lang^={language}] body[data-link=live]")).to_be_attached()
-            expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
+            expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
             assert flaws(page, locale) == [], path
+            page.set_viewport_size(PHONE)
+            assert page.evaluate("document.documentElement.scrollHeight / innerHeight") <= MAX_SCREENS

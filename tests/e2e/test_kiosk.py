@@ -144,6 +144,7 @@ def test_full_screen_is_entered_and_left(panel: Callable[..., Page]) -> None:
     button = page.locator("[data-full-screen]")
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement !== null"), "the complete screen")
+    rest(page)
     button.tap()
     eventually(lambda: page.evaluate("document.fullscreenElement === null"), "the window again")
 

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import OpensPages, focus
+from tests.e2e.conftest import OpensPages, focus, rest
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -101,21 +101,21 @@ def test_control_is_taken_seen_handed_over_and_given_back(
 
     anna.get_by_role("button", name="Take control").click()
     expect(anna.get_by_role("button", name="Release control")).to_be_focused()
-    expect(ben.locator("[data-control]")).to_contain_text("operator has control since")
+    expect(ben.locator("[data-control]")).to_contain_text("Control: operator")
     expect(ben.get_by_role("button", name="Take control")).to_have_count(0)
-    expect(looks.locator("[data-live='line_summary.holder']")).to_have_text("operator")
+    expect(looks.locator("[data-head-control]")).to_contain_text("Control: operator")
     assert axe(looks) == []
 
     anna.get_by_label("Hand over to").select_option("engineer")
     anna.get_by_role("button", name="Hand over").click()
-    expect(ben.locator("[data-control]")).to_contain_text("You have control since")
+    expect(ben.locator("[data-control]")).to_contain_text("You have control")
     expect(anna.get_by_role("button", name="Release control")).to_have_count(0)
     with site.api("operator") as client:
         assert client.post("/buses/line/control").status_code == 409
 
     ben.get_by_role("button", name="Release control").click()
     expect(anna.get_by_role("button", name="Take control")).to_be_visible()
-    expect(looks.locator("[data-live='line_summary.holder']")).to_have_text("free")
+    expect(looks.locator("[data-head-control]")).to_contain_text("Control is free")
 
 
 @pytest.mark.usefixtures("holder")
@@ -125,9 +125,9 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     expect(page.locator(".top")).to_contain_text("admin-program")
     page.locator("#setpoint").fill("55.0")
     page.get_by_role("button", name="Set now").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) has control")
+    expect(page.locator("#setpoint-error")).to_contain_text("Control: admin-program (token)")
     page.locator(".nudges button").nth(2).click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (token) has control")
+    expect(page.locator("#setpoint-error")).to_contain_text("Control: admin-program (token)")
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("#review")).to_contain_text("left out: admin-program (token) has control")
     expect(page.locator("[data-review-act]")).to_have_count(0)
@@ -141,12 +141,47 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     assert received_writes(site) == before
 
 
+def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(
+    site: Site, browser_page: OpensPages, axe: Callable[[Page], list[str]]
+) -> None:
+    anna = opened(browser_page("operator", viewport=PANEL), "/alarms")
+    anna.locator("[data-head-control]").get_by_role("button", name="Take control").click()
+    expect(anna.locator("[data-head-control]")).to_contain_text("You have control")
+    ben = opened(browser_page("engineer", viewport={"width": 360, "height": 740}), "/units/line/2")
+    before = setpoint(site, 2)
+    ben.locator("#setpoint").fill("71.5")
+    ben.get_by_role("button", name="Set now").click()
+    offer = ben.locator("[data-control-offer]")
+    offer.get_by_role("button", name="Request control").press("Enter")
+    expect(offer).to_contain_text("Requested from operator")
+    expect(anna.locator("[role=alert]")).to_contain_text("engineer requests control")
+    assert anna.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert axe(anna) == []
+    anna.get_by_role("button", name="Hand over control").click()
+    expect(ben.locator("[data-head-control]")).to_contain_text("You have control")
+    assert setpoint(site, 2) == before
+    offer.get_by_role("button", name="Continue").click()
+    expect(ben.locator("[data-review-act]")).to_have_text(re.compile("to 71.5"))
+    ben.locator("[data-review-act]").click()
+    expect(ben.locator("[data-review-done=good]")).to_contain_text("71.5")
+    ben.keyboard.press("Escape")
+    ben.get_by_role("button", name="Release control").click()
+    ben.locator("#setpoint").fill("72.5")
+    ben.get_by_role("button", name="Set now").click()
+    offer.get_by_role("button", name="Take control and continue").click()
+    expect(ben.locator("[data-review-act]")).to_have_text(re.compile("to 72.5"))
+    ben.keyboard.press("Escape")
+    rest(ben)
+    ben.get_by_role("button", name="Release control").click()
+    expect(anna.locator("[data-head-control]")).to_contain_text("Control is free")
+
+
 @pytest.mark.usefixtures("holder")
 def test_refusals_are_shown_in_the_language_of_the_page(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport=PANEL, locale="de-DE"), "/units/line/1")
     page.locator("#setpoint").fill("55,0")
     page.get_by_role("button", name="Jetzt stellen").click()
-    expect(page.locator("#setpoint-error")).to_contain_text("admin-program (Token) hat die Bedienhoheit")
+    expect(page.locator("#setpoint-error")).to_contain_text("Bedienhoheit: admin-program (Token)")
     opened(page, "/bus/line")
     expect(page.locator("[data-people]")).to_contain_text("operator · Bediener")
 

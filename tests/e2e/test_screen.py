@@ -49,9 +49,9 @@ def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:
     page = opened(shared_page("engineer", viewport=PHONE, locale=locale), path)
-    expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
+    expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
     assert flaws(page, locale) == []
-    expect(page.locator(".rail__item[aria-current]")).to_be_in_viewport(ratio=1)
+    expect(page.locator(".rail__item[aria-current]:visible")).to_be_in_viewport(ratio=1)
 
 
 def test_a_cell_of_the_matrix_draws_what_its_unit_is_off_by(shared_page: OpensPages) -> None:
@@ -219,9 +219,46 @@ def test_the_view_is_chosen_and_remembered(shared_page: OpensPages) -> None:
 
 def test_a_unit_is_two_presses_away_by_keyboard(shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/")
-    page.locator('[data-unit="line/5"] a').focus()
+    page.locator('[data-unit="line/5"] [data-faceplate]').focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#faceplate h2 a")).to_be_focused()
     page.keyboard.press("Enter")
     expect(page).to_have_url("/units/line/5")
+
+
+def test_a_press_opens_the_faceplate_beside_the_line_and_escape_closes_it(
+    site: Site, shared_page: OpensPages, axe: Callable[[Page], list[str]]
+) -> None:
+    page = opened(shared_page(viewport=PANEL), "/")
+    link = page.locator('[data-unit="line/5"] [data-faceplate]')
+    link.click()
+    plate = page.locator("#faceplate")
+    expect(plate.locator("h2")).to_have_text(site.unit(5)["name"])
+    for unit in range(1, 9):
+        expect(page.locator(f'.tile[data-unit="line/{unit}"]')).to_be_in_viewport(ratio=1)
+    expect(plate).to_be_in_viewport()
+    assert axe(page) == []
+    plate.get_by_label("New setpoint").fill("120")
+    plate.get_by_role("button", name="Set now").click()
+    expect(page.locator("#review")).to_contain_text("120.0")
+    page.keyboard.press("Escape")
+    expect(page.locator("[data-review-act]")).to_have_count(0)
+    page.keyboard.press("Escape")
+    expect(plate).to_be_hidden()
+    expect(link).to_be_focused()
+
+
+def test_on_a_phone_the_faceplate_is_a_sheet_below_the_line(
+    shared_page: OpensPages, axe: Callable[[Page], list[str]]
+) -> None:
+    page = opened(shared_page(viewport=PHONE), "/?view=matrix")
+    page.locator('[data-unit="line/8"]').click()
+    expect(page.locator("#faceplate h2 a")).to_be_focused()
+    expect(page.locator('.cell[data-unit="line/8"]')).to_be_in_viewport(ratio=1)
+    assert too_wide(page) <= 0
+    assert axe(page) == []
+    page.get_by_role("button", name="Close").click()
+    expect(page.locator("#faceplate")).to_be_hidden()
 
 
 def test_a_panel_is_cleaned_without_setting_anything(browser_page: OpensPages) -> None:
@@ -240,7 +277,9 @@ def test_a_screen_reader_gets_the_lamps_that_are_lit_and_the_names_of_numbers(
 ) -> None:
     eventually(lambda: site.unit(1)["inputs"]["run"], "the run input seen")
     page = opened(shared_page("viewer", viewport=PANEL), "/?view=tiles")
-    aloud = page.locator('[data-unit="line/1"]').aria_snapshot()
+    page.locator('[data-unit="line/1"] [data-faceplate]').click()
+    expect(page.locator("#faceplate .lamp").first).to_be_visible()
+    aloud = page.locator("#faceplate").aria_snapshot()
     assert "actual" in aloud
     assert "Run input on" in aloud
     assert "Preset input" not in aloud

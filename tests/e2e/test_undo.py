@@ -60,9 +60,38 @@ def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Sit
     assert site.unit(UNIT)["commanded"] == "111.0"
 
 
-def test_the_undo_of_an_earlier_command_gives_way_to_that_of_another(page: Page) -> None:
+def test_each_command_has_its_own_undo_and_the_one_before_comes_back(page: Page) -> None:
     page.get_by_role("button", name="Up by 0.2").click()
     expect(undo(page)).to_have_text("Undo: set 111.0…")
+    page.goto("/alarms")
+    page.goto(f"/units/line/{UNIT}")
+    undo(page).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("reads 111.0")
+    expect(undo(page)).to_have_text("Undo: set 115.0…")
+
+
+def test_an_output_is_switched_back(site: Site, page: Page) -> None:
+    on = site.unit(UNIT)["outputs"][2]
+    page.get_by_role("button", name="Switch output 3").click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    page.get_by_role("button", name=re.compile("Undo: switch output 3")).click()
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    assert site.unit(UNIT)["outputs"][2] == on
+
+
+def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
+    page.locator("#setpoint").fill("66.6")
+    page.goto("/alarms")
+    page.goto(f"/units/line/{UNIT}")
+    expect(page.locator("[data-draft]")).to_contain_text("not sent")
+    expect(page.locator("#setpoint")).to_have_value("66.6")
+    page.get_by_role("button", name="Discard draft").click()
+    expect(page.locator("#setpoint")).not_to_have_value("66.6")
+    page.reload()
+    expect(page.locator("[data-draft]")).to_have_count(0)
 
 
 def test_setting_the_line_to_zero_ends_the_undo_before_it(site: Site, page: Page) -> None:

@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { placed } = await import("../../static/js/trends-alarms.js");
+const { alarmRows, placed } = await import("../../static/js/trends-alarms.js");
 
 const alarm = (priority, t, until) => ({ priority, t, until });
 const drawn = (alarms) =>
@@ -24,4 +24,9 @@ test("the rows are those of the priorities that occur, and the most important is
     ["3", 1, 10, 20],
     ["1", 0, 10, 20],
   ]);
+});
+
+test("their lane has a row before the first alarm came", () => {
+  assert.equal(alarmRows([], [100, 200]), 1);
+  assert.equal(alarmRows([alarm("urgent", 110, 120), alarm("low", 110, null)], [100, 200]), 2);
 });

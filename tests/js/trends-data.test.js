@@ -6,18 +6,18 @@ import { openPage } from "./page.js";
 
 globalThis.uPlot = uPlot;
 openPage();
-const { exportAddress, fetchMarks, fetchSeries, joined, summary, valueAt } = await import(
+const { exportAddress, fetchMarks, fetchSeries, joined, summary, unread, valueAt } = await import(
   "../../static/js/trends-data.js"
 );
 
 const response = (t, avg, more = {}) => ({ t, avg, min: avg, max: avg, bucket_s: 1, ...more });
 const columns = (table) => table.map((column) => [...column]);
 
-test("values of different times share one axis, and only what was null is a hole", () => {
+test("values of different times share one axis, and a hole reaches to the points beside it", () => {
   const table = joined([response([1, 2, 4], [10, null, 30]), response([1, 3], [7, 8])]);
   assert.deepEqual(columns([table[0], table[1], table[4]]), [
     [1, 2, 3, 4],
-    [10, null, undefined, 30],
+    [10, null, null, 30],
     [7, undefined, 8, undefined],
   ]);
   assert.equal(table.length, 7);
@@ -93,7 +93,15 @@ test("events are requested once for each unit", async () => {
 
 test("an export is of what is shown, and never of an empty span", () => {
   const address = exportAddress(["line/1/actual"], RANGE, "csv");
-  assert.equal(address, `/api/v1/history/export?from=${FROM}&to=${TO}&format=csv&series=line%2F1%2Factual`);
+  assert.equal(address, `/api/v1/history/export?from=${FROM}&to=${TO}&format=csv&layout=table&series=line%2F1%2Factual`);
   const moment = new URLSearchParams(exportAddress([], [RANGE[0], RANGE[0]], "csv").split("?")[1]);
   assert.equal(Date.parse(moment.get("to")) - Date.parse(moment.get("from")), 1);
+});
+
+test("a part of a span without readings is named, up to now", () => {
+  const read = (t) => [response(t, t), response([], [])];
+  assert.deepEqual(unread(read([60, 99]), [0, 100], 200), { before: [0, 60], after: null });
+  assert.deepEqual(unread(read([0, 30]), [0, 100], 200), { before: null, after: [47, 100] });
+  assert.deepEqual(unread(read([0, 30]), [0, 100], 40), { before: null, after: null });
+  assert.deepEqual(unread(read([]), [0, 100], 50), { before: [0, 50], after: null });
 });

@@ -7,7 +7,8 @@ openPage();
 const begun = [];
 for (const name of ["fetch", "setInterval", "setTimeout", "matchMedia", "requestAnimationFrame"])
   globalThis[name] = () => begun.push(name);
-const { Catalogue } = await import("../../static/js/trends-page.js");
+const { Catalogue } = await import("../../static/js/trends-catalogue.js");
+await import("../../static/js/trends-page.js");
 
 const UNITS = [
   { key: "line/1", name: "Unwind", labels: { "output.1": "heater" } },
@@ -33,4 +34,12 @@ test("a value is called as it is wired, else by its name", () => {
 test("the first values are the actual speeds of the first units", () => {
   assert.deepEqual(catalogue.first(1), ["line/1/actual"]);
   assert.deepEqual(catalogue.first(9), ["line/1/actual", "dry/end/2/actual"]);
+});
+
+test("a place is a unit by its name, or a bus", () => {
+  assert.deepEqual([catalogue.place("line", 1), catalogue.place("line", 9), catalogue.place("line", null)], [
+    "Unwind",
+    "line/9",
+    "line",
+  ]);
 });

@@ -5,27 +5,39 @@ import { at, openPage } from "./page.js";
 
 process.env.TZ = "America/New_York";
 openPage({ language: "de", zone: "Europe/Berlin" });
-const { axisLabels, axisNumbers, fromField, lastShift, length, morning, formatTime, toField } = await import(
+const { axisLabels, axisNumbers, dayBefore, fromField, length, formatTime, shiftAt, shortTime, toField } = await import(
   "../../static/js/trends-time.js"
 );
 
-const PRESETS = [
-  // now, six this morning, last shift; in UTC. The clocks of Berlin change on 29 March and 25 October.
-  ["2026-11-20T15:30:00", "2026-11-20T05:00:00", ["2026-11-20T05:00:00", "2026-11-20T13:00:00"]],
-  ["2026-11-20T04:59:59", "2026-11-19T05:00:00", ["2026-11-19T13:00:00", "2026-11-19T21:00:00"]],
-  ["2026-11-20T05:00:00", "2026-11-20T05:00:00", ["2026-11-19T21:00:00", "2026-11-20T05:00:00"]],
-  ["2026-03-29T04:00:00", "2026-03-29T04:00:00", ["2026-03-28T21:00:00", "2026-03-29T04:00:00"]],
-  ["2026-03-29T13:00:00", "2026-03-29T04:00:00", ["2026-03-29T04:00:00", "2026-03-29T12:00:00"]],
-  ["2026-10-25T00:30:00", "2026-10-24T04:00:00", ["2026-10-24T12:00:00", "2026-10-24T20:00:00"]],
-  ["2026-10-25T01:30:00", "2026-10-24T04:00:00", ["2026-10-24T12:00:00", "2026-10-24T20:00:00"]],
-  ["2026-10-25T09:30:00", "2026-10-25T05:00:00", ["2026-10-24T20:00:00", "2026-10-25T05:00:00"]],
+const EIGHT_HOURS = [360, 840, 1320];
+const SHIFTS = [
+  // A moment, its shift; in UTC. The clocks of Berlin change on 29 March and 25 October.
+  ["2026-11-20T15:30:00", ["2026-11-20T13:00:00", "2026-11-20T21:00:00"]],
+  ["2026-11-20T04:59:59", ["2026-11-19T21:00:00", "2026-11-20T05:00:00"]],
+  ["2026-11-20T05:00:00", ["2026-11-20T05:00:00", "2026-11-20T13:00:00"]],
+  ["2026-03-29T00:30:00", ["2026-03-28T21:00:00", "2026-03-29T04:00:00"]],
+  ["2026-03-29T04:00:00", ["2026-03-29T04:00:00", "2026-03-29T12:00:00"]],
+  ["2026-10-25T00:30:00", ["2026-10-24T20:00:00", "2026-10-25T05:00:00"]],
 ];
 
-for (const [now, six, shift] of PRESETS)
-  test(`at ${now} the morning began at ${six}, and the last shift was from ${shift.join(" to ")}`, () => {
-    assert.equal(morning(at(now)), at(six));
-    assert.deepEqual(lastShift(at(now)), shift.map(at));
+for (const [moment, shift] of SHIFTS)
+  test(`at ${moment} the shift is from ${shift.join(" to ")}`, () => {
+    assert.deepEqual(shiftAt(at(moment), EIGHT_HOURS), shift.map(at));
   });
+
+test("one start a day is one shift a day", () => {
+  assert.deepEqual(shiftAt(at("2026-11-20T04:00:00"), [360]), [at("2026-11-19T05:00:00"), at("2026-11-20T05:00:00")]);
+});
+
+test("the day before is the same time of day, over a change of the clocks too", () => {
+  assert.equal(dayBefore(at("2026-11-20T15:30:00")), at("2026-11-19T15:30:00"));
+  assert.equal(dayBefore(at("2026-03-29T10:00:00")), at("2026-03-28T11:00:00"));
+});
+
+test("a time has its day only where that is another", () => {
+  assert.equal(shortTime(at("2026-11-20T16:50:00"), at("2026-11-20T17:00:00")), "17:50");
+  assert.equal(shortTime(at("2026-11-19T16:50:00"), at("2026-11-20T17:00:00")), "19. Nov., 17:50");
+});
 
 test("a field shows the wall clock of the site and is read as such", () => {
   assert.equal(toField(at("2026-07-01T10:00:00") + 0.9), "2026-07-01T12:00:00");

@@ -12,7 +12,7 @@ const catalogue = { has: (name) => KNOWN.includes(name), first: (count) => KNOWN
 
 function open(address = "") {
   openPage({ address });
-  return new View(catalogue);
+  return new View(catalogue, [360, 840, 1320]);
 }
 
 test("without an address it shows the first eight values of the last hour", () => {
@@ -99,14 +99,23 @@ test("no span is shorter than a second or longer than twelve years", () => {
   assert.equal(view.span, 12 * 365 * 86400);
 });
 
-test("a preset is what it is called, and is known to be chosen", () => {
+test("a preset is a shift of the site, and is saved as such, not as its times", () => {
   const view = open();
-  view.preset("morning");
-  assert.deepEqual(view.range(), [at("2026-11-20T06:00:00"), NOW]);
-  assert.deepEqual([view.isPreset("morning"), view.isPreset("shift"), view.live], [true, false, true]);
-  view.preset("shift");
-  assert.deepEqual(view.range(), [at("2026-11-20T06:00:00"), at("2026-11-20T14:00:00")]);
-  assert.deepEqual([view.isPreset("morning"), view.isPreset("shift"), view.live], [false, true, false]);
+  view.showPreset("shift");
+  assert.deepEqual(view.range(), [at("2026-11-20T14:00:00"), NOW]);
+  assert.deepEqual([view.preset, view.live], ["shift", true]);
+  view.showPreset("before");
+  assert.deepEqual(open(location.search).range(), [at("2026-11-20T06:00:00"), at("2026-11-20T14:00:00")]);
+  assert.deepEqual([view.preset, view.live], ["before", false]);
+  view.zoom(0.5);
+  assert.deepEqual([view.preset, view.range()], ["", [at("2026-11-20T08:00:00"), at("2026-11-20T12:00:00")]]);
+});
+
+test("what a view is compared with is part of its address", () => {
+  const view = open("?compare=nonsense&preset=never");
+  assert.deepEqual([view.compare, view.preset], ["", ""]);
+  view.change({ compare: "day" });
+  assert.equal(open(location.search).compare, "day");
 });
 
 test("each change reports what it changed", () => {
@@ -115,5 +124,5 @@ test("each change reports what it changed", () => {
   view.addEventListener("change", ({ detail }) => changes.push(detail));
   view.change({ a: NOW });
   view.show(NOW - 10, NOW);
-  assert.deepEqual(changes, [["a"], ["from", "to"]]);
+  assert.deepEqual(changes, [["a"], ["from", "to", "preset"]]);
 });

@@ -10,9 +10,9 @@ from app.alarms.settings import AlarmSettings
 from app.alarms.simulation.outcome import AlarmSimulation, Annunciations
 from app.alarms.simulation.proposal import in_toml
 from app.alarms.simulation.replay import Replay
-from app.alarms.simulation.stored import StoredHour, minutes_of
+from app.alarms.simulation.stored import StoredHour
 from app.history.intake.tail import Tail
-from app.history.query.unit_history import StoredUnit
+from app.history.query.unit_history import StoredUnit, minutes_of
 from app.history.series.runs import HOUR, MINUTE, SECOND, micros
 from app.history.series.scaling import ParameterStep
 from app.history.service import History
@@ -83,7 +83,7 @@ def _extent(
         return None, ()
     source = StoredUnit(connection, key, tail.runs(key, 0, 2**62)[:1])
     starts = [run.at for run in source.tail]
-    first = connection.execute("SELECT min(start) FROM minutes WHERE unit = ?", (key,)).fetchone()[0]
+    first = tables.first_minute(connection, key)
     if first is not None:
         starts += [min((row.start for row in minutes_of(source, first, first + HOUR)), default=first)]
     begins = max(min(starts), tables.raw_from(connection)) if starts else None

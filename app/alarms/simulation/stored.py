@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import groupby
 
 from app.alarms.settings import AlarmSettings
@@ -10,8 +9,7 @@ from app.alarms.simulation.replay import Replay
 from app.alarms.simulation.rest import AtRest, ZeroStep, rest_of
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
-from app.history.query.unit_history import StoredUnit
-from app.history.series.rollup import Rollup, unpack_rollups
+from app.history.query.unit_history import StoredUnit, minutes_of
 from app.history.series.runs import MINUTE, Run
 from app.history.series.values import VALUES
 from app.history.store import tables
@@ -71,9 +69,3 @@ class StoredHour:
             return [(row.start, row.commanded_max == 0) for row in rows]
         found = unit_history.readings(source, VALUES["commanded"], self._start, self._end)
         return [(at, value == 0) for at, value in zip(found.at, found.least, strict=True)]
-
-
-def minutes_of(source: StoredUnit, start: int, end: int) -> Iterable[Rollup]:
-    """The minutes that are stored of a span (µs)."""
-    for _, rows in source.blocks("minutes", start, end, unpack_rollups):
-        yield from (row for row in rows if start <= row.start < end)

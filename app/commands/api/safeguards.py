@@ -4,17 +4,27 @@ who set it."""
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter
 from pydantic import ConfigDict, Field, model_validator
 from typing_extensions import TypedDict
 
-from app.commands.acts import BLOCK, HAND_OVER_CONTROL, RELEASE_CONTROL, SET_LIMITS, TAKE_CONTROL, UNBLOCK
+from app.commands.acts import (
+    BLOCK,
+    END_CONTROL_REQUEST,
+    GRANT_CONTROL,
+    HAND_OVER_CONTROL,
+    RELEASE_CONTROL,
+    REQUEST_CONTROL,
+    SET_LIMITS,
+    TAKE_CONTROL,
+    UNBLOCK,
+)
 from app.commands.api.commands import UnitInPath
 from app.commands.api.responses import Moment
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
-from app.commands.safeguards.control import LAPSES_AFTER_S, Holding
+from app.commands.safeguards.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
 from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
@@ -75,6 +85,15 @@ class CommandBlockShown(TypedDict):
     since: Moment
 
 
+class ControlRequestShown(TypedDict):
+    """A request for control, also for a minute after its end."""
+
+    by: Annotated[str, Field(description="Name of the user or token.")]
+    is_token: bool
+    state: Literal["pending", "declined", "lapsed"]
+    until: Annotated[Moment, Field(description="When it lapses, or is shown no longer.")]
+
+
 class ControlShown(TypedDict):
     """Who has control of a line."""
 
@@ -86,6 +105,10 @@ class ControlShown(TypedDict):
     is_token: Annotated[bool | None, Field(description="Whether the holder is a token.")]
     since: Moment
     lapses_at: Moment
+    request_lapses_after_s: Annotated[
+        float, Field(description="A request without a response of the holder lapses after this, seconds.")
+    ]
+    request: Annotated[ControlRequestShown | None, Field(description="null: control is not requested.")]
 
 
 Guards = Annotated[Safeguards, bus_service(Safeguards)]
@@ -133,13 +156,40 @@ async def unblock_commands(
 @router.get("/control")
 async def get_control(_: Viewer, guards: Guards) -> ControlShown:
     """The user who has control of this line, if the site requires control."""
-    return _control_json(guards, guards.holding())
+    return _control_json(guards)
 
 
 @router.post("/control")
+@router.post("/control/take", operation_id="take_control_by_name")
 async def take_control(person: Annotated[Person, TAKE_CONTROL.permitted], guards: Guards) -> ControlShown:
     """Take control, if it is free."""
-    return _control_json(guards, await guards.take(person))
+    await guards.take(person)
+    return _control_json(guards)
+
+
+@router.post("/control/request")
+async def request_control(
+    person: Annotated[Person, REQUEST_CONTROL.permitted], guards: Guards
+) -> ControlShown:
+    """Request control from its holder, on every page that the holder has open. Only the holder grants it."""
+    await guards.request(person)
+    return _control_json(guards)
+
+
+@router.delete("/control/request")
+async def end_control_request(
+    person: Annotated[Person, END_CONTROL_REQUEST.permitted], guards: Guards
+) -> ControlShown:
+    """Withdraw one's own request, or decline that of another as the holder."""
+    await guards.end_request(person)
+    return _control_json(guards)
+
+
+@router.post("/control/grant")
+async def grant_control(person: Annotated[Person, GRANT_CONTROL.permitted], guards: Guards) -> ControlShown:
+    """Hand control over to the account that has requested it."""
+    await guards.grant(person)
+    return _control_json(guards)
 
 
 @router.post("/control/hand-over")
@@ -147,16 +197,18 @@ async def hand_over_control(
     person: Annotated[Person, HAND_OVER_CONTROL.permitted], guards: Guards, body: HandOverRequest
 ) -> ControlShown:
     """Hand control over to another user who may command the line. An admin may do so without control."""
-    return _control_json(guards, await guards.hand_over(person, body.to))
+    await guards.hand_over(person, body.to)
+    return _control_json(guards)
 
 
 @router.delete("/control")
+@router.post("/control/release", operation_id="release_control_by_name")
 async def release_control(
     person: Annotated[Person, RELEASE_CONTROL.permitted], guards: Guards
 ) -> ControlShown:
     """Release control."""
     await guards.release(person)
-    return _control_json(guards, None)
+    return _control_json(guards)
 
 
 def _block_json(guards: Safeguards, unit: int) -> CommandBlockShown:
@@ -166,15 +218,22 @@ def _block_json(guards: Safeguards, unit: int) -> CommandBlockShown:
     return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}
 
 
-def _control_json(guards: Safeguards, holding: Holding | None) -> ControlShown:
-    name, is_token = (None, None) if holding is None else name_of(holding.holder)
+def _control_json(guards: Safeguards) -> ControlShown:
+    now = guards.bus_control()
+    name, is_token = name_of(now.holder)
+    by, by_token = name_of(now.requester)
+    request: ControlRequestShown | None = None
+    if now.request:
+        request = {"by": by, "is_token": by_token, "state": now.request, "until": iso(now.request_until)}
     return {
         "required": guards.control.required,
         "lapses_after_s": LAPSES_AFTER_S,
-        "holder": name,
-        "is_token": is_token,
-        "since": None if holding is None else iso(holding.since),
-        "lapses_at": None if holding is None else iso(guards.lapses_at(holding)),
+        "holder": name or None,
+        "is_token": is_token if now.holder else None,
+        "since": iso(now.since) if now.holder else None,
+        "lapses_at": iso(now.lapses_at) if now.holder else None,
+        "request_lapses_after_s": REQUEST_LAPSES_AFTER_S,
+        "request": request,
     }
 
 

@@ -42,10 +42,8 @@ def followers_of(live: BusLive) -> set[int]:
     return {number for number, unit in live.units.items() if follower(unit)}
 
 
-def proven(
-    page: BusPage, title: str, setpoints: Mapping[int, int], result: Result, form: FormData
-) -> Response:
-    """The outcome of each unit in floor order, and the way back where all of them are verified."""
+def proven(page: BusPage, title: str, setpoints: Mapping[int, int], result: Result, id: str) -> Response:
+    """The outcome of each unit in floor order, and the undo of the change with this id."""
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
     proofs = [
         (
@@ -61,17 +59,9 @@ def proven(
         bus=page.name,
         outcome=_outcome_of_all(result, len(setpoints)),
         proofs=proofs,
-        former=_former(page.bus, setpoints, form) if result.outcome == "verified" else {},
+        undo=page.undo(id),
         skew=None if result.skew_s is None else page.translator.formats.number(result.skew_s * 1000),
     )
-
-
-def _former(live: BusLive, setpoints: Mapping[int, int], form: FormData) -> dict[int, str | Message]:
-    """What each unit had before, as it shows it; nothing where that is not known of all."""
-    was = {number: str(form.get(f"was-{number}", "")) for number in setpoints}
-    if not all(text.isdecimal() for text in was.values()):
-        return {}
-    return {number: setpoint_message(int(text), live.units[number]) for number, text in was.items()}
 
 
 def _outcome_of_all(result: Result, units: int) -> OutcomeText:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -15,6 +15,7 @@ from starlette.responses import Response
 
 from app.commands.catalogue import kind_of_command, timeout_s_for
 from app.commands.forms.outcome import OutcomeText, outcome_text
+from app.commands.forms.undo_shown import UndoShown, undo_shown
 from app.commands.review import (
     SetpointChange,
     change_of,
@@ -22,6 +23,7 @@ from app.commands.review import (
     present_setpoint,
     ramp_parameters_missing,
 )
+from app.commands.rules.draw_changes import DrawChange, draw_changes
 from app.commands.safeguards.limits import Limits
 from app.commands.safeguards.service import Safeguards
 from app.commands.service.command_service import CommandService
@@ -39,19 +41,24 @@ from app.web.arrival import Deadline, made_at, refuse_late
 from app.web.services import bus_service_of, service_of
 from app.web.templating import render, templates_of
 from bus.contract import Action, Result, UnitOutcome
+from bus.errors import CallerError
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
+_RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
+"""What a result shows where nothing else is given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """What a confirmed review posts: the id of its command, and when it was shown."""
+    """What a confirmed review posts: the id of its command, when it was shown, and the id of the command that
+    it undoes."""
 
     id: str
     reviewed_at: UnixTime
+    undoes: str = ""
 
     def refuse_lapsed(self) -> None:
         """Raises Problem 409 for a review that is over. Nothing is sent."""
@@ -69,6 +76,8 @@ class PageContext:
         self.translator = Translator(language, templates.formats(language.tag))
         self.live = service_of(request, LiveState)
         self.made_at = made_at(request)
+        self.undoes = ""
+        """The id of the command that the review undoes."""
 
     @property
     def person(self) -> Person:
@@ -99,23 +108,37 @@ class PageContext:
 
     def review(self, template: str, /, **context: Any) -> Response:
         """The second step: what will be done once this is confirmed, and the id it will be done under."""
-        return self.render(template, command_id=new_id(), reviewed_at=unix_now(), **context)
+        context = {"command_id": new_id(), "reviewed_at": unix_now(), "undoes": self.undoes, **context}
+        return self.render(template, **context)
 
     def explain(
-        self, reason: Message, place: str, *, nearest: str | Message = "", status: int = 422
+        self,
+        reason: Message | CallerError | Problem,
+        place: str,
+        *,
+        nearest: str | Message = "",
+        status: int = 422,
     ) -> Response:
-        """Why there is no review, at the CSS selector ``place``. A press on ``nearest`` enters it."""
-        response = self.render("unit/_no_review.html", reason=reason, nearest=nearest, status=status)
+        """Why there is no review, at the CSS selector ``place``, with a way to control where that is missing.
+        A press on ``nearest`` enters it."""
+        response = self.render(
+            "unit/_no_review.html",
+            reason=reason if isinstance(reason, Message) else reason.message,
+            nearest=nearest,
+            controlled=_controlled(reason),
+            status=status,
+        )
         response.headers["HX-Retarget"] = place
         return response
 
     def refused(self, problem: Problem, title: str) -> Response:
         """The end of a review that sent nothing, in the dialog."""
-        return self.done(title, OutcomeText("bad", problem.message), status=problem.status)
+        outcome = OutcomeText("bad", problem.message)
+        return self.done(title, outcome, status=problem.status, controlled=_controlled(problem))
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
-        context = {"requested": "", "reads": "", "undo": ""} | setpoint
+        context = _RESULT | setpoint
         return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 
 
@@ -169,21 +192,28 @@ class BusPage(PageContext):
         missing = {unit: ramp_parameters_missing(self.bus.units[unit]) for unit in units}
         await asyncio.gather(*(read(unit, numbers) for unit, numbers in missing.items() if numbers))
 
-    async def send(self, action: Action, id: str, deadline: Deadline | None = None) -> Result:
-        """Send the reviewed command, once; ``deadline`` where it is not that of its kind.
+    def undo(self, id: str) -> UndoShown | None:
+        """The undo of the command that this person has sent with this id; None where there is none."""
+        return undo_shown(self.commands.undo.offer(self.person, id), self.bus)
+
+    async def send(
+        self, action: Action, id: str, deadline: Deadline | None = None, undoes: str = ""
+    ) -> Result:
+        """Send the reviewed command, once; ``deadline`` where it is not that of its kind; ``undoes``: the id
+        of the command that it undoes.
 
         Raises Problem where it is not sent.
         """
         timeout_s = kind_of_command(action).timeout_s(action, self.bus)
         deadline = deadline or Deadline(self.made_at, timeout_s)
         return await self.commands.send(
-            self.person, action, deadline=deadline, confirm=True, id=id, origin="page"
+            self.person, action, deadline=deadline, confirm=True, id=id, origin="page", undoes=undoes
         )
 
     async def carry_out(self, action: Action, confirmation: Confirmation) -> Result:
         """Send what was confirmed while its review lasts. Raises Problem where it is not sent."""
         confirmation.refuse_lapsed()
-        return await self.send(action, confirmation.id)
+        return await self.send(action, confirmation.id, undoes=confirmation.undoes)
 
     def outcome(self, result: Result | UnitOutcome, unit: int) -> OutcomeText:
         """What became of a setpoint; what was read back is in the decimals of ``unit``."""
@@ -193,6 +223,10 @@ class BusPage(PageContext):
         """What a new setpoint means for a unit."""
         block = self.guards.block_reason(unit)
         return change_of(self.bus, self.bus.units[unit], raw, self.limits(unit), unix_now(), block=block)
+
+    def draws(self, setpoints: Mapping[int, int]) -> list[DrawChange]:
+        """What new setpoints, raw by unit, do to the draw between neighbors."""
+        return draw_changes(self.bus, setpoints)
 
     def obstacle(self, unit: int) -> Message | None:
         """Why a unit cannot take a command now; None where nothing is known against it."""
@@ -230,12 +264,13 @@ class UnitPage(BusPage):
 
     def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The result of a command, in place. ``setpoint``: the requested value, its live field, its undo."""
-        context = {"unit": self.on_line, "requested": "", "reads": "", "undo": ""} | setpoint
+        context = _RESULT | setpoint
         return self.render("unit/_result.html", outcome=outcome, status=status, **context)
 
     def not_sent(self, problem: Problem) -> Response:
         """The result of a confirmed review of which nothing was sent."""
-        return self.result(OutcomeText("bad", problem.message), status=problem.status)
+        outcome = OutcomeText("bad", problem.message)
+        return self.result(outcome, status=problem.status, controlled=_controlled(problem))
 
     def setpoint(self, raw: int | None) -> str:
         """A setpoint as the unit shows it, in the reader's language; empty where there is none."""
@@ -245,6 +280,13 @@ class UnitPage(BusPage):
     def present(self) -> int | None:
         """The present setpoint, raw; None where it is not known."""
         return present_setpoint(self.bus, self.unit)
+
+
+def _controlled(reason: Message | CallerError | Problem) -> str:
+    """The bus whose control was missing; empty for another reason."""
+    if isinstance(reason, Problem) and reason.code == "controlled":
+        return str(reason.extra.get("bus", ""))
+    return ""
 
 
 def new_id() -> str:
@@ -270,9 +312,11 @@ async def unit_page_of(request: Request, bus: str, unit: int) -> UnitPage:
 
 
 async def _confirmation_of(
-    id: Annotated[str, Form(max_length=64)], reviewed_at: Annotated[UnixTime, Form()]
+    id: Annotated[str, Form(max_length=64)],
+    reviewed_at: Annotated[UnixTime, Form()],
+    undoes: Annotated[str, Form(max_length=64)] = "",
 ) -> Confirmation:
-    return Confirmation(id, reviewed_at)
+    return Confirmation(id, reviewed_at, undoes)
 
 
 Page = Annotated[PageContext, Depends(_page_of_site)]

@@ -7,14 +7,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.commands.acts import FORCE_CONTROL, TAKE_CONTROL
 from app.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.commands.forms.outcome import outcome_text
 from app.commands.forms.page_context import BusPage, OfBus, Page, new_id
-from app.commands.safeguards.control import LAPSES_AFTER_S
+from app.commands.pages.control import others
 from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.web.access import Person, Role, Viewer
+from app.web.access import Viewer
 from app.web.arrival import Deadline
 from bus.contract import ChangeBaud, ScanBus
 from bus.errors import unit_error
@@ -42,8 +41,11 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
         buses=list(page.live.buses),
         bauds=sorted(BAUDS),
         control_required=page.guards.control.required,
+        bus=page.bus,
+        control=page.guards.bus_control(),
+        others=others(page),
+        fault="",
         **_units(page),
-        **_control(page),
     )
 
 
@@ -76,54 +78,6 @@ async def scan(
         known=page.bus.units,
         action=action,
     )
-
-
-@router.get("/{bus}/control")
-async def control_now(_: Viewer, page: OfBus) -> Response:
-    """Who holds control, for the open page."""
-    return page.render("bus/_control.html", **_control(page))
-
-
-@router.post("/{bus}/control")
-async def control(
-    person: Annotated[Person, TAKE_CONTROL.permitted],
-    page: OfBus,
-    do: Annotated[str, Form(pattern="^(take|release|hand-over)$")],
-    to: Annotated[str, Form(max_length=80)] = "",
-) -> Response:
-    """Take, release or hand over control of this line; names the holder where another user was quicker."""
-    fault: str | Message = ""
-    try:
-        match do:
-            case "take":
-                await page.guards.take(person)
-            case "release":
-                await page.guards.release(person)
-            case _ if to in _others(page):
-                await page.guards.hand_over(person, to)
-            case _:
-                fault = Message("new_holder_unknown")
-    except Problem as problem:
-        fault = problem.message
-    return page.render("bus/_control.html", **_control(page) | {"fault": fault})
-
-
-def _control(page: BusPage) -> dict[str, Any]:
-    return {
-        "bus": page.bus,
-        "fault": "",
-        "holding": page.guards.holding(),
-        "others": _others(page),
-        "lapses_min": round(LAPSES_AFTER_S / 60),
-    }
-
-
-def _others(page: BusPage) -> list[str]:
-    """Users with an open page who may set a line and do not hold this one."""
-    here = {name for name, role in page.people().items() if Role(role).includes(TAKE_CONTROL.role)}
-    if page.person.role.includes(FORCE_CONTROL.role):
-        here.add(page.person.account)
-    return sorted(here - {page.guards.holder()})
 
 
 CHANGE_S = 30.0

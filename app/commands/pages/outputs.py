@@ -30,10 +30,14 @@ async def review_output(page: OfUnit, number: OutputPath) -> Response:
     try:
         if reading is None:
             raise Problem(409, "unknown", Message("output_unknown"))
-        on = not output_is_on(reading.outputs, number)
-        page.check(WriteOutput(unit=page.id, number=number, on=on))
+        return review_switch(page, number, on=not output_is_on(reading.outputs, number))
     except Problem as problem:
-        return page.explain(problem.message, "#outputs-result", status=problem.status)
+        return page.explain(problem, "#outputs-result", status=problem.status)
+
+
+def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
+    """A state of an output, to be confirmed. Raises Problem for what would not be sent."""
+    page.check(WriteOutput(unit=page.id, number=number, on=on))
     return page.review(
         "unit/_review_output.html",
         unit=page.on_line,
@@ -57,17 +61,21 @@ async def set_output(
     if result.outcome == "verified":
         state = term("on") if on else term("off")
         outcome = OutcomeText("good", Message.of("result_output", n=number, state=state))
-    return page.result(outcome)
+    return page.result(outcome, undo=page.undo(confirmed.id))
 
 
 @router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
 async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
     """A value of the analog output, in volts too, to be confirmed."""
     try:
-        raw = _integer(value)
-        page.check(WriteAnalogOutput(unit=page.id, raw=raw))
+        return review_analog_value(page, _integer(value))
     except (CallerError, Problem) as error:
-        return page.explain(error.message, "#analog-error")
+        return page.explain(error, "#analog-error")
+
+
+def review_analog_value(page: UnitPage, raw: int) -> Response:
+    """A value of the analog output, to be confirmed. Raises Problem for what would not be sent."""
+    page.check(WriteAnalogOutput(unit=page.id, raw=raw))
     return page.review(
         "unit/_review_analog.html",
         unit=page.on_line,
@@ -84,7 +92,7 @@ async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: C
         result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed)
     except Problem as problem:
         return page.not_sent(problem)
-    return page.result(outcome_text(result))
+    return page.result(outcome_text(result), undo=page.undo(confirmed.id))
 
 
 def _integer(text: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import groupby
 from typing import Annotated, Any
 
@@ -74,12 +75,19 @@ async def review_parameter(
     page: OfUnit, number: ParameterPath, value: Annotated[str, Form(max_length=40)] = ""
 ) -> Response:
     """What was typed, judged and shown again: old → new, range, danger."""
-    parameter = PARAMETERS[number]
     try:
-        raw = await page.typed(page.id).parameter(number, value)
-        await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))
+        return await review_value(page, number, await page.typed(page.id).parameter(number, value))
     except (CallerError, Problem) as error:
-        return _explain(page, parameter, error)
+        return _explain(page, PARAMETERS[number], error)
+
+
+async def review_value(page: UnitPage, number: int, raw: int) -> Response:
+    """A value of a parameter, to be confirmed. Raises Problem for what would not be sent."""
+    parameter = PARAMETERS[number]
+    await page.judge(WriteParameter(unit=page.id, number=number, raw=raw))
+    # What the keypad has changed since it was read: old and new are shown, and undo goes back to it.
+    with suppress(Problem):
+        await page.commands.read(page.person, page.id, [number], page.deadline())
     lowest, highest = parameter_bounds(page.unit, number, page.limits(page.id))
     known = page.unit.parameter_raw(number)
     return page.review(
@@ -114,6 +122,8 @@ async def write_parameter(
             raise Problem(409, "dangerous", Message("word_not_typed"))
         result = await page.carry_out(WriteParameter(unit=page.id, number=number, raw=raw), confirmed)
     except Problem as problem:
+        if confirmed.undoes:
+            return page.refused(problem, page.title)
         response = page.not_sent(problem)
         response.headers["HX-Retarget"] = f"#parameter-{number}-error"
         response.headers["HX-Reswap"] = "innerHTML"
@@ -123,8 +133,8 @@ async def write_parameter(
         outcome=_outcome(page, parameter, result),
         unit=page.on_line,
         row=_row(page, number),
-        requested="",
-        undo="",
+        undo=page.undo(confirmed.id),
+        undoes=confirmed.undoes,
     )
 
 
@@ -139,7 +149,7 @@ def _explain(page: UnitPage, parameter: Parameter, error: CallerError | Problem)
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     place = f"#parameter-{parameter.number}-error"
     if nearest is None or parameter.secret:
-        return page.explain(error.message, place)
+        return page.explain(error, place)
     # The rule speaks of raw values; what was typed here is what the unit shows.
     shown = parameter_message(parameter, nearest, page.unit)
     return page.explain(Message.of("parameter_out_of_range", value=shown), place, nearest=shown)

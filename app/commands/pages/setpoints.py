@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 from fastapi import APIRouter, Form
@@ -52,18 +53,23 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     form = await request.form()
     of_bus = page.of_bus(str(form.get("bus", "")))
     try:
-        setpoints = await _typed_setpoints(of_bus, form)
-        await of_bus.judge(SetLine(setpoints=setpoints), of_bus.deadline(len(setpoints)))
+        return await review_change(of_bus, await _typed_setpoints(of_bus, form))
     except (CallerError, Problem) as error:
-        return page.explain(error.message, f"#setpoints-error-{of_bus.name}")
+        return page.explain(error, f"#setpoints-error-{of_bus.name}")
+
+
+async def review_change(of_bus: BusPage, setpoints: Mapping[int, int]) -> Response:
+    """The new setpoint of several units, raw, to be confirmed. Raises Problem for what would not be sent."""
+    await of_bus.judge(SetLine(setpoints=dict(setpoints)), of_bus.deadline(len(setpoints)))
     await of_bus.know_ramps(setpoints)
     changes = [of_bus.change(unit, raw) for unit, raw in setpoints.items()]
     left_out, unchanged = of_bus.not_taking_part(setpoints)
-    return page.review(
+    return of_bus.review(
         "setpoints/_review.html",
         bus=of_bus.name,
         changes=changes,
         obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
+        draws=of_bus.draws(setpoints),
         risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
@@ -99,4 +105,4 @@ async def set_setpoints(
         result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed)
     except Problem as problem:
         return page.refused(problem, title)
-    return proven(of_bus, title, setpoints, result, form)
+    return proven(of_bus, title, setpoints, result, confirmed.id)

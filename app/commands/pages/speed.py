@@ -37,18 +37,20 @@ async def review_speed(
     """What was typed, judged and shown again: old → new, limits, ramp."""
     try:
         raw = await page.typed(page.id).setpoint(value)
-        return await _review(page, raw, execute=how == "now")
+        return await review_setpoint(page, raw, execute=how == "now")
     except (CallerError, Problem) as error:
         return _explain(page, error)
 
 
-async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
+async def review_setpoint(page: UnitPage, raw: int, *, execute: bool = True) -> Response:
+    """A setpoint, to be confirmed. Raises Problem for what would not be sent."""
     await page.judge(SetSpeed(unit=page.id, raw=raw, execute=execute))
     await page.know_ramps([page.id])
     return page.review(
         "unit/_review_speed.html",
         unit=page.on_line,
         change=page.change(page.id, raw),
+        draws=page.draws({page.id: raw}) if execute else [],
         execute=execute,
         follower=bool(follower(page.unit)),
     )
@@ -57,7 +59,7 @@ async def _review(page: UnitPage, raw: int, *, execute: bool) -> Response:
 def _explain(page: UnitPage, error: CallerError | Problem) -> Response:
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     status = error.status if isinstance(error, Problem) else 422
-    return page.explain(error.message, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
+    return page.explain(error, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
 
 
 @router.post("/speed", dependencies=[permitted_writer(SET_SPEED)])
@@ -75,18 +77,17 @@ async def set_speed(
         result = await page.carry_out(action, confirmed)
     except Problem as problem:
         return page.not_sent(problem)
-    return _done(page, raw, result, was if action.execute else "")
+    return _done(page, raw, result, confirmed.id)
 
 
-def _done(page: UnitPage, raw: int, result: Result, was: str) -> Response:
-    """The result; ``was``: what undo offers once the new setpoint is verified, empty where it offers none."""
+def _done(page: UnitPage, raw: int, result: Result, id: str) -> Response:
     # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(page.unit) else f"{page.on_line.key}.commanded"
     return page.result(
         page.outcome(result, page.id),
         requested=page.setpoint(raw),
         reads=reads,
-        undo=page.setpoint(int(was)) if was and result.outcome == "verified" else "",
+        undo=page.undo(id),
     )
 
 
@@ -109,12 +110,11 @@ async def nudge(
         if raw < 0:
             raise Problem(422, "invalid", Message("step_below_zero"), nearest=0)
         if not _is_small(page, step):
-            return await _review(page, raw, execute=True)
-        was = str(page.present)
+            return await review_setpoint(page, raw, execute=True)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
     except Problem as problem:
         return _explain(page, problem)
-    response = _done(page, raw, result, was)
+    response = _done(page, raw, result, id)
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 
@@ -135,8 +135,8 @@ async def review_execute(page: OfUnit) -> Response:
         await page.know_ramps([page.id])
     except Problem as problem:
         return _explain(page, problem)
-    change = page.change(page.id, staged)
-    return page.review("unit/_review_execute.html", unit=page.on_line, change=change)
+    change, draws = page.change(page.id, staged), page.draws({page.id: staged})
+    return page.review("unit/_review_execute.html", unit=page.on_line, change=change, draws=draws)
 
 
 @router.post("/execute", dependencies=[permitted_writer(EXECUTE_SPEED)])
@@ -149,4 +149,4 @@ async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: W
         result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed)
     except Problem as problem:
         return page.not_sent(problem)
-    return _done(page, raw, result, was)
+    return _done(page, raw, result, confirmed.id)

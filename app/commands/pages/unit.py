@@ -1,17 +1,12 @@
-"""The unit page, with its alarms, and the limits and the command block of its unit."""
+"""The unit page, with the limits and the command block of its unit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Form, Query
+from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
-from app.alarms.alarm import Alarm
-from app.alarms.line_alarms import LineAlarms
-from app.alarms.pages import ShownKeys
-from app.alarms.summary import MAX_ROWS, AlarmRow, listed
 from app.commands.acts import BLOCK, SET_LIMITS, UNBLOCK
 from app.commands.forms.page_context import OfUnit, UnitPage
 from app.commands.review import nudges
@@ -21,19 +16,15 @@ from app.commands.values import measure_of_setpoint
 from app.errors import Problem
 from app.live.state.bus_live import UnitLive, follower, setpoint_decimals
 from app.web.access import Person, Viewer
-from app.web.services import service_of
 from bus.catalogue.numbers import ANALOG_OUT_HIGH, ANALOG_OUT_LOW, ANALOG_OUT_SOURCE
 from bus.catalogue.values import speed_raw, speed_text
 from bus.errors import CallerError
-from bus.instants import unix_now
 from bus.messages import Message, number
 from bus.text import OneLine
 
 router = APIRouter(prefix="/units/{bus}/{unit:int}", include_in_schema=False)
 TypedLimit = Annotated[str, Form(max_length=20)]
 SEE_OTHER = 303
-MAX_ALARMS = 2
-"""In words; the list of alarms has all of them."""
 
 
 @router.get("")
@@ -52,7 +43,6 @@ def _faceplate(page: UnitPage) -> dict[str, Any]:
         "unit": page.on_line,
         "before": page.neighbor(-1),
         "after": page.neighbor(1),
-        **_alarms(page),
         "present": page.setpoint(page.present),
         "lowest": page.setpoint(allowed.lowest),
         "highest": page.setpoint(allowed.highest),
@@ -65,32 +55,6 @@ def _faceplate(page: UnitPage) -> dict[str, Any]:
         "analog_high": unit.parameter_raw(ANALOG_OUT_HIGH),
         "analog_by_link": unit.parameter_raw(ANALOG_OUT_SOURCE) == 2,
     }
-
-
-@router.get("/alarms")
-async def unit_alarms(
-    _: Viewer, page: OfUnit, shown: Annotated[ShownKeys, Query(max_length=MAX_ROWS)] = ()
-) -> Response:
-    """The alarms of the unit; those that are shown stay in their places."""
-    return page.render("unit/_alarms.html", unit=page.on_line, **_alarms(page, shown))
-
-
-def _alarms(page: UnitPage, shown: Sequence[str] = ()) -> dict[str, Any]:
-    """Each alarm with its state in words, and how many are more than there is room for."""
-    chosen = {"state": "", "priority": "", "group": "", "place": page.on_line.key}
-    rows: list[AlarmRow] = listed(service_of(page.request, LineAlarms), chosen, shown)["rows"]
-    found = [row.alarm for row in rows if row.alarm.is_annunciated or row.alarm.definition.key in shown]
-    more = len(found) - MAX_ALARMS
-    return {
-        "alarms": [(alarm, _state(page, alarm)) for alarm in found[:MAX_ALARMS]],
-        "more": Message.of("alarms_more", n=more) if more > 0 else "",
-    }
-
-
-def _state(page: UnitPage, alarm: Alarm) -> Message:
-    facts, now = alarm.facts, unix_now()
-    code, at = ("alarm_active_since", facts.came) if facts.active else ("alarm_cleared_at", facts.cleared)
-    return Message.of(code, time=page.translator.formats.since(at or facts.since or now, now))
 
 
 _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")

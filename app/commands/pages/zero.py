@@ -77,6 +77,7 @@ async def set_zero(page: Page, confirmed: Confirmed) -> Response:
 async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
     """Units that are left out come first, with the reason."""
     plan = _plan(page)
+    page.commands.undo.clear(page.person)
     left_out: list[ResultRow] = [
         (_on_site(page, name), "", OutcomeText("bad", Message.of("result_left_out", reason=reason)))
         for name, reason in plan.left_out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import InitVar, dataclass, field
 
@@ -11,23 +12,30 @@ from app.auth.rights import Rights
 from app.auth.signin import SignIn
 from app.commands.acts import (
     BLOCK,
+    END_CONTROL_REQUEST,
     FORCE_CONTROL,
+    GRANT_CONTROL,
     HAND_OVER_CONTROL,
     RELEASE_CONTROL,
+    REQUEST_CONTROL,
     SET_LIMITS,
     TAKE_CONTROL,
     UNBLOCK,
 )
-from app.commands.safeguards.control import Control, Holding
+from app.commands.safeguards.control import Control, Holding, RequestedControl, controlled
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
 from app.web.access import Person, Role, name_of
+from app.web.head_control import BusControl
+from bus.bucket import Bucket
 from bus.instants import UnixTime, monotonic_now, unix_now
 from bus.messages import Message, term
 
 SIGNED_OUT = Message("holder_signed_out")
+REQUEST_EVERY_S, MAX_REQUESTS = 10.0, 6
+"""How often control of a bus is requested, and how often at once: each request disturbs a person."""
 AccountLookup = Callable[[str], Awaitable[tuple[str, Role] | None]]
 """The account with this name, and its role; None where there is none."""
 
@@ -44,6 +52,8 @@ class Safeguards:
     rights: Rights
     sessions: InitVar[SignIn]
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
+    _control_subscribers: list[Callable[[], None]] = field(default_factory=list)
+    _requests: Bucket = field(default_factory=lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS))
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SignIn) -> None:
         self.limits = LimitsStore(database, self._bus)
@@ -61,6 +71,10 @@ class Safeguards:
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or freed."""
         self._block_subscribers.append(subscriber)
+
+    def on_control(self, subscriber: Callable[[], None]) -> None:
+        """Call ``subscriber`` when control has another holder, or was requested."""
+        self._control_subscribers.append(subscriber)
 
     def block_reason(self, unit: int) -> Message | None:
         """Why a unit is blocked and by whom; None when it is not."""
@@ -114,6 +128,17 @@ class Safeguards:
         holding = self.holding()
         return holding.holder if holding is not None else ""
 
+    def bus_control(self) -> BusControl:
+        """Control of the bus as every page shows it."""
+        now, holding = monotonic_now(), self.holding()
+        if holding is None:
+            return BusControl(self._bus)
+        request = self.control.request_now(now)
+        shown = BusControl(self._bus, holding.holder, holding.since, self.lapses_at(holding))
+        if request is None:
+            return shown
+        return shown.requested(request.by, request.state(now), unix_now() + request.left_s(now))
+
     async def take(self, person: Person) -> Holding:
         """Take control, if it is free. Raises Problem 403 and 409."""
         TAKE_CONTROL.check(person)
@@ -121,8 +146,50 @@ class Safeguards:
         before = self.holding()
         holding = self.control.take(person.account, monotonic_now(), unix_now())
         if before is None:
+            self._publish_control()
             await self._record(TAKE_CONTROL, person, None, person.account)
         return holding
+
+    async def request(self, person: Person) -> RequestedControl | None:
+        """Request control from its holder, on every page that the holder has open. Raises Problem 403, 409,
+        and 429 after too many requests of this bus."""
+        REQUEST_CONTROL.check(person)
+        await self.rights.check(person)
+        now = monotonic_now()
+        if not self._requests.has_room(now):
+            seconds = math.ceil(self._requests.wait_s(now))
+            problem = Problem(429, "too_many", Message.of("control_requests_too_many", n=seconds))
+            raise problem.with_headers(Retry_After=str(seconds))
+        if self.control.request(person.account, now):
+            self._requests.take(now)
+            self._publish_control()
+            await self._record(REQUEST_CONTROL, person, self.holder(), person.account)
+        return self.control.request_now(now)
+
+    async def grant(self, person: Person) -> Holding:
+        """Hand control over to the account that has requested it. Raises Problem 403, 409, and 422 where that
+        account may command the bus no longer."""
+        GRANT_CONTROL.check(person)
+        await self.rights.check(person)
+        to = self.control.requester(person.account, monotonic_now())
+        if await self._who_may_hold(person, to) != to:
+            raise Problem(422, "invalid", Message.of("holder_cannot_sign_in", name=to))
+        if self.control.requester(person.account, monotonic_now()) != to:
+            raise controlled(Message("control_not_requested"))
+        holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now())
+        self._publish_control()
+        await self._record(GRANT_CONTROL, person, person.account, to)
+        return holding
+
+    async def end_request(self, person: Person) -> None:
+        """Decline the open request as the holder, or withdraw it as its account. Raises Problem 403, 409."""
+        END_CONTROL_REQUEST.check(person)
+        await self.rights.check(person)
+        request = self.control.end_request(person.account, monotonic_now())
+        self._publish_control()
+        withdrawn = request.by == person.account
+        result = Message("control_withdrawn" if withdrawn else "control_declined")
+        await self._record(END_CONTROL_REQUEST, person, request.by, result)
 
     async def hand_over(self, person: Person, to: str) -> Holding:
         """Hand control over; an admin may do so without holding it. Raises Problem 403, 409, and 422 for a
@@ -132,6 +199,7 @@ class Safeguards:
         before = self.holding()
         by_force = person.role.includes(FORCE_CONTROL.role)
         holding = self.control.hand_over(person.account, to, monotonic_now(), unix_now(), by_force=by_force)
+        self._publish_control()
         old = before.holder if before is not None else None
         await self._record(HAND_OVER_CONTROL, person, old, to)
         return holding
@@ -149,11 +217,14 @@ class Safeguards:
         """Release control. Raises Problem 403 and 409."""
         RELEASE_CONTROL.check(person)
         self.control.release(person.account, monotonic_now())
+        self._publish_control()
         await self._record(RELEASE_CONTROL, person, person.account, None)
 
     async def revoke_control(self, account: str) -> None:
         """The account is signed in nowhere any more, or may do less: what it held is free."""
-        if not self.control.revoke(account, monotonic_now()):
+        held = self.control.revoke(account, monotonic_now())
+        self._publish_control()
+        if not held:
             return
         who, is_token = name_of(account)
         await self._events.record(
@@ -169,6 +240,10 @@ class Safeguards:
     def _publish_block(self, unit: int) -> None:
         for subscriber in self._block_subscribers:
             subscriber(unit)
+
+    def _publish_control(self) -> None:
+        for subscriber in self._control_subscribers:
+            subscriber()
 
     async def _record(
         self,

@@ -30,6 +30,13 @@ class CommandRequest:
     origin: CommandOrigin | Message
     key: str | None = None
     """The sender's key, by which it gets the result again; keys of different senders are independent."""
+    undoes: str = ""
+    """The key of the command that it undoes."""
+
+    @property
+    def can_be_undone(self) -> bool:
+        """Whether a person has sent it from a page, as a command or by a recipe."""
+        return self.person.via != "token" and (self.origin == "page" or isinstance(self.origin, Message))
 
 
 def without_secret(action: Action, result: Result) -> Result:

@@ -21,6 +21,7 @@ from app.commands.service.command_request import CommandOrigin, CommandRequest, 
 from app.commands.service.idempotency import IdempotencyCache, KeptCommand, refuse_other
 from app.commands.service.prior_read import UnreadError, read_values, unread, unread_by_unit
 from app.commands.service.record import CommandRecord
+from app.commands.service.undoing import Undoing
 from app.errors import Problem, StoreError
 from app.feed.channel import Channel
 from app.live.command_ids import new_command_id
@@ -63,6 +64,9 @@ class CommandService:
     _under_way: set[asyncio.Task[Result]] = field(default_factory=set)
     _write_subscribers: list[WriteSubscriber] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.undo = Undoing(self._live, self._monotonic)
+
     @property
     def _bus(self) -> str:
         return self._live.settings.name
@@ -81,6 +85,7 @@ class CommandService:
         confirm: bool = False,
         id: str | None = None,
         origin: CommandOrigin | Message = "api",
+        undoes: str = "",
     ) -> Result:
         """Send ``action`` and return its one result; the same ``id`` returns the same result again. An id
         belongs to its sender: the same id of another sender is another command.
@@ -106,7 +111,9 @@ class CommandService:
         if kept is None:
             timeout_s = timeout_s or kind_of_command(action).timeout_s(action, self._live)
             deadline = deadline or Deadline.within(timeout_s)
-            request = CommandRequest(new_command_id(id), person, self._bus, action, deadline, origin, id)
+            request = CommandRequest(
+                new_command_id(id), person, self._bus, action, deadline, origin, id, undoes
+            )
             try:
                 kept = await self._accept(request, confirm)
             except UnreadError as error:
@@ -165,7 +172,7 @@ class CommandService:
         refuse_without(kind_of_command(action).role, person)
         objection = self._guards.use_control(person.account) if action.writes else None
         if objection is not None:
-            raise controlled(Message.of("nothing_sent", reason=objection))
+            raise controlled(Message.of("nothing_sent", reason=objection), self._bus)
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         self._record.refuse_unlogged(action, self._live)
@@ -216,7 +223,8 @@ class CommandService:
                     for subscriber in self._write_subscribers:
                         await subscriber(request.person, units, parameters=parameters)
             intent = await self._record.intend(request, self._live)
-            result = without_secret(request.action, await self._transmit(request))
+            with self.undo.of(request) as followed:
+                result = followed(without_secret(request.action, await self._transmit(request)))
             await self._record.conclude(intent, request, result)
             return result
         finally:

@@ -16,8 +16,8 @@ from app.history.api import spans
 from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
 from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.export import download
-from app.history.export.download import ExportResolution, Format
-from app.history.query.query import QueryResult, SeriesQuery
+from app.history.export.download import ExportResolution, Format, Layout
+from app.history.query.query import QueryResult, SeriesQuery, stored_queries
 from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
@@ -172,16 +172,24 @@ async def get_history_status(_: Viewer, history: HistoryOf) -> HistoryStatus:
 
 @router.get("/export", response_class=StreamingResponse, responses=EXPORT, dependencies=[DOWNLOAD])
 async def export_history(
+    request: Request,
     _: Viewer,
     history: HistoryOf,
     span: SpanOf,
     series: Annotated[list[str], Query()],
     file: Annotated[Format, Query(alias="format")] = "csv",
     resolution: ExportResolution = "auto",
+    layout: Layout = "readings",
 ) -> StreamingResponse:
-    """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``.
+    """CSV or Parquet of any span, streamed: ``series`` may be repeated, each ``bus/unit/value``. Of a draw
+    the file has the two speeds that it is made of.
 
-    ``resolution`` auto: values if they are stored for the complete span, else minutes.
+    ``resolution`` auto: values if they are stored for the complete span, else minutes. ``layout=table``, of
+    CSV: one row a time (a second, or longer over a long span) with every value in force then, in local time,
+    under the names of units in the reader's language.
     """
     requested = spans.series_queries(history, series, Span(span.start, span.end), 1)
-    return await download.response(history, requested, file, resolution)
+    stored = [stored for each in requested for stored in stored_queries(each)]
+    once = {(each.bus.name, each.unit, each.value.name): each for each in stored}
+    named_in = templates_of(request).language_of(request) if layout == "table" else None
+    return await download.response(history, list(once.values()), file, resolution, named_in)

@@ -86,7 +86,8 @@ PointsOf = Annotated[int, Depends(wanted_points)]
 
 
 def series_query(history: History, bus: str, unit: int, value: str, span: Span, most: int) -> SeriesQuery:
-    """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that there is not."""
+    """One value of one unit. Raises Problem 404 for a bus or unit, 422 for a value that
+    it does not have."""
     settings = history.buses.get(bus)
     if settings is None:
         raise unknown_bus(bus, history.buses)
@@ -94,6 +95,8 @@ def series_query(history: History, bus: str, unit: int, value: str, span: Span, 
         raise unknown_unit(bus, unit)
     if value not in VALUES:
         raise Problem(422, "invalid", Message.of("no_such_value", value=value, known=", ".join(VALUES)))
+    if VALUES[value].kind == "draw" and unit not in settings.seams:
+        raise Problem(422, "invalid", Message.of("no_draw_of_first", unit=unit))
     return SeriesQuery(settings, unit, VALUES[value], span.start, span.end, most)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterable, Sequence
 from datetime import datetime, tzinfo
 from typing import Literal
 from zoneinfo import ZoneInfo
@@ -13,22 +13,32 @@ from starlette.responses import StreamingResponse
 from app.errors import Problem
 from app.history.export import parquet_file
 from app.history.export.rows import Cell, ExportRow, Table, pieces
+from app.history.export.together import Together, step_of
 from app.history.intake.tail import Tail
 from app.history.query.query import Resolution, SeriesQuery, has_raw
 from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
+from app.messages import Language
 from app.web.shape import csv_text
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]
 ExportResolution = Literal["auto", Resolution]
+Layout = Literal["readings", "table"]
+"""A row for each reading, or for each time with every value filled in."""
+BYTE_ORDER_MARK = "\ufeff"
 
 
 async def response(
-    history: History, queries: Sequence[SeriesQuery], file: Format, resolution: ExportResolution
+    history: History,
+    queries: Sequence[SeriesQuery],
+    file: Format,
+    resolution: ExportResolution,
+    named_in: Language | None = None,
 ) -> StreamingResponse:
-    """Streamed, so that it takes no more memory for a year. Raises StoreError or Problem before it begins."""
+    """Streamed, so that it takes no more memory for a year. ``named_in``: the language of the columns of a
+    CSV with one row a time; None: a row for each reading. Raises StoreError or Problem before it begins."""
     if file == "parquet" and not await parquet_file.is_usable():
         raise Problem(501, "no_parquet", Message("no_parquet"))
     fineness = await _fineness(history, queries, resolution)
@@ -37,7 +47,8 @@ async def response(
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
     rows = pieces(history, table)
     if file == "csv":
-        return StreamingResponse(stream_csv(table, rows), 200, headers, "text/csv; charset=utf-8")
+        text = stream_csv(table, rows) if named_in is None else stream_table(table, rows, named_in)
+        return StreamingResponse(text, 200, headers, "text/csv; charset=utf-8")
     media = "application/vnd.apache.parquet"
     return StreamingResponse(parquet_file.stream(table, rows), 200, headers, media)
 
@@ -65,6 +76,31 @@ async def stream_csv(table: Table, pieces: AsyncIterator[list[ExportRow]]) -> As
     yield csv_text([[f"time [{site}]", *table.columns, "note"]])
     async for rows in pieces:
         yield await asyncio.to_thread(csv_text, (_line(row, site) for row in rows))
+
+
+async def stream_table(
+    table: Table, pieces: AsyncIterator[list[ExportRow]], language: Language
+) -> AsyncIterator[str]:
+    """One row a time, text, piece by piece: local time as a spreadsheet reads it, the offset from UTC, and
+    every value under the name of its unit."""
+    site = ZoneInfo(table.time_zone)
+    start, end = table.queries[0].start, table.queries[0].end
+    together = Together(len(table.columns), step_of(start, end)) if table.fineness == "readings" else None
+    # Spreadsheets take text for UTF-8 by this mark alone.
+    yield BYTE_ORDER_MARK + csv_text([[language.t("Time"), language.t("UTC offset"), *table.named(language)]])
+
+    def text(rows: Iterable[ExportRow]) -> str:
+        return csv_text(_table_line(row, site) for row in rows)
+
+    async for rows in pieces:
+        yield await asyncio.to_thread(text, rows if together is None else together.rows(rows))
+    if together is not None:
+        yield text(together.end(end))
+
+
+def _table_line(row: ExportRow, site: tzinfo) -> list[str]:
+    at = datetime.fromtimestamp(row.at / SECOND, site)
+    return [f"{at:%Y-%m-%d %H:%M:%S}", at.isoformat(timespec="minutes")[16:], *map(_text, row.cells)]
 
 
 def _line(row: ExportRow, site: tzinfo) -> list[str]:

@@ -24,6 +24,7 @@ from app.history.series.scaling import LinearScale
 from app.history.service import History
 from app.history.store import tables
 from app.history.store.damage import BlockKey
+from app.messages import Language
 from bus.instants import unix_now
 
 PIECE: dict[Resolution, int] = {"readings": HOUR, "minutes": 7 * DAY, "hours": 90 * DAY}
@@ -38,11 +39,13 @@ class Cell(NamedTuple):
 
 
 class ExportRow(NamedTuple):
-    """An instant (µs), a cell for each column (None: no reading then), a note."""
+    """An instant (µs), a cell for each column (None: no reading then), a note. ``ends``: the columns whose
+    unit has no readings from here on."""
 
     at: int
     cells: tuple[Cell | None, ...]
     note: str = ""
+    ends: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +62,31 @@ class Table:
         parts = ("",) if self.fineness == "readings" else (" min", " max", " avg")
         return [_column(query, part) for query in self.queries for part in parts]
 
+    def named(self, language: Language) -> list[str]:
+        """The same for people: the unit by its name, the value as it is wired, the unit of measure."""
+        rollup = (language.t("minimum"), language.t("maximum"), language.t("average"))
+        parts = [""] if self.fineness == "readings" else [f" {word}" for word in rollup]
+        names = [_name(query, language) for query in self.queries]
+        places = [f" ({query.bus.name}/{query.unit})" for query in self.queries]
+        return [
+            f"{name}{place if names.count(name) > 1 else ''}{part}{_measure(query)}"
+            for query, name, place in zip(self.queries, names, places, strict=True)
+            for part in parts
+        ]
+
+
+def _name(query: SeriesQuery, language: Language) -> str:
+    unit = values.unit_settings(query.bus, query.unit)
+    return f"{unit.name} {values.label(unit, query.value) or values.text(query.value, language.t)}"
+
+
+def _measure(query: SeriesQuery) -> str:
+    measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
+    return f" [{measure}]" if measure else ""
+
 
 def _column(query: SeriesQuery, part: str) -> str:
-    measure = values.measure(values.unit_settings(query.bus, query.unit), query.value)
-    name = f"{query.bus.name}/{query.unit} {query.value.name}{part}"
-    return f"{name} [{measure}]" if measure else name
+    return f"{query.bus.name}/{query.unit} {query.value.name}{part}{_measure(query)}"
 
 
 async def pieces(history: History, table: Table) -> AsyncIterator[list[ExportRow]]:
@@ -133,7 +156,8 @@ def _reading_rows(
     scales = {place: scale_of(source, query) for place, query in wanted}
     for position, run in enumerate(runs):
         if position in holes:
-            yield ExportRow(holes[position], (None,) * width, f"no readings of {unit[0]}/{unit[1]}")
+            note = f"no readings of {unit[0]}/{unit[1]}"
+            yield ExportRow(holes[position], (None,) * width, note, tuple(place for place, _ in wanted))
         cells: list[Cell | None] = [None] * width
         for place, query in wanted:
             cells[place] = _cell(query, run, scales[place].at(run.at))

@@ -1,7 +1,8 @@
-"""Packs minutes into blocks, rollups and bits, and minutes that are over into hours.
+"""Packs minutes into blocks and bits, and the minutes of an hour that is over into one block with its
+rollups.
 
-A minute that comes late takes the same way: its runs are merged with the stored ones, and the minute, its
-hour and its bits are computed again from all of them. To fold a minute twice changes nothing.
+A minute that comes late takes the same way: its runs are merged with the stored ones, and its bits, and the
+rollups of a packed hour, are computed again from all of them. To fold a minute twice changes nothing.
 """
 
 from __future__ import annotations
@@ -10,14 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from app.history.intake.tail import Tail
 from app.history.series.intervals import splice
-from app.history.series.rollup import combine, replace_row, rollup
+from app.history.series.rollup import Rollup, combine, minute_rollups, replace_rows, rollup
 from app.history.series.runs import DAY, HOUR, MINUTE, PlainRun, are_apart, merge_plain
 from app.history.store import minutes, tables
 
 MAX_AT_ONCE = 10_000
 """Runs folded in one transaction, about 50 ms: few enough that a slow machine still commits in time."""
 MAX_KEYS = 64
-"""Minutes of units folded in one transaction: each is a block, its rollups and its bits."""
+"""Minutes of units folded in one transaction: each is a block and its bits."""
 Minute = tuple[int, int]
 """The key of a unit and when the minute begins, µs."""
 _Runs = Mapping[int, Sequence[PlainRun]]
@@ -60,31 +61,30 @@ def fold(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> Non
         unit: [run for run in runs if minute <= run[0] < minute + MINUTE]
         for unit, (_, _, runs) in blocks.items()
     }
-    _roll_up(connection, minute, complete)
+    for unit, runs in complete.items():
+        if blocks[unit][1] == HOUR:
+            _roll_up(connection, unit, blocks[unit][0], [rollup(runs, minute)])
     _bits(connection, minute, complete)
 
 
 def compact(connection: tables.StoreConnection, unit: int, hour: int) -> None:
-    """The minutes of one unit and hour as one block: fewer rows, and better packed."""
+    """The minutes of one unit and hour as one block, with its rollups: fewer rows, and better packed."""
     tables.lock_units(connection, [unit])
     table: Sequence[Sequence[int]] = tables.raw_columns(connection, unit, hour, hour + HOUR)
     if table and not are_apart(table):
         table = list(zip(*merge_plain((), zip(*table, strict=True)), strict=True))
     if table:
         tables.write_raw(connection, unit, hour, HOUR, table)
+        _roll_up(connection, unit, hour, minute_rollups(table))
 
 
-def _roll_up(
-    connection: tables.StoreConnection, minute: int, by_unit: Mapping[int, Sequence[PlainRun]]
-) -> None:
-    hour, day = minute - minute % HOUR, minute - minute % DAY
-    of_hour = minutes.rollups_of(connection, "minutes", by_unit, hour)
-    of_day = minutes.rollups_of(connection, "hours", by_unit, day)
-    for unit, runs in by_unit.items():
-        of_hour[unit] = replace_row(of_hour.get(unit, ()), rollup(runs, minute))
-        of_day[unit] = replace_row(of_day.get(unit, ()), combine(of_hour[unit], hour))
-    minutes.write_rollups(connection, "minutes", hour, of_hour)
-    minutes.write_rollups(connection, "hours", day, of_day)
+def _roll_up(connection: tables.StoreConnection, unit: int, hour: int, rows: Sequence[Rollup]) -> None:
+    """Minutes of an hour in place of those that are stored, and the hour in its day."""
+    day = hour - hour % DAY
+    of_hour = replace_rows(tables.rollups_of(connection, "minutes", unit, hour), rows)
+    of_day = replace_rows(tables.rollups_of(connection, "hours", unit, day), [combine(of_hour, hour)])
+    tables.write_rollups(connection, "minutes", unit, hour, of_hour)
+    tables.write_rollups(connection, "hours", unit, day, of_day)
 
 
 def _bits(connection: tables.StoreConnection, minute: int, by_unit: _Runs) -> None:

@@ -107,7 +107,7 @@ class Upkeep:
     def trim(self, now: int) -> None:
         """Give up the oldest hour of readings, since the disk is short; the last hour is worth more than
         the little space it takes."""
-        oldest = self._database.read_now(tables.oldest_raw)
+        oldest = self._database.read_now(tables.oldest_packed)
         if oldest is not None and oldest - oldest % HOUR + HOUR <= now - HOUR:
             self._give_up_before(oldest - oldest % HOUR + HOUR)
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.database.engine import snapshot
 from app.history.intake.tail import Tail
 from app.history.query import unit_history
+from app.history.series import draw
 from app.history.series.downsampling import Points, Series, downsample, grid, holes_in, series
 from app.history.series.gaps import Marks
 from app.history.series.runs import HOUR, MINUTE
 from app.history.series.scaling import Scaling, scaling
-from app.history.series.values import Value
+from app.history.series.values import VALUES, Value
 from app.history.store import tables
 from app.history.store.damage import BlockKey
 from bus.settings import BusSettings
@@ -50,14 +51,35 @@ class QueryResult:
     """Blocks that could not be read: what they held is missing."""
 
 
+def stored_queries(query: SeriesQuery) -> list[SeriesQuery]:
+    """The stored values that a value is made of: of a draw the actual speeds of the unit before and of the
+    unit; of any other value itself."""
+    if query.value.kind != "draw":
+        return [query]
+    units = query.bus.seams[query.unit].before, query.unit
+    return [replace(query, unit=unit, value=VALUES["actual"]) for unit in units]
+
+
 def run_query(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
     """Read from the store and the tail."""
+    if query.value.kind == "draw":
+        return _run_draw(connection, tail, query)
     unit = (query.bus.name, query.unit)
     source = unit_history.stored_unit(connection, tail, *unit, query.start, query.end)
     if source is None:
         return QueryResult(Series())
     with snapshot(connection):
         return _run(source, query)
+
+
+def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery) -> QueryResult:
+    """Each speed in half of the points, as they may be at different times."""
+    half = replace(query, most=max(1, query.most // 2))
+    before, section = (run_query(connection, tail, each) for each in stored_queries(half))
+    coarser = max(before, section, key=lambda each: each.bucket)
+    made = draw.draw_series(before.series, section.series, coarser.bucket)
+    damaged = [*before.damaged, *section.damaged]
+    return QueryResult(made, coarser.resolution, coarser.bucket, draw.DECIMALS, damaged)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain, pairwise
+from itertools import chain, compress, groupby, pairwise
 from statistics import median_low
 from typing import Any, TypeVar
 
@@ -15,7 +15,15 @@ from app.history.series import columns
 from app.history.series.downsampling import Points, in_order
 from app.history.series.gaps import Marks, usual_interval
 from app.history.series.intervals import Interval, intervals
-from app.history.series.rollup import FIELDS, rollup
+from app.history.series.rollup import (
+    FIELDS,
+    Rollup,
+    combine,
+    minute_rollups,
+    replace_rows,
+    rollup,
+    unpack_rollups,
+)
 from app.history.series.runs import HOUR, MINUTE, Run, merge, unpack_columns, unpack_runs
 from app.history.series.values import Value
 from app.history.store import tables
@@ -52,6 +60,15 @@ class StoredUnit:
         query = f"SELECT start, data FROM {tier} WHERE {within} ORDER BY start"
         rows = self.connection.execute(query, (self.unit, start - longest, end, start))
         return self._intact(tier, rows, unpack)
+
+    def unpacked(self, start: int, end: int, unpack: Unpacking[T]) -> Iterator[tuple[int, list[T]]]:
+        """The same of the readings of each minute whose hour is not packed, and has no rollups yet."""
+        query = (
+            "SELECT start, data FROM raw"
+            " WHERE unit = ? AND start >= ? AND start < ? AND span = 60000000 ORDER BY start"
+        )
+        rows = self.connection.execute(query, (self.unit, start, end))
+        return self._intact("raw", rows, unpack)
 
     def newest(self, tier: StoredTier, end: int, unpack: Unpacking[T]) -> list[T]:
         """The content of the last block that begins before a time, µs; empty where there is none."""
@@ -133,9 +150,14 @@ def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: in
     """Minutes or hours that touch a span, each with its part of the tail."""
     wanted, found = _wanted(value), Points(width=tables.STEP[tier])
     since = start - start % found.width
-    stored = source.blocks(tier, since, end, lambda data, _: columns.unpack(data, wanted))
-    waiting = _tail_rollups(source, found.width, wanted)
-    for begin, (starts, count, least, greatest, total) in chain(stored, waiting):
+    unpacked = _unpacked(source, since, end + -end % found.width, found.width)
+    newer = {row.start for row in unpacked}
+    blocks = source.blocks(tier, since, end, lambda data, _: columns.unpack(data, wanted))
+    stored = ((begin, _without(newer, begin, table)) for begin, table in blocks)
+    computed = (rows for rows in (unpacked, _tail_rollups(source, found.width)) if rows)
+    for begin, (starts, count, least, greatest, total) in chain(
+        stored, ((0, _table(rows, wanted)) for rows in computed)
+    ):
         at = [begin + each for each in starts]
         within = slice(bisect_left(at, since), bisect_left(at, end))
         found.at += at[within]
@@ -147,6 +169,38 @@ def rollups(source: StoredUnit, tier: tables.RollupTier, value: Value, start: in
     if found.weight:
         found.usual = found.width // max(1, median_low(found.weight))
     return in_order(found)
+
+
+def minutes_of(source: StoredUnit, start: int, end: int) -> list[Rollup]:
+    """The minutes that are stored of a span, µs, in order of time."""
+    rows = chain.from_iterable(content for _, content in source.blocks("minutes", start, end, unpack_rollups))
+    since = start - start % MINUTE
+    return [
+        row for row in replace_rows(rows, _unpacked(source, since, end, MINUTE)) if start <= row.start < end
+    ]
+
+
+def _unpacked(source: StoredUnit, since: int, end: int, step: int) -> list[Rollup]:
+    """Minutes or hours of the readings of hours that are not packed."""
+    unpack = partial(unpack_columns, names=Run._fields)
+    rows = [row for _, table in source.unpacked(since, end, unpack) for row in minute_rollups(table)]
+    if step == MINUTE:
+        return rows
+    return [
+        combine(list(group), hour) for hour, group in groupby(rows, lambda row: row.start - row.start % step)
+    ]
+
+
+def _without(newer: Container[int], begin: int, table: Sequence[list[int]]) -> list[list[int]]:
+    """A block of rollups without those of which there are newer ones."""
+    kept = [begin + start not in newer for start in table[0]]
+    return [list(compress(column, kept)) for column in table] if not all(kept) else list(table)
+
+
+def _table(rows: Sequence[Rollup], wanted: Sequence[int]) -> list[list[int]]:
+    """The wanted columns of rollups, as a block from time 0 on."""
+    table = list(zip(*([*row[:-1], *row.on] for row in rows), strict=True))
+    return [list(table[i]) for i in wanted]
 
 
 def _bit_of(words: list[int], bit: int) -> list[int]:
@@ -162,17 +216,11 @@ def _wanted(value: Value) -> list[int]:
     return [FIELDS[name] for name in ("start", "readings", *names)]
 
 
-def _tail_rollups(
-    source: StoredUnit, step: int, wanted: Sequence[int]
-) -> Iterator[tuple[int, list[list[int]]]]:
-    """The tail as one block of rollups, from time 0 on, where it has any."""
+def _tail_rollups(source: StoredUnit, step: int) -> list[Rollup]:
     by_start: dict[int, list[Run]] = {}
     for run in merge((), source.tail):
         by_start.setdefault(run.at - run.at % step, []).append(run)
-    if by_start:
-        rows = [rollup(runs, start) for start, runs in sorted(by_start.items())]
-        table = list(zip(*([*row[:-1], *row.on] for row in rows), strict=True))
-        yield 0, [list(table[i]) for i in wanted]
+    return [rollup(runs, start) for start, runs in sorted(by_start.items())]
 
 
 def bit_points(source: StoredUnit, bit: int, start: int, end: int, marks: Marks) -> Points:

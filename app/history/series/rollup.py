@@ -6,14 +6,14 @@ Sums and counts are exact integers: an hour made of minutes equals the hour made
 
 from __future__ import annotations
 
-from collections import Counter
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from functools import reduce
 from operator import and_, mul, or_
 from typing import NamedTuple
 
 from app.history.series import columns
-from app.history.series.runs import PlainRun
+from app.history.series.runs import MINUTE, PlainRun
 
 BITS = 16
 """ST2 * 256 + ST1, as in :class:`app.history.series.runs.Run`."""
@@ -50,10 +50,27 @@ FIELDS = {name: position for position, name in enumerate(Rollup._fields[:-1])} |
 
 def rollup(runs: Sequence[PlainRun], start: int) -> Rollup:
     """Readings of one unit, at least one, as one row."""
-    _, _, counts, commanded, actual, analog, words = zip(*runs, strict=True)
-    weights: Counter[int] = Counter()
-    for word, count in zip(words, counts, strict=True):
-        weights[word] += count
+    return _rollup(list(zip(*runs, strict=True)), start)
+
+
+def minute_rollups(table: Sequence[Sequence[int]]) -> list[Rollup]:
+    """Each minute of the columns of runs, in order of time, as one row."""
+    at, rows, first = table[0], [], 0
+    while first < len(at):
+        minute = at[first] - at[first] % MINUTE
+        last = bisect_left(at, minute + MINUTE, first)
+        rows.append(_rollup([column[first:last] for column in table], minute))
+        first = last
+    return rows
+
+
+def _rollup(table: Sequence[Sequence[int]], start: int) -> Rollup:
+    _, _, counts, commanded, actual, analog, words = table
+    weights = {words[0]: sum(counts)}
+    if words.count(words[0]) < len(words):
+        weights = dict.fromkeys(words, 0)
+        for word, count in zip(words, counts, strict=True):
+            weights[word] += count
     return Rollup(
         start,
         sum(counts),
@@ -105,6 +122,7 @@ def unpack_rollups(blob: bytes, start: int) -> list[Rollup]:
     return [Rollup._make([start + row[0], *row[1:_PLAIN], row[_PLAIN:]]) for row in rows]
 
 
-def replace_row(rows: Iterable[Rollup], row: Rollup) -> list[Rollup]:
-    """``rows`` in order of time, with ``row`` instead of the one at its start, or beside the others."""
-    return sorted([*(other for other in rows if other.start != row.start), row])
+def replace_rows(rows: Iterable[Rollup], newer: Iterable[Rollup]) -> list[Rollup]:
+    """``rows`` in order of time, each of ``newer`` instead of the one at its start, or beside the others."""
+    by_start = {row.start: row for each in (rows, newer) for row in each}
+    return sorted(by_start.values())

@@ -11,10 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from app.database.engine import upsert
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
-from app.history.series.rollup import Rollup, pack_rollups, unpack_rollups
 from app.history.series.runs import HOUR, PlainRun
-from app.history.store.damage import BlockKey, intact
-from app.history.store.tables import INSERT_RAW, LOST_STATES, RollupTier, StoreConnection, block_runs, raw_row
+from app.history.store.tables import INSERT_RAW, LOST_STATES, StoreConnection, block_runs, raw_row
 
 _NONE = -1
 """The key of no unit."""
@@ -49,26 +47,6 @@ def write_raw_blocks(
         for unit, (start, span, runs) in blocks.items()
     ]
     connection.executemany(INSERT_RAW, rows)
-
-
-def rollups_of(
-    connection: StoreConnection, tier: RollupTier, units: Iterable[int], start: int
-) -> dict[int, list[Rollup]]:
-    """One row of a tier of each unit, where there is one. Raises DamagedBlock."""
-    keys = _filled(units)
-    query = f"SELECT unit, data FROM {tier} WHERE start = ? AND unit IN ({_list(keys)})"
-    return {
-        unit: intact(BlockKey(tier, unit, start), lambda data=data: unpack_rollups(data, start))  # type: ignore[misc]
-        for unit, data in connection.execute(query, (start, *keys))
-    }
-
-
-def write_rollups(
-    connection: StoreConnection, tier: RollupTier, start: int, rows: Mapping[int, Sequence[Rollup]]
-) -> None:
-    """One row of a tier of each unit, new or again."""
-    values = [(unit, start, pack_rollups(each, start)) for unit, each in rows.items()]
-    connection.executemany(upsert(tier, ("unit", "start"), ("data",)), values)
 
 
 def bits_around(

@@ -12,6 +12,7 @@ from app.database.engine import is_local, lock, upsert
 from app.history.series import columns
 from app.history.series.gaps import Marks
 from app.history.series.intervals import Interval
+from app.history.series.rollup import Rollup, pack_rollups, unpack_rollups
 from app.history.series.runs import (
     DAY,
     HOUR,
@@ -135,8 +136,27 @@ def _journal_rows(stored: Iterable[Any]) -> Iterable[list[tuple[int, Run]] | Non
 
 def extent(connection: StoreConnection) -> tuple[int, int] | None:
     """The span of all that is kept, µs; None when nothing is."""
-    row = connection.execute("SELECT min(start), max(start) FROM hours").fetchone()
-    return None if row[0] is None else (row[0], row[1] + DAY)
+    rows = [
+        connection.execute(f"SELECT min(start), max(start) FROM {name}").fetchone()
+        for name in ("hours", "raw")
+    ]
+    spans = [row for row in rows if row[0] is not None]
+    return (min(row[0] for row in spans), max(row[1] for row in spans) + DAY) if spans else None
+
+
+def rollups_of(connection: StoreConnection, tier: RollupTier, unit: int, start: int) -> list[Rollup]:
+    """One row of a tier, where there is one. Raises DamagedBlock."""
+    query = f"SELECT data FROM {tier} WHERE unit = ? AND start = ?"
+    row = connection.execute(query, (unit, start)).fetchone()
+    return [] if row is None else intact(BlockKey(tier, unit, start), lambda: unpack_rollups(row[0], start))
+
+
+def write_rollups(
+    connection: StoreConnection, tier: RollupTier, unit: int, start: int, rows: Sequence[Rollup]
+) -> None:
+    """One row of a tier, new or again."""
+    values = (unit, start, pack_rollups(rows, start))
+    connection.execute(upsert(tier, ("unit", "start"), ("data",)), values)
 
 
 def write_raw(
@@ -198,10 +218,12 @@ def next_to_compact(
 
 
 def drop_raw(connection: StoreConnection, before: int, most: int) -> int:
-    """Give up the oldest readings, at most so many blocks at a time; gives how many."""
+    """Give up the oldest readings, at most so many blocks at a time; gives how many. An hour that is not
+    packed has no rollups yet: it has a day more, also where its bus is in no configuration any more."""
     return connection.execute(
-        "DELETE FROM raw WHERE id IN (SELECT id FROM raw WHERE start < ? ORDER BY start LIMIT ?)",
-        (before, most),
+        "DELETE FROM raw WHERE id IN (SELECT id FROM raw WHERE start < ?"
+        " AND (span > 60000000 OR start < ?) ORDER BY start LIMIT ?)",
+        (before, before - DAY, most),
     ).rowcount
 
 
@@ -209,6 +231,13 @@ def oldest_raw(connection: StoreConnection) -> int | None:
     """The start of the oldest block of any unit, µs."""
     row = connection.execute("SELECT min(start) FROM raw").fetchone()
     return None if row[0] is None else int(row[0])
+
+
+def oldest_packed(connection: StoreConnection) -> int | None:
+    """The start of the oldest hour of any unit that is one block, µs."""
+    query = "SELECT start FROM raw WHERE span > 60000000 ORDER BY start LIMIT 1"
+    row = connection.execute(query).fetchone()
+    return None if row is None else int(row[0])
 
 
 def newest_reading(connection: StoreConnection, unit: int) -> int | None:
@@ -219,9 +248,16 @@ def newest_reading(connection: StoreConnection, unit: int) -> int | None:
 
 
 def rolled_up(connection: StoreConnection, unit: int, start: int, end: int) -> bool:
-    """Whether a unit has any minute in a span."""
+    """Whether a unit has any minute of a packed hour in a span."""
     query = "SELECT 1 FROM minutes WHERE unit = ? AND start > ? AND start < ? LIMIT 1"
     return connection.execute(query, (unit, start - HOUR, end)).fetchone() is not None
+
+
+def first_minute(connection: StoreConnection, unit: int) -> int | None:
+    """The start of the oldest block of a unit in which there are minutes, packed or not; µs."""
+    query = "SELECT min(start) FROM {} WHERE unit = ?"
+    found = [connection.execute(query.format(name), (unit,)).fetchone()[0] for name in ("minutes", "raw")]
+    return min((start for start in found if start is not None), default=None)
 
 
 def drop_rollups(connection: StoreConnection, before: int) -> None:

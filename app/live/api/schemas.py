@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 from pydantic import Field
-from typing_extensions import TypedDict
+from typing_extensions import TypeAliasType, TypedDict
 
+from app.conditions.draw import DrawState
 from app.web.shape import Instant, MaybeInstant, MessageShown
 from bus.contract import BusLinkState, UnitLinkState
 
@@ -19,6 +20,7 @@ Time = Annotated[
 ]
 MaybeTime = Annotated[MaybeInstant, Field(description="ISO 8601 in UTC, milliseconds; null: never.")]
 UnitAddress = Annotated[int, Field(description="Address of the unit (#17), 1 to 255.")]
+UnitDrawState = TypeAliasType("UnitDrawState", DrawState)
 MaybeBit = Annotated[bool | None, Field(description="null: not known.")]
 
 
@@ -88,6 +90,13 @@ class UnitShown(TypedDict):
     commanded: DisplayedValue
     actual: DisplayedValue
     deviation: DisplayedValue
+    draw: Annotated[
+        str | None,
+        Field(description="Actual speed to that of the unit before, in percent of the latter; null: none."),
+    ]
+    draw_state: Annotated[
+        UnitDrawState, Field(description="By draw_percent of lineside.toml; none: nothing is judged.")
+    ]
     decimals: Annotated[
         int | None, Field(description="Decimals of the display (#3), 0 to 4; null: not read.")
     ]

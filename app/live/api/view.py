@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from app.conditions.draw import DRAW_DECIMALS
 from app.conditions.of_unit import suspicion
 from app.live.diagnosis.cause import Cause, unit_cause
 from app.live.screen.cause_text import cause_texts
@@ -26,6 +27,7 @@ from app.live.state.bus_live import (
     speed_decimals,
 )
 from app.live.state.conditions import bits_of, mode_of
+from app.live.state.draw import draw_of
 from app.live.state.scan_time import scan_s_of
 from app.web.shape import iso, maybe_shown, message_shown
 from bus.catalogue.numbers import (
@@ -98,6 +100,7 @@ class LineView:
         """One unit of a bus, with the age of its reading by the server's clock."""
         bus = self.live.buses[name]
         unit = bus.units[number]
+        draw = draw_of(bus, unit, now)
         shown: Json = {
             "id": number,
             "name": unit.settings.name,
@@ -112,6 +115,8 @@ class LineView:
             "follower": follower(unit),
             "staged_raw": unit.staged,
             "staged": None if unit.staged is None else setpoint_text(unit, unit.staged),
+            "draw": None if draw.tenths is None else _signed_text(draw.tenths, DRAW_DECIMALS),
+            "draw_state": draw.state,
             "at_speed_window_raw": unit.parameter_raw(AT_SPEED_WINDOW),
         }
         return shown | (_NEVER_READ if unit.reading is None else _reading_json(bus, unit, unit.reading, now))
@@ -203,7 +208,6 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
     bits = bits_of(bus, reading)
     decimals = speed_decimals(bus, unit)
     error = reading.actual - reading.commanded
-    size = _speed_text(abs(error), decimals)
     return {
         "read_at": iso(reading.at),
         "age_ms": max(0, round(1000 * (now - reading.at))),
@@ -212,7 +216,7 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
         "deviation_raw": error,
         "commanded": _speed_text(reading.commanded, decimals),
         "actual": _speed_text(reading.actual, decimals),
-        "deviation": f"-{size}" if error < 0 and size is not None else size,
+        "deviation": None if decimals is None else _signed_text(error, decimals),
         "rpm": _rpm(unit, reading.actual),
         "analog_raw": reading.analog,
         "analog": _analog(unit, reading.analog),
@@ -226,6 +230,10 @@ def _reading_json(bus: BusLive, unit: UnitLive, reading: Reading, now: UnixTime)
 
 def _speed_text(raw: int, decimals: int | None) -> str | None:
     return None if decimals is None else speed_text(raw, decimals)
+
+
+def _signed_text(raw: int, decimals: int) -> str:
+    return ("-" if raw < 0 else "") + speed_text(abs(raw), decimals)
 
 
 def _rpm(unit: UnitLive, raw: int) -> float | None:

@@ -30,6 +30,8 @@ from app.live.state.bus_live import LiveState
 from app.live.state.onset_lookup import OnsetLookup
 from app.messages import DEFAULT
 from app.recipes.book import RecipeBook
+from app.routing.site_servers import SiteServers
+from app.routing.target import holder_of
 from app.sets.drift import BusDrift
 from app.sites.fleet import Fleet
 from app.web.templating import Templates
@@ -54,7 +56,7 @@ def make(services: Services) -> None:
 
 
 def _make_sources(services: Services) -> Sources:
-    history = services[History]
+    history, servers = services[History], services[SiteServers]
     return Sources(
         guards=services.of_buses(Safeguards),
         drift=services.of_buses(BusDrift),
@@ -64,6 +66,8 @@ def _make_sources(services: Services) -> Sources:
         notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
         away=partial(_away, services[Availability]),
+        home=lambda bus: holder_of(bus, servers.homes),
+        elsewhere=lambda: ", ".join(home.label for home in servers.elsewhere()),
     )
 
 

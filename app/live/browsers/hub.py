@@ -69,6 +69,7 @@ class Hub:
         for name, bus in live.buses.items():
             bus.subscribe(Audience.BROWSERS, partial(self._on_updates, name))
             sources.guards[name].on_block(partial(self.refresh_unit, name))
+            sources.guards[name].on_control(self._show_control)
             sources.drift[name].on_change(partial(self.refresh_unit, name))
         sources.alarms.on_change(self._on_alarm)
 
@@ -94,15 +95,17 @@ class Hub:
             now = self._clock()
             screen.refresh(now)
             screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            self._control(screen)
             screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
         return screen
 
     def _faults(self, translator: Translator, now: UnixTime) -> dict[str, str]:
-        """Faults of the records, that the database is away, and alarms of lines of other servers."""
+        """Faults of the records, that the database is away, and lines of other servers and their alarms."""
         return {
             **self._sources.lines.alarms_elsewhere(translator),
             "memory": self._sources.notices(translator, now),
             "away": self._sources.away(translator, now),
+            "elsewhere": self._sources.elsewhere(),
         }
 
     def _new_screen(self, language: str) -> Screen:
@@ -163,8 +166,25 @@ class Hub:
             screen = broadcast.screen
             groups = screen.put(ALARM_GROUP, self._sources.alarms.banner(screen.translator, now))
             for bus, unit in units:
-                groups |= screen.put(unit_key(bus, unit), {"alarm": self._sources.alarms.mark(bus, unit)})
+                fields = self._sources.alarms.of_unit(bus, unit, screen.translator, now)
+                groups |= screen.put(unit_key(bus, unit), fields)
             broadcast.publish(groups)
+
+    def _show_control(self) -> None:
+        for broadcast in self._with_pages():
+            broadcast.publish(self._control(broadcast.screen))
+
+    def _control(self, screen: Screen) -> Groups:
+        """Who controls each bus, until when, and who requests it: ``control`` is another text whenever the
+        head of a page is."""
+        controls = [self._sources.guards[bus].bus_control() for bus in self.live.here]
+        held_by = {each.bus: each.holder for each in controls}
+        keys = "\n\n".join(each.key for each in controls)
+        groups = screen.put(LINE_GROUP, {"holder": holders(held_by, screen.translator), "control": keys})
+        for each in controls:
+            lapses_at = f"{each.lapses_at:.0f}" if each.holder else ""
+            groups |= screen.put(each.bus, {"held_by": each.holder, "control_until": lapses_at})
+        return groups
 
     async def beat(self) -> None:
         """Send the heartbeat of every page, indefinitely."""
@@ -184,11 +204,8 @@ class Hub:
             self._show_alarms()
         for broadcast in self._with_pages():
             screen = broadcast.screen
-            held_by = {bus: self._sources.guards[bus].holder() for bus in self.live.here}
-            faults = self._faults(screen.translator, now)
-            totals = {"holder": holders(held_by, screen.translator), **faults}
-            held_fields = [screen.put(bus, {"held_by": holder}) for bus, holder in held_by.items()]
-            groups = merge_groups(screen.settle(now), screen.put(LINE_GROUP, totals), *held_fields)
+            faults = screen.put(LINE_GROUP, self._faults(screen.translator, now))
+            groups = merge_groups(screen.settle(now), faults, self._control(screen))
             broadcast.publish(groups, always=True)
             self._show_lines(broadcast)
 

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from app.conditions.of_bus import NO_UNIT_RESPONDS, NO_UNIT_YET
-from app.conditions.of_unit import BLOCKED, PARAMETER_DRIFT, suspicion
+from app.conditions.of_unit import BLOCKED, DRAW_OUT_OF_BAND, PARAMETER_DRIFT, suspicion
 from app.live.diagnosis.cause import Cause, Level, abnormal, unit_cause
 from app.live.diagnosis.links import bus_facts
 from app.live.state.bus_live import BusLive, UnitLive
+from app.live.state.draw import draw_of
 from bus.contract import UnitLinkState
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -48,7 +49,13 @@ def state_counts(views: Iterable[UnitView]) -> Counter[str]:
 
 
 def shown_cause(
-    bus: BusLive, unit: UnitLive, cause: Cause | None, *, blocked: Message | None, drifted: str
+    bus: BusLive,
+    unit: UnitLive,
+    cause: Cause | None,
+    now: UnixTime,
+    *,
+    blocked: Message | None,
+    drifted: str,
 ) -> Cause | None:
     """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
 
@@ -57,16 +64,32 @@ def shown_cause(
     """
     if cause is not None and cause.code in _BEFORE_ALL:
         return cause
-    return next(_others(cause, suspicion(bus, unit), blocked, drifted), cause)
+    return next(_others(cause, _draw(bus, unit, now), suspicion(bus, unit), blocked, drifted), cause)
+
+
+def _draw(bus: BusLive, unit: UnitLive, now: UnixTime) -> Cause | None:
+    """That the draw of a unit is out of its band, once it has been for as long as its alarm waits."""
+    onset = unit.onsets.of.get(DRAW_OUT_OF_BAND.code)
+    if onset is None or now - onset.at < DRAW_OUT_OF_BAND.tuning.on_delay_s:
+        return None
+    if not DRAW_OUT_OF_BAND.holds(draw_of(bus, unit, now)):
+        return None
+    return abnormal(DRAW_OUT_OF_BAND.code, onset)
 
 
 def _others(
-    cause: Cause | None, suspected: Message | None, blocked: Message | None, drifted: str
+    cause: Cause | None,
+    draw: Cause | None,
+    suspected: Message | None,
+    blocked: Message | None,
+    drifted: str,
 ) -> Iterator[Cause]:
     if suspected is not None:
         yield abnormal("address_suspect", params={"why": suspected})
     if cause is not None and cause.level:
         yield cause
+    if draw is not None:
+        yield draw
     if BLOCKED.holds(blocked):
         yield abnormal("blocked", params={"why": blocked})
     if PARAMETER_DRIFT.holds(drifted):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from app.conditions.draw import DRAW_DECIMALS, Draw
 from app.live.screen.words import MODE_WORDS, STATE_WORDS
 from app.live.state.age import figures_now
 from app.live.state.bus_live import BusLive, UnitLive, follower, setpoint_decimals, speed_decimals
@@ -79,6 +80,20 @@ def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: T
         "outputs": _bits(*bits.outputs),
     }
     return fields
+
+
+def draw_fields(draw: Draw, translator: Translator) -> Fields:
+    """``draw``: as ``+5.3 %``, empty where there is none."""
+    text = UNKNOWN if draw.state == "unknown" else ""
+    return {
+        "draw": text if draw.tenths is None else draw_text(draw.tenths, translator),
+        "draw_state": draw.state,
+    }
+
+
+def draw_text(tenths: int, translator: Translator) -> str:
+    """A draw in tenths of a percent, with its sign."""
+    return f"{_signed(tenths, DRAW_DECIMALS, translator)} %"
 
 
 def bus_fields(bus: BusLive, translator: Translator, now: UnixTime) -> Fields:

@@ -14,11 +14,12 @@ from app.live.diagnosis.abnormal import UnitView, shown_cause
 from app.live.diagnosis.cause import broken_rung, unit_cause
 from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
-from app.live.screen.fields import Fields, Translator, bus_fields, unit_fields, unit_key
+from app.live.screen.fields import Fields, Translator, bus_fields, draw_fields, unit_fields, unit_key
 from app.live.screen.sources import Sources
 from app.live.screen.totals import AbnormalItem, entries_of, line_fields
 from app.live.state.age import unit_link_now
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
+from app.live.state.draw import draw_of
 from bus.instants import UnixTime
 from bus.messages import Message, listed
 
@@ -49,8 +50,8 @@ class Screen:
         for number in units:
             changed |= self.put(unit_key(bus_name, number), self._unit(bus_name, bus, bus.units[number], now))
         if include_bus:
-            fields = bus_fields(bus, self.translator, now) | {"recipe": self._recipe(bus_name)}
-            changed |= self.put(bus_name, fields)
+            others = {"recipe": self._recipe(bus_name), "home": self.sources.home(bus_name)}
+            changed |= self.put(bus_name, bus_fields(bus, self.translator, now) | others)
         if include_bus or not all(_DECIDES.isdisjoint(fields) for fields in changed.values()):
             changed |= self.put(LINE_GROUP, self._line(now))
         return changed
@@ -85,11 +86,12 @@ class Screen:
         blocked = self.translator.t(block) if block is not None else ""
         drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
         ladder = unit_cause(bus, unit, now)
-        cause = shown_cause(bus, unit, ladder, blocked=block, drifted=drifted.words)
+        cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
         line = cause_texts(cause, self.translator, now).line if cause is not None else ""
+        fields |= draw_fields(draw_of(bus, unit, now), self.translator)
         return fields | {
             "level": view.level,
             "cause": line if view.level else "",
@@ -98,7 +100,7 @@ class Screen:
             "rung": broken_rung(ladder),
             "blocked": blocked,
             "drift": drifted.key,
-            "alarm": self.sources.alarms.mark(bus_name, number),
+            **self.sources.alarms.of_unit(bus_name, number, self.translator, now),
         }
 
     def _recipe(self, bus_name: str) -> str:

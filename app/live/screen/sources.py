@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from app.live.screen.fields import Fields, Translator
+from app.web.head_control import BusControl
 from bus.instants import UnixTime
 from bus.messages import Message
 
@@ -31,8 +32,11 @@ class UnitGuards(Protocol):
     def block_reason(self, unit: int) -> Message | None:
         """Why commands to a unit are blocked and by whom; None when they are not."""
 
-    def holder(self) -> str:
-        """The account that controls the bus; empty when there is none."""
+    def bus_control(self) -> BusControl:
+        """Who controls the bus, and who requests that."""
+
+    def on_control(self, subscriber: Callable[[], None]) -> None:
+        """Call ``subscriber`` when control has another holder, or was requested."""
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or released."""
@@ -54,9 +58,11 @@ class AlarmMarks(Protocol):
     def banner(self, translator: Translator, now: UnixTime) -> Fields:
         """The first alarm with its state, in the reader's language. ``now``: Unix time in seconds."""
 
-    def mark(self, bus: str, unit: int) -> str:
-        """The priority of a unit's first alarm, whether it has cleared and whether it waits for an
-        acknowledgement; empty without one."""
+    def of_unit(self, bus: str, unit: int, translator: Translator, now: UnixTime) -> Fields:
+        """The first alarm of a unit in the reader's language, all empty without one: ``alarm``, its priority,
+        whether it has cleared and whether it waits for an acknowledgement; ``alarm_text``, its name;
+        ``alarm_state``, its state with the time that matters; ``alarm_more``, how many more there are;
+        ``alarm_at``, its page."""
 
     def on_change(self, subscriber: AlarmChangeSubscriber) -> None:
         """Call ``subscriber`` when an alarm has changed."""
@@ -90,7 +96,8 @@ class Sources:
     """The owners, those of a bus by its name. ``notices``: faults of the records, for a page in its
     language and at a Unix time; empty where there is none; ``history_fault``: why no history
     is stored, None while it is; ``away``: that the database is away, for the head of every page; empty while
-    it is not."""
+    it is not; ``home``: the server that has a bus; ``elsewhere``: the buses of other servers, each with its
+    server."""
 
     guards: Mapping[str, UnitGuards]
     drift: Mapping[str, GoldenDrift]
@@ -100,3 +107,5 @@ class Sources:
     notices: Callable[[Translator, UnixTime], str]
     history_fault: Callable[[], Message | None]
     away: Callable[[Translator, UnixTime], str] = lambda _translator, _now: ""
+    home: Callable[[str], str] = lambda _bus: ""
+    elsewhere: Callable[[], str] = lambda: ""

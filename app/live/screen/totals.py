@@ -84,12 +84,18 @@ def line_fields(
     translator: Translator,
     now: UnixTime,
 ) -> Fields:
-    """The fields of the line. The verdict is the worst cause, after the name of its unit."""
+    """The fields of the line. The verdict is the worst cause, after the name of its unit: ``cause`` after
+    ``name``."""
     counts = state_counts(views.values())
     worst = entries[0] if entries else None
+    name, cause = (
+        (f"{worst.name} ·", worst.line) if worst else ("", translator.t(all_well(len(views), counts)))
+    )
     return {
         "level": worst.level if worst else "",
-        "verdict": f"{worst.name} · {worst.line}" if worst else translator.t(all_well(len(views), counts)),
+        "verdict": f"{name} {cause}".strip(),
+        "name": name,
+        "cause": cause,
         "at": worst.href if worst else "",
         "counts": translator.t(Message.of("line_abnormal", n=len(entries))) if worst else "",
         **{state: f"{counts[state]}" for state in ("online", "at_speed", "at_zero", "ramping", "off_speed")},

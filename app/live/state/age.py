@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from app.live.state.bus_live import BusLive, UnitLive
+from typing import TYPE_CHECKING
+
 from app.live.state.scan_time import offline_after_s, scan_s_of, stale_after_s
 from bus.contract import BusFigures, UnitLinkState
 from bus.instants import UnixTime
+
+if TYPE_CHECKING:
+    from app.live.state.bus_live import BusLive, UnitLive
 
 WORKER_TIMEOUT_S = 2.0
 """A worker reports its figures every second, beside the readings of its units."""

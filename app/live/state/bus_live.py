@@ -16,7 +16,9 @@ import structlog
 
 from app.conditions.evidence import follower as follower
 from app.conditions.evidence import reads_ratio
+from app.conditions.of_unit import DRAW_OUT_OF_BAND
 from app.live.state.conditions import bits_of, conditions_of
+from app.live.state.draw import draw_of
 from app.live.state.motion import Motion
 from app.live.state.onset import Onset, Onsets
 from app.live.state.scan_time import offline_after_s, scan_s_of
@@ -34,7 +36,7 @@ from bus.contract import (
 )
 from bus.instants import UnixTime, unix_now
 from bus.messages import Message
-from bus.settings import BusSettings, UnitSettings
+from bus.settings import BusSettings, Seam, UnitSettings
 
 log = structlog.get_logger()
 
@@ -89,7 +91,12 @@ class BusLive:
     units: dict[int, UnitLive] = field(default_factory=dict)
     read_at: UnixTime | None = None
     """When the newest reading of any unit was made."""
+    seams: dict[int, Seam] = field(init=False, compare=False)
+    """The seam before each unit but the first, by its address."""
     _subscribers: list[tuple[Audience, BusSubscriber]] = field(default_factory=list, compare=False)
+
+    def __post_init__(self) -> None:
+        self.seams = self.settings.seams
 
     @property
     def worker_connected(self) -> bool:
@@ -177,7 +184,10 @@ class BusLive:
         self.read_at = reading.at if self.read_at is None else max(self.read_at, reading.at)
         bits, scan_s = bits_of(self, reading), scan_s_of(self)
         unit.motion.see(reading, bits, scan_s=scan_s, ratio=reads_ratio(self, unit))
-        unit.onsets.see(reading.at, conditions_of(bits, reading), offline_after_s(scan_s))
+        holding = conditions_of(bits, reading)
+        if DRAW_OUT_OF_BAND.holds(draw_of(self, unit, reading.at)):
+            holding |= {DRAW_OUT_OF_BAND.code}
+        unit.onsets.see(reading.at, holding, offline_after_s(scan_s))
 
 
 def changed_by(bus: BusLive, updates: Sequence[Update]) -> tuple[list[int], bool]:

@@ -249,7 +249,7 @@ class Link:
         longest_s = longest_reply_bytes(exchange.request, exchange.dialect) * self._byte_s
         last_moment = window_ends + (longest_s + MARGIN_S if has_response else 0.0)
         self._current = CurrentExchange(exchange, began, ends_sending, last_moment)
-        self.second_master.requested(exchange.request.unit)
+        self.second_master.requested(exchange.request.unit, began)
         self._window.open(window_ends, last_moment, self._listen_at(exchange, began, window_ends))
         self._note(began, "out", exchange.sent, exchange)
 
@@ -280,12 +280,12 @@ class Link:
                 self.counts.echoes += 1
             case Duplicate() | Late():
                 self._count_late(addressed)
-                self.second_master.responded(addressed)
+                self.second_master.explains(addressed, now)
                 if self._current is not None:
                     self._current.late += 1
             case Foreign() if self._is_another_s_late(event):
                 self._count_late(event.unit)
-                self.second_master.responded(event.unit)
+                self.second_master.explains(event.unit, now)
             case Unexpected() | Foreign() if addressed:
                 self._roster[addressed].statistics.counts.foreign += 1
                 if isinstance(event, Foreign):
@@ -295,7 +295,7 @@ class Link:
 
     def _judge_sender(self, event: Foreign, now: Monotonic) -> None:
         """Note a response that no request of this host explains; beside an exchange once that has ended."""
-        if self.second_master.explains(event.unit):
+        if self.second_master.explains(event.unit, now):
             return
         if self._current is not None:
             self._current.unrequested = True

@@ -42,12 +42,17 @@ class TcpProtocol(PortProtocol):
         self._receiver.data_received(received)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._text:
-            text = " ".join(self._text.decode("ascii").split())[:MAX_SHOWN]
-            is_in_use = b"in use" in self._text.lower()
-            code = "device_server_in_use" if is_in_use else "device_server_said"
-            self._gone = Message.of(code, port=self._name, text=text)
+        self._gone = reported_end(self._text, self._name) or self._gone
         super().connection_lost(exc)
+
+
+def reported_end(received: bytes, port: str) -> Message | None:
+    """Why a device server ended the connection, where all that it has sent is a text."""
+    if not received or len(received) > MAX_TEXT_BYTES or not _TEXT.fullmatch(received):
+        return None
+    text = " ".join(received.decode("ascii").split())[:MAX_SHOWN]
+    code = "device_server_in_use" if b"in use" in received.lower() else "device_server_said"
+    return Message.of(code, port=port, text=text)
 
 
 class TcpPort:

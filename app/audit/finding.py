@@ -1,0 +1,61 @@
+"""Finds events by their texts, and by the names of the units that they are about."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from urllib.parse import urlencode
+
+from app.audit.log import EventLog
+from app.audit.store import Filter, UnitPlace
+from app.errors import StoreError
+from app.find.finders import Place, Search
+from app.find.matching import rank, words_of
+from app.settings import Settings
+from bus.messages import Message
+
+SHOWN = 3
+"""Events that are listed; the page of events has the others."""
+LAST = 100
+"""Their rank: they come after everything that has the name."""
+
+
+def units_named(settings: Settings, typed: str) -> tuple[UnitPlace, ...]:
+    """The units that people call so."""
+    words = words_of(typed)
+    if not words:
+        return ()
+    return tuple(
+        (bus.name, unit.id)
+        for bus in settings.bus
+        for unit in bus.unit
+        if rank(words, (unit.name, unit.group)) is not None
+    )
+
+
+class EventFinder:
+    def __init__(self, events: EventLog, settings: Settings) -> None:
+        self._events = events
+        self._settings = settings
+
+    async def __call__(self, search: Search) -> Iterable[Place]:
+        """A way to the page of events with this search, and the newest of them."""
+        typed = search.formats.typed_number(search.typed)
+        wanted = Filter(search=typed, named=units_named(self._settings, search.typed), folded=True)
+        try:
+            events, _ = await self._events.page(wanted, SHOWN)
+        except StoreError:
+            events = []
+        every = f"/events?{urlencode({'search': search.typed})}"
+        more = Place(Message.of("find_events_with", text=search.typed), every, rank=LAST)
+        return [
+            *(
+                Place(
+                    search.language.t(event["messages"].get("what", event["what"])),
+                    f"{every}#event-{event['id']}",
+                    search.formats.moment(event["time"]) if event["time"] else "",
+                    rank=LAST,
+                )
+                for event in events
+            ),
+            more,
+        ]

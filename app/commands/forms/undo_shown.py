@@ -1,0 +1,43 @@
+"""The undo of a command as a page offers it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from app.commands.service.undoing import UndoOffer
+from app.commands.values import parameter_message, setpoint_message
+from app.live.state.bus_live import BusLive
+from bus.catalogue.parameters import PARAMETERS
+from bus.contract import Action, SetSpeed, WriteAnalogOutput, WriteOutput, WriteParameter
+from bus.instants import UnixTime
+from bus.messages import Message, term
+
+
+@dataclass(frozen=True, slots=True)
+class UndoShown:
+    """``href``: where its review is; ``text``: what it would set; ``until``: Unix time in seconds."""
+
+    href: str
+    text: Message
+    until: UnixTime
+
+
+def undo_shown(offer: UndoOffer | None, bus: BusLive) -> UndoShown | None:
+    """None for None."""
+    if offer is None:
+        return None
+    return UndoShown(f"/bus/{offer.bus}/undo/{offer.id}", _text(offer.action, bus), offer.until)
+
+
+def _text(action: Action, bus: BusLive) -> Message:
+    match action:
+        case SetSpeed(unit=unit, raw=raw):
+            return Message.of("undo_setpoint", value=setpoint_message(raw, bus.units[unit]))
+        case WriteOutput(number=number, on=on):
+            return Message.of("undo_output", number=number, state=term("on") if on else term("off"))
+        case WriteAnalogOutput(raw=raw):
+            return Message.of("undo_analog", value=raw)
+        case WriteParameter(unit=unit, number=number, raw=raw):
+            value = parameter_message(PARAMETERS[number], raw, bus.units[unit])
+            return Message.of("undo_parameter", number=number, value=value)
+    return Message("undo_setpoints")

@@ -1,0 +1,55 @@
+// Control of the line in the head and in place: a request that has just come, and what goes on once control is there.
+// What was refused is repeated as the person pressed it; a command still has its review.
+const FRESH_MS = 1000;
+/** What was pressed last outside of the review, to be pressed again.
+ * @type {{ source: HTMLElement, submitter: HTMLElement | null } | null} */
+let pressed = null;
+/** @type {HTMLElement | null} */
+let submitter = null;
+let known = "";
+/** Control was pressed together with what needs it. */
+let goesOn = false;
+
+/** A finger that was on its way when a request came does not decide on it. */
+function shield() {
+  const box = document.querySelector("[data-requested]");
+  const now = box?.dataset.requested ?? "";
+  if (box && now !== known) {
+    const choice = /** @type {HTMLElement} */ (box.lastElementChild);
+    choice.inert = true;
+    setTimeout(() => (choice.inert = false), FRESH_MS);
+  }
+  known = now;
+}
+
+function resume() {
+  for (const offer of document.querySelectorAll("[data-control-offer]")) offer.remove();
+  // On the page of a refusal; the one before has what was typed.
+  if (!pressed) return history.back();
+  if (!pressed.source.isConnected) return;
+  const { source, submitter: by } = pressed;
+  if (source.matches("form")) /** @type {HTMLFormElement} */ (source).requestSubmit(by?.isConnected ? by : null);
+  else source.click();
+}
+
+/** @param {HTMLElement} source */
+const acts = (source) =>
+  !source.closest("[data-review-place], [data-control-offer], [data-head-control]") && !source.hasAttribute("hx-trigger");
+
+export function start() {
+  document.addEventListener("submit", (event) => (submitter = event.submitter), { capture: true });
+  document.addEventListener("htmx:before:request", (event) => {
+    const source = event.detail.ctx.sourceElement;
+    if (acts(source)) pressed = { source, submitter: source.matches("form") ? submitter : null };
+    // The button is another one once its response is there.
+    if (!source.hasAttribute("hx-trigger")) goesOn = source.matches("[data-then-resume]");
+  });
+  document.addEventListener("click", ({ target }) => target.closest("[data-resume]") && resume());
+  document.addEventListener("htmx:after:swap", () => {
+    shield();
+    if (!goesOn || !document.querySelector("[data-control-offer] [data-resume]")) return;
+    goesOn = false;
+    resume();
+  });
+  shield();
+}

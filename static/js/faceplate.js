@@ -1,0 +1,74 @@
+// The faceplate of a unit, beside the line: a press on a unit opens it, Escape closes it and the focus returns to that
+// unit. A press with a key that opens another tab, or without this script, opens the page of the unit.
+import { listen, rebind } from "./bind.js";
+import { show } from "./visibility.js";
+
+const plate = document.getElementById("faceplate");
+/** The link of the unit that is shown, and that of the one that is on its way.
+ * @type {HTMLAnchorElement | null} */
+let opener = null;
+/** @type {HTMLAnchorElement | null} */
+let wanted = null;
+let ending = () => {};
+
+function opened() {
+  const link = wanted;
+  if (!link) return;
+  if (!plate.querySelector("[data-faceplate-close]")) return location.assign(link.href);
+  forget();
+  opener = link;
+  link.setAttribute("aria-expanded", "true");
+  const unit = link.closest("[data-unit]")?.dataset.unit ?? "";
+  plate.setAttribute("data-unit", unit);
+  plate.hidden = false;
+  show(unit);
+  document.dispatchEvent(new CustomEvent("lineside:changed"));
+  plate.scrollTop = 0;
+  plate.querySelector("h2 a")?.focus({ preventScroll: true });
+  link.scrollIntoView({ block: "nearest" });
+  ending = listen("alarms_present", redrawAlarms);
+}
+
+/** @param {Fields} fields */
+function redrawAlarms({ changed }) {
+  const list = plate.querySelector("#faceplate-alarms");
+  if (!list || list.dataset.drawnOf === changed) return;
+  list.dataset.drawnOf = /** @type {string} */ (changed);
+  list.dispatchEvent(new CustomEvent("lineside:redraw"));
+}
+
+function forget() {
+  ending();
+  opener?.removeAttribute("aria-expanded");
+  show("");
+}
+
+function close() {
+  if (!opener) return;
+  forget();
+  plate.hidden = true;
+  plate.replaceChildren();
+  plate.removeAttribute("data-unit");
+  rebind();
+  document.dispatchEvent(new CustomEvent("lineside:changed"));
+  opener.focus();
+  opener = null;
+}
+
+document.addEventListener("click", (event) => {
+  if (event.target.closest("[data-faceplate-close]")) return close();
+  const link = /** @type {HTMLAnchorElement | null} */ (event.target.closest("[data-faceplate]"));
+  if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
+  event.preventDefault();
+  wanted = link;
+  plate.dispatchEvent(new CustomEvent("lineside:faceplate"));
+});
+document.addEventListener("htmx:config:request", ({ detail: { ctx } }) => {
+  if (ctx.sourceElement === plate) ctx.request.action = `${wanted?.getAttribute("href")}/faceplate`;
+});
+document.addEventListener("htmx:after:swap", ({ detail: { ctx } }) => {
+  if (ctx.sourceElement === plate) opened();
+});
+document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && !document.querySelector("dialog[open]")) close();
+});

@@ -1,0 +1,47 @@
+// Find anything: Ctrl or ⌘ K and the button in the head open the field over the page; arrow keys go through what it finds.
+
+const dialog = /** @type {HTMLDialogElement | null} */ (document.getElementById("find"));
+
+export function start() {
+  if (!document.getElementById("find-typed")) return;
+  addEventListener("keydown", (event) => {
+    if (event.key.toLowerCase() !== "k" || !(event.ctrlKey || event.metaKey) || event.altKey || event.shiftKey) return;
+    event.preventDefault();
+    open();
+  });
+  document.addEventListener("click", (event) => {
+    const link = /** @type {Element} */ (event.target).closest("[data-find]");
+    if (!link || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    open();
+  });
+  document.addEventListener("keydown", choose);
+  dialog?.addEventListener("click", (event) => {
+    if (event.target === dialog) dialog.close();
+  });
+}
+
+/** Nothing over a review: its time runs. On the page of the same name the field is there. */
+function open() {
+  if (dialog && !document.querySelector("dialog[open]")) dialog.showModal();
+  const field = /** @type {HTMLInputElement} */ (document.getElementById("find-typed"));
+  if (!field.closest("dialog:not([open])")) field.select();
+}
+
+/** @param {KeyboardEvent} event */
+function choose(event) {
+  const target = /** @type {HTMLElement} */ (event.target);
+  const inField = target.id === "find-typed";
+  if (!inField && !target.matches(".find__place")) return;
+  const places = [...document.querySelectorAll(".find__place")];
+  const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+  if (step) {
+    event.preventDefault();
+    const next = places.indexOf(target) + step;
+    if (next < 0) document.getElementById("find-typed").focus();
+    else /** @type {HTMLElement} */ (places[next])?.focus();
+  } else if (event.key === "Enter" && inField && places.length && !event.isComposing) {
+    event.preventDefault();
+    /** @type {HTMLElement} */ (places[0]).click();
+  }
+}

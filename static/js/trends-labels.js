@@ -1,0 +1,66 @@
+// The names of lines at their ends, right of the chart, one below the other where they would touch.
+import { colour, css, DIMMED, look } from "./trends-look.js";
+
+const HEIGHT = 15;
+const INSET = 6;
+const LETTER = 6.6;
+
+/** Where labels of a height stand that want to be at `wanted`, in order of these, within a span; none overlaps
+ * another as long as there is room.
+ * @param {number[]} wanted @param {number} height @param {Span} span */
+export function apart(wanted, height, [top, bottom]) {
+  const order = wanted.map((_, place) => place).sort((a, b) => wanted[a] - wanted[b] || a - b);
+  const found = [...wanted];
+  let least = top;
+  for (const place of order) {
+    found[place] = Math.max(found[place], least);
+    least = found[place] + height;
+  }
+  let most = bottom;
+  for (const place of order.reverse()) {
+    found[place] = Math.min(found[place], most);
+    most = found[place] - height;
+  }
+  return found;
+}
+
+/** The last value of a result within a span, null where there is none.
+ * @param {Result} result @param {Span} span */
+export function lastValue({ t, avg }, [from, to]) {
+  for (let i = t.length - 1; i >= 0 && t[i] >= from; i--) if (t[i] <= to && avg[i] !== null) return avg[i];
+  return null;
+}
+
+/** Write them, each tied to the height at which its line ends.
+ * @param {uPlot} plot @param {LineEnd[]} ends @param {number} width of the space right of the chart, in pixels */
+export function drawLabels(plot, ends, width) {
+  const { ctx, bbox } = plot;
+  const ratio = devicePixelRatio;
+  const wanted = ends.map(({ value, scale }) => plot.valToPos(value, scale, true));
+  const places = apart(wanted, HEIGHT * ratio, [bbox.top + (HEIGHT / 2) * ratio, bbox.top + bbox.height]);
+  const edge = bbox.left + bbox.width;
+  ctx.save();
+  ctx.font = `600 ${12 * ratio}px ${css("--family")}`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
+  ctx.lineWidth = 2 * ratio;
+  ctx.setLineDash([]);
+  ends.forEach(({ label, place, dimmed }, i) => {
+    ctx.strokeStyle = colour(look(place).name, dimmed ? DIMMED : 100);
+    ctx.beginPath();
+    ctx.moveTo(edge, wanted[i]);
+    ctx.lineTo(edge + (INSET - 2) * ratio, places[i]);
+    ctx.stroke();
+    ctx.fillStyle = colour(dimmed ? "--quiet" : "--text");
+    ctx.fillText(shortened(`${place + 1} ${label}`, width - INSET), edge + INSET * ratio, places[i]);
+  });
+  ctx.restore();
+}
+
+/** A text that fits into so many pixels: a number alone where a name would not.
+ * @param {string} text @param {number} width */
+function shortened(text, width) {
+  const most = Math.floor(width / LETTER);
+  if (most < 8) return text.split(" ")[0];
+  return text.length > most ? `${text.slice(0, most - 1)}…` : text;
+}

@@ -1,0 +1,77 @@
+// The legend: what each line is, and what it reads at the cursor or last; a press dims a line.
+import { valueAt } from "./trends-data.js";
+import { lastValue } from "./trends-labels.js";
+import { swatch } from "./trends-look.js";
+import { formatTime } from "./trends-time.js";
+import { shownValue } from "./trends-values.js";
+
+export class Legend {
+  /** `toggle` dims the line of a series, or ends that.
+   * @param {HTMLElement} list @param {HTMLElement} time @param {TrendWords} words @param {(key: string) => void} toggle */
+  constructor(list, time, words, toggle) {
+    this.list = list;
+    this.time = time;
+    this.words = words;
+    /** @type {{ curve: Curve, past: Curve | undefined, value: HTMLElement, before: HTMLElement }[]} */
+    this.rows = [];
+    this.drawn = "";
+    list.addEventListener("click", ({ target }) => {
+      const button = target.closest("button");
+      if (button?.dataset.key) toggle(button.dataset.key);
+    });
+  }
+
+  /** One row for each curve, with what it was in the time compared. The rows are made again only where the curves are
+   * others, so that none moves under a finger.
+   * @param {Curve[]} curves @param {Curve[]} past */
+  draw(curves, past) {
+    const names = JSON.stringify(curves.map(({ key, name }) => [key, name]));
+    if (names !== this.drawn) this.make(curves);
+    this.drawn = names;
+    this.rows.forEach((row, i) => {
+      row.curve = curves[i];
+      row.past = past.find(({ key }) => key === curves[i].key);
+      const button = row.value.closest("button");
+      button?.setAttribute("aria-checked", String(!curves[i].dimmed));
+    });
+  }
+
+  /** @param {Curve[]} curves */
+  make(curves) {
+    const focused = this.list.contains(document.activeElement) ? document.activeElement?.closest("button") : null;
+    this.rows = curves.map((curve) => ({ curve, past: undefined, value: part("b"), before: part("small") }));
+    this.list.replaceChildren(
+      ...this.rows.map(({ curve, value, before }) => {
+        const button = document.createElement("button");
+        button.type = "button";
+        button.setAttribute("role", "switch");
+        button.dataset.key = curve.key;
+        const name = part("bdi");
+        name.textContent = `${curve.place + 1} ${curve.name}`;
+        button.append(swatch(curve.place, curve.value), name, value, before);
+        const item = document.createElement("li");
+        item.append(button);
+        return item;
+      }),
+    );
+    if (focused) [...this.list.querySelectorAll("button")].find(({ dataset }) => dataset.key === focused.dataset.key)?.focus();
+  }
+
+  /** What all read at a time, or last within a span. @param {number | null} at @param {Span} range */
+  show(at, range) {
+    this.time.textContent = at === null ? this.words.latest : formatTime(at);
+    for (const { curve, past, value, before } of this.rows) {
+      /** @param {Curve} of */
+      const read = (of) => (at === null ? lastValue(of, range) : valueAt(of, at));
+      value.textContent = withMeasure(curve, read(curve));
+      before.textContent = past ? shownValue(past, at === null ? null : read(past)) : "";
+    }
+  }
+}
+
+/** @param {Curve} curve @param {number | null} value */
+const withMeasure = (curve, value) =>
+  shownValue(curve, value) + (value !== null && curve.measure ? ` ${curve.measure}` : "");
+
+/** @param {"b" | "small" | "bdi"} tag */
+const part = (tag) => document.createElement(tag);

@@ -1,0 +1,89 @@
+"""The wallboard: which lines it has, and what of each."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import httpx
+import msgspec
+
+from app.audit.log import EventLog
+from app.sites.fleet import Fleet
+from app.sites.last_events import LastEvents
+from app.sites.summary import EventSummary, notices
+from app.web.access import Role
+from bus.messages import Message
+from tests.app.complete_app import House, complete_app
+from tests.app.played_line import played_line
+from tests.app.test_line_board import summary
+from tests.app.test_lines_page import INLINE, report
+
+
+async def page(house: House, address: str = "/wallboard", language: str = "en") -> httpx.Response:
+    viewer = await house.signed_in(Role.VIEWER, re.sub(r"\W", "-", address).strip("-"))
+    return await viewer.get(address, headers={"Accept-Language": language})
+
+
+async def test_it_has_every_line_in_the_order_of_the_configuration(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        await played_line(house.services)
+        report(house, "wet-end", "coater")
+        text = (await page(house, language="de")).text
+        assert re.findall(r'data-line="line_of/([a-z-]+)"', text) == ["dry-end", "coater", "wet-end"]
+        assert 'data-wall="all"' in text
+        assert "Getrennt seit" in text
+        assert not INLINE.search(text)
+        assert text.count("section__roll") == 2, "sections are shown of the lines whose home is here"
+        assert '<nav class="rail"' not in text
+
+
+async def test_one_line_by_its_name(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        await played_line(house.services)
+        report(house, "wet-end")
+        text = (await page(house, "/wallboard?bus=wet-end")).text
+        assert re.findall(r'data-line="line_of/([a-z-]+)"', text) == ["wet-end"]
+        assert 'data-wall="one"' in text
+        unknown = await page(house, "/wallboard?bus=<script>")
+        assert unknown.status_code == 404
+        assert "<script>" not in unknown.text
+
+
+async def test_it_needs_an_account(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        response = await house.client(Accept="text/html").get("/wallboard")
+        assert (response.status_code, response.headers["location"].partition("?")[0]) == (303, "/login")
+
+
+async def test_the_last_event_names_unit_change_and_result(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        log, last = house.services[EventLog], house.services[LastEvents]
+        change = {"what": Message("event_mode"), "bus": "dry-end", "unit": 1, "old": "1.0", "new": "2.0"}
+        await log.record(kind="command", outcome="refused", **change)
+        await log.record(kind="control", what="taken", bus="dry-end")
+        await log.record(kind="run", what="of another line")
+        await last.read()
+        found = last.of("dry-end")
+        assert found is not None
+        assert str(found.text) == "Unwind · mode: 1.0 → 2.0 · refused"
+        await log.record(kind="command", outcome="verified", what="Set line", bus="dry-end")
+        await last.read()
+        assert str(last.of("dry-end").text) == "Set line"  # type: ignore[union-attr]
+
+
+async def test_recipe_and_last_event_come_from_summaries(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        line = msgspec.structs.replace(
+            summary("wet-end"),
+            recipe=Message.of("line_recipe", name="Board 250 g"),
+            event=EventSummary(time.time(), Message.of("line_event", what="Set line")),
+        )
+        for text in notices("app-2", [line]):
+            house.services[Fleet].board.take(text)
+        shown = (await page(house, "/wallboard?bus=wet-end")).text
+        values = dict(re.findall(r'data-live="line_of/wet-end\.(\w+)"[^>]*>([^<]*)<', shown))
+        assert (values["recipe"], values["event"]) == ("Board 250 g", "Set line")
+        assert re.fullmatch(r"\d\d:\d\d", values["event_at"])
+        assert "wall__spark" in shown
