@@ -98,7 +98,7 @@ def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
 
 
 def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:
-    """A unit without a value of the present has no sample of it: a graph has a gap, and not the last value."""
+    """A unit without a value of the present has no sample of it: a graph has a gap, not the last value."""
     info = InfoMetricFamily("lineside_unit", "The name of a unit", labels=["bus", "unit"])
     online = _of_unit("lineside_unit_online", "1 while the values of a unit are of the present")
     actual = _of_unit("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
