@@ -14,6 +14,7 @@ ACTIONS = (
     Link(Message("find_save_set"), "/sets", "save_parameter_set"),
     Link(Message("find_write_note"), "/shifts/present", "write_shift_note"),
     Link(Message("find_add_alarm"), "/alarms/own", "add_own_alarm"),
+    Link(Message("find_wallboard"), "/wallboard"),
     Link(Message("find_scan_bus"), "/bus#scan"),
     Link(Message("find_add_user"), "/users#add", "add_user"),
     Link(Message("find_change_password"), "/account"),
