@@ -22,7 +22,7 @@ PRESS_WHEN_LIVE = """selector => {
       window.live_at = performance.now();
       document.querySelector(selector).click();
     }
-    if (!window.open_at && document.querySelector('dialog[open] [data-review-act]')) {
+    if (!window.open_at && document.querySelector('[data-review-act]')) {
       window.open_at = performance.now();
     }
   }).observe(document, { attributes: true, childList: true, subtree: true });
@@ -52,7 +52,7 @@ def _visit(served: Site, chromium: Browser, path: str, presses: str) -> tuple[fl
     page.on("requestfinished", lambda request: finished.append(request))
     page.add_init_script(f"({PRESS_WHEN_LIVE})({presses!r})")
     page.goto(path)
-    page.wait_for_selector("dialog[open] [data-review-act]")
+    page.wait_for_selector("[data-review-act]")
     page.wait_for_load_state("networkidle")
     live, opened = _times(page)
     sizes = [request.sizes() for request in finished]

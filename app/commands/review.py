@@ -103,7 +103,7 @@ def risks_of(
         if not bits.run:
             found.append(Message("risk_run_off"))
     if ramp is not None and ramp.tenths == 0:
-        found.append(Message.of("risk_no_ramp", number=ramp.number))
+        found.append(Message("risk_no_ramp"))
     if ramp is not None and ramp.seconds is None:
         found.append(Message("risk_ramp_unknown"))
     return tuple(found)
@@ -111,7 +111,7 @@ def risks_of(
 
 def risks_of_writing(number: int, raw: int) -> tuple[Message, ...]:
     if number in (ACCELERATION, DECELERATION) and raw == 0:
-        return (Message.of("risk_no_ramp", number=number),)
+        return (Message("risk_no_ramp"),)
     if number in KIND_OF_PARAMETER:
         return (Message("risk_is_setpoint"),)
     return ()

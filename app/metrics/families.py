@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from importlib.metadata import version
 from itertools import product
 
-from prometheus_client import CollectorRegistry, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import LineAlarms
 from app.alarms.rules.states import PRESENT_STATES
+from app.conditions.draw import percent_of
 from app.conditions.priority import PRIORITIES
-from app.live.state.bus_live import BusLive
+from app.database.reserve import free_bytes
+from app.live.state.age import unit_link_now
+from app.live.state.bus_live import BusLive, speed_decimals
+from app.live.state.draw import draw_of
 from app.metrics.sources import MetricSources
+from bus.instants import UnixTime, unix_now
 
 _COUNTED = {
     "polls": "Status requests sent to a unit",
@@ -42,6 +48,9 @@ class _LineCollector(Collector):
     def collect(self) -> Iterator[Metric]:
         measured = self._measured
         buses = measured.live.here.items()
+        build = "The release that runs"
+        yield InfoMetricFamily("lineside_build", build, value={"version": version("lineside")})
+        yield from _readings(buses, unix_now())
         yield from _of_units(buses)
         yield from _of_buses(buses)
         yield GaugeMetricFamily("lineside_browsers", "Connected browsers", value=measured.pages())
@@ -51,6 +60,8 @@ class _LineCollector(Collector):
         yield commands
         yield _alarm_states(measured.alarms)
         yield from _of_alarms(measured.alarms)
+        free = "Free space on the disk of the data folder"
+        yield GaugeMetricFamily("lineside_disk_free_bytes", free, value=free_bytes(measured.data))
         anchor = measured.anchor()
         degraded = 1 if anchor.altered or anchor.unwritten else 0
         words = "1 while the audit log is not anchored, or was altered after it was"
@@ -86,6 +97,33 @@ def _of_alarms(alarms: LineAlarms) -> Iterator[Metric]:
         yield family
 
 
+def _readings(buses: Iterable[tuple[str, BusLive]], now: UnixTime) -> Iterator[Metric]:
+    """A unit without a value of the present has no sample of it: a graph has a gap, not the last value."""
+    info = InfoMetricFamily("lineside_unit", "The name of a unit", labels=["bus", "unit"])
+    online = _of_unit("lineside_unit_online", "1 while the values of a unit are of the present")
+    actual = _of_unit("lineside_speed_actual", "Actual speed, as the display of the unit shows it")
+    commanded = _of_unit("lineside_speed_commanded", "Commanded speed, as the display of the unit shows it")
+    draw = _of_unit("lineside_draw_percent", "Draw to the section before")
+    for name, bus in buses:
+        for number, unit in bus.units.items():
+            of_unit, is_online = [name, str(number)], unit_link_now(bus, unit, now) == "online"
+            info.add_metric(of_unit, {"name": unit.settings.name, "group": unit.settings.group})
+            online.add_metric(of_unit, 1 if is_online else 0)
+            reading, decimals = unit.reading, speed_decimals(bus, unit)
+            if not is_online or reading is None or decimals is None:
+                continue
+            actual.add_metric(of_unit, reading.actual / 10**decimals)
+            commanded.add_metric(of_unit, reading.commanded / 10**decimals)
+            found = draw_of(bus, unit, now)
+            if found.tenths is not None:
+                draw.add_metric(of_unit, float(percent_of(found.tenths)))
+    yield from (info, online, actual, commanded, draw)
+
+
+def _of_unit(name: str, words: str) -> GaugeMetricFamily:
+    return GaugeMetricFamily(name, words, labels=["bus", "unit"])
+
+
 def _of_units(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     each = [(name, unit) for name, bus in buses if bus.figures for unit in bus.figures.units]
     for field, words in _COUNTED.items():
@@ -116,4 +154,5 @@ def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
     registry.register(_LineCollector(measured))
+    ProcessCollector(registry=registry)
     return generate_latest(registry)

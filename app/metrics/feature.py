@@ -16,7 +16,8 @@ def make(services: Services) -> None:
     live, hub, alarms = services[LiveState], services[Hub], services[LineAlarms]
     anchoring = services[Anchoring]
     counts = CommandCounts(services[EventLog])
-    services.add(MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms))
+    data = services.settings.server.data
+    services.add(MetricSources(live, lambda: hub.connected, counts, lambda: anchoring.status, alarms, data))
 
 
 FEATURE = Feature(make, (router,))

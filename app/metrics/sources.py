@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from app.alarms.line_alarms import LineAlarms
 from app.audit.anchoring import AnchorStatus
@@ -28,10 +29,12 @@ class CommandCounts:
 
 @dataclass(frozen=True, slots=True)
 class MetricSources:
-    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored."""
+    """``pages``: how many are open now; ``anchor``: how well the audit log is anchored; ``data``: where the
+    stores are."""
 
     live: LiveState
     pages: Callable[[], int]
     commands: CommandCounts
     anchor: Callable[[], AnchorStatus]
     alarms: LineAlarms
+    data: Path

@@ -12,7 +12,7 @@ from app.alarms.alarm import Alarm
 from app.alarms.line_alarms import rank
 from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
-from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.diagnosis.cause import Cause, bus_cause, unit_cause
 from app.live.screen.totals import LEVELS, all_well
 from app.live.state.age import figures_now, unit_link_now
 from app.live.state.bus_live import BusLive, speed_decimals
@@ -92,7 +92,7 @@ def summary_of(
 def view_of(bus: BusLive, number: int, blocked: Message | None, drifted: str, now: UnixTime) -> UnitView:
     """How a unit looks."""
     unit = bus.units[number]
-    cause = shown_cause(bus, unit, now, blocked=blocked, drifted=drifted)
+    cause = shown_cause(bus, unit, unit_cause(bus, unit, now), now, blocked=blocked, drifted=drifted)
     return UnitView(unit, unit_link_now(bus, unit, now), cause)
 
 

@@ -34,7 +34,7 @@ function resume() {
 
 /** @param {HTMLElement} source */
 const acts = (source) =>
-  !source.closest("#review-body, [data-control-offer], [data-head-control]") && !source.hasAttribute("hx-trigger");
+  !source.closest("[data-review-place], [data-control-offer], [data-head-control]") && !source.hasAttribute("hx-trigger");
 
 export function start() {
   document.addEventListener("submit", (event) => (submitter = event.submitter), { capture: true });

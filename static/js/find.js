@@ -38,7 +38,7 @@ function choose(event) {
   if (step) {
     event.preventDefault();
     const next = places.indexOf(target) + step;
-    if (next < 0) document.getElementById("find-typed").focus();
+    if (next < 0) document.getElementById("find-typed")?.focus();
     else /** @type {HTMLElement} */ (places[next])?.focus();
   } else if (event.key === "Enter" && inField && places.length && !event.isComposing) {
     event.preventDefault();

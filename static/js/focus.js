@@ -9,7 +9,7 @@ const isNowhere = () => document.activeElement === document.body || document.act
 /** @param {On<FocusEvent>} event */
 function remember(event) {
   const element = event.target;
-  if (!element.closest?.(PLACES)) return;
+  if (!element.closest?.(PLACES) || element.closest("[data-review-place]")) return;
   // A browser takes half an item of the rail or of the tabs for seen.
   if (element.matches(".rail__item, .tabs__tab")) element.scrollIntoView({ block: "nearest", inline: "nearest" });
   last = { element, home: element.parentElement?.closest("[id]")?.id, twin: twinOf(element) };

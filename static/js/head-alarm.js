@@ -10,7 +10,8 @@ let shown;
 export function start() {
   const button = document.querySelector("[data-head-acknowledge]");
   if (!button) return;
-  listen("alarms_present", ({ acknowledge }) => {
+  listen("alarms_present", (fields) => {
+    const acknowledge = /** @type {string | undefined} */ (fields.acknowledge);
     if (shown !== undefined && shown !== acknowledge) changedAt = performance.now();
     shown = acknowledge;
   });

@@ -11,7 +11,6 @@ import * as headAlarm from "./head-alarm.js";
 import * as keypad from "./keypad.js";
 import * as kiosk from "./kiosk.js";
 import * as live from "./live.js";
-import * as minutes from "./minutes.js";
 import * as people from "./people.js";
 import * as quality from "./quality.js";
 import * as redraw from "./redraw.js";
@@ -49,7 +48,6 @@ control.start();
 counts.start();
 keypad.start();
 kiosk.start();
-minutes.start();
 live.follow([
   ...new Set([...document.querySelectorAll("[data-watch-unit]")].map((element) => element.dataset.watchUnit)),
 ]);

@@ -1,12 +1,16 @@
-// The last ten minutes of one unit on its page: commanded as a fine step, actual as a line, one scale for both.
-// Gaps stay gaps. Requested every five seconds; the current values are in the numbers above.
+// The last ten minutes of one unit on its page: commanded as a fine step, actual as a line, one scale for both, with
+// flags where an alarm came and where something was set. Gaps stay gaps. Requested every five seconds, flags every
+// fifteen; the current values are in the numbers above.
 import { value } from "./bind.js";
 import { now } from "./clock.js";
 import { isLive } from "./live.js";
+import { fetchAlarms, fetchMarks } from "./trends-data.js";
+import { formatTime } from "./trends-time.js";
 import { language, word } from "./words.js";
 
 const SPAN_S = 600;
 const EVERY_MS = 5000;
+const FLAGS_EVERY_MS = 15_000;
 const [WIDTH, HEIGHT] = [600, 100];
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -32,8 +36,45 @@ export function build(figure) {
   });
   labels[2].textContent = `−${word("minutes", 10)}`;
   labels[3].textContent = word("now");
-  figure.append(svg, ...labels);
-  return { lines, labels };
+  const flags = document.createElement("div");
+  flags.className = "minutes__flags";
+  figure.append(svg, ...labels, flags);
+  return { lines, labels, flags };
+}
+
+/** @param {number} t @param {number} from @param {string} className @param {string} words */
+function flag(t, from, className, words) {
+  const mark = document.createElement("i");
+  mark.className = className;
+  mark.title = `${formatTime(t, "second")} ${words}`;
+  mark.style.setProperty("inset-inline-start", `${(100 * Math.max(0, t - from)) / SPAN_S}%`);
+  return mark;
+}
+
+/** Shape and number of the priority where an alarm came, a tick where something was set.
+ * @param {string} unit @param {ReturnType<typeof build>} parts */
+async function drawFlags(unit, { flags }) {
+  if (!isLive() || document.visibilityState !== "visible") return;
+  const to = now();
+  const from = to - SPAN_S;
+  const names = [`${unit}/actual`];
+  const [{ marks }, { alarms }] = await Promise.all([fetchMarks(names, [from, to]), fetchAlarms(names, [from, to])]);
+  const set = marks
+    .filter(({ who }) => who)
+    .map(({ t, who, shown }) =>
+      flag(t, from, "minutes__set", `${shown.what} ${[shown.old, shown.new].filter(Boolean).join(" → ")} · ${who}`),
+    );
+  const came = alarms
+    .filter(({ t }) => t >= from)
+    .map(({ t, name, priority }) => {
+      const mark = flag(t, from, "minutes__alarm alarm-priority", name);
+      mark.dataset.is = priority;
+      const shape = document.createElement("i");
+      shape.className = "alarm-priority__shape";
+      mark.append(shape);
+      return mark;
+    });
+  flags.replaceChildren(...set, ...came);
 }
 
 /** The range to draw: never so narrow that noise looks like movement.
@@ -99,11 +140,14 @@ async function draw(unit, { lines, labels }) {
   labels[1].textContent = inUnitsDecimals(unit, scale.least);
 }
 
-export function start() {
-  for (const figure of document.querySelectorAll("[data-ten-minutes]")) {
-    const parts = build(figure);
-    const again = () => draw(figure.dataset.tenMinutes, parts).catch(() => {});
-    document.addEventListener("lineside:found", again);
-    setInterval(again, EVERY_MS);
+for (const figure of document.querySelectorAll("[data-ten-minutes]")) {
+  const parts = build(figure);
+  const unit = figure.dataset.tenMinutes;
+  const again = () => draw(unit, parts).catch(() => {});
+  const flagsAgain = () => drawFlags(unit, parts).catch(() => {});
+  for (const [redraw, ms] of /** @type {const} */ ([[again, EVERY_MS], [flagsAgain, FLAGS_EVERY_MS]])) {
+    document.addEventListener("lineside:found", redraw);
+    redraw();
+    setInterval(redraw, ms);
   }
 }

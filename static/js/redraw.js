@@ -30,10 +30,11 @@ function followPage(page) {
   const look = () => {
     const present = value(key);
     if (present === undefined || present === page.dataset.drawnOf) return;
-    if (!document.querySelector("dialog[open]")) location.reload();
+    if (!document.querySelector("dialog[open], [data-review-place] > *")) location.reload();
   };
   listen(key.slice(0, dot), look);
-  document.addEventListener("lineside:done", look);
+  // The review is taken away after that.
+  document.addEventListener("lineside:done", () => setTimeout(look));
 }
 
 export function start() {

@@ -1,5 +1,6 @@
-// The review dialog: focus rests on Cancel, Enter does not execute, it lapses after 30 s, when the value has moved
-// or the unit takes nothing from here any more, and nothing leaves while the server does not respond.
+// A review, in a part of the page or in the dialog: focus rests on Cancel, Enter does not execute, it lapses after
+// 30 s, when the value has moved or the unit takes nothing from here any more, and nothing leaves while the server does
+// not respond. The result of one is a strip where the review names a place, with nothing to close.
 import { listen, rebind, value } from "./bind.js";
 import * as clock from "./clock.js";
 import { giveBack } from "./focus.js";
@@ -8,15 +9,20 @@ import { word } from "./words.js";
 
 const LAPSE_MS = 30_000;
 const dialog = document.getElementById("review");
-const content = document.getElementById("review-body");
+const PLACE = "[data-review-place]";
+/** Where a review is open, or was last: one at a time. */
+let content = document.getElementById("review-body");
 /** @type {(() => void)[]} */
 let endings = [];
 /** The last thing clicked that only reads, before the first message of the server.
  * @type {HTMLElement | null} */
 let early = null;
 
-function opened() {
+/** @param {HTMLElement} place */
+function opened(place) {
   close();
+  if (content !== place) content.replaceChildren();
+  content = place;
   if (!content.firstElementChild) return;
   if (!content.querySelector("[data-review-cancel]")) content.append(closer());
   show();
@@ -24,13 +30,20 @@ function opened() {
   if (form) watch(form);
 }
 
+const isModal = () => dialog.contains(content);
+
 function show() {
-  if (!dialog.open) dialog.showModal();
+  if (isModal() && !dialog.open) dialog.showModal();
   dialog.classList.toggle("dialog--wide", Boolean(content.querySelector(".review--wide")));
   // Show the head first; the button with the focus is visible anyway.
   content.querySelector("[data-review-cancel]")?.focus({ preventScroll: true });
-  dialog.scrollTop = 0;
+  if (isModal()) dialog.scrollTop = 0;
+  else content.scrollIntoView({ block: "nearest" });
 }
+
+/** Where the result of a review goes; null where it replaces the review.
+ * @param {HTMLElement} form */
+const stripOf = (form) => document.querySelector(`${form.getAttribute("hx-target")}:not(${PLACE})`);
 
 /** For a response without a button, for example a refusal by the server. */
 function closer() {
@@ -82,12 +95,17 @@ function whyNot({ link, mode, blocked }) {
  * @param {Element} source */
 const isAutomatic = (source) => source.hasAttribute("hx-trigger");
 
-/** The review is over without a command: the button is gone and the reason stays.
+/** The review is over without a command: the reason stays, in its strip or in the dialog without the button.
  * @param {HTMLElement} form @param {string} reason */
 function end(form, reason) {
   close();
   if (form.dataset.pending !== undefined || form.dataset.ended !== undefined) return;
   form.dataset.ended = "";
+  const strip = stripOf(form);
+  if (strip) {
+    explain(strip, reason);
+    return dismiss();
+  }
   const words = form.querySelector("[data-review-end]");
   words.textContent = reason;
   words.hidden = false;
@@ -105,9 +123,13 @@ function close() {
 
 /** The outcome of the command, "ended" where the review ended before one, empty where a person left it. */
 function outcome() {
-  const done = content.querySelector("[data-review-done]");
+  const form = content.querySelector("[data-review]:not([data-ended])");
+  const strip = form?.dataset.pending === undefined ? null : stripOf(form);
+  const done = (strip ?? content).querySelector("[data-review-done]");
+  if (strip && !done) return "bad";
   if (done) return done.dataset.reviewDone;
-  return content.querySelector("[data-ended]:not([data-unanswered])") ? "ended" : "";
+  if (content.querySelector("[data-unanswered]")) return "unknown";
+  return content.querySelector("[data-ended]") ? "ended" : "";
 }
 
 function dismiss() {
@@ -141,24 +163,29 @@ function unanswered(form) {
   end(form, word("outcomeUnknown"));
 }
 
-/** Of a press that had no review. */
-function showNoResponse() {
+/** @param {HTMLElement | null} strip @param {string} reason */
+function explain(strip, reason) {
   const words = document.createElement("p");
   words.className = "field__error";
-  words.textContent = word("outcomeUnknown");
-  document.getElementById("setpoint-error")?.replaceChildren(words);
+  words.dataset.reviewEnd = "";
+  words.textContent = reason;
+  // A part of a table is no place for words; its status is.
+  const place = strip?.matches("[role=status]") ? strip : strip?.querySelector("[role=status]");
+  place?.replaceChildren(words);
+  place?.scrollIntoView({ block: "nearest" });
 }
 
 /** End the review when the connection is lost; a pending command is reported as unknown after the reconnect.
  * What is typed in a field stays. */
 function lost() {
   early = null;
-  if (!dialog.open) return;
   const pending = content.querySelector("[data-pending]");
   if (pending) {
     unanswered(pending);
-    return dialog.close();
+    if (dialog.open) dialog.close();
+    return;
   }
+  if (!content.firstElementChild) return;
   content.querySelector("[data-review]")?.setAttribute("data-ended", "");
   dismiss();
 }
@@ -194,16 +221,18 @@ const newId = () =>
 
 export function start() {
   if (!dialog) return;
-  dialog.addEventListener("click", (event) => {
+  document.addEventListener("click", (event) => {
     if (event.target.closest("[data-review-cancel]")) dismiss();
   });
   dialog.addEventListener("cancel", (event) => {
     if (content.querySelector("[data-pending]")) event.preventDefault();
     else dismiss();
   });
-  dialog.addEventListener("keydown", (event) => {
+  document.addEventListener("keydown", (event) => {
+    if (!content.contains(event.target)) return;
     // Enter executes nothing but the button that has the focus.
     if (event.key === "Enter" && event.target.matches("input, select")) event.preventDefault();
+    if (event.key === "Escape" && !isModal() && !content.querySelector("[data-pending]")) dismiss();
   });
   dialog.addEventListener("input", (event) => {
     const typed = event.target.closest("[data-typed]");
@@ -240,17 +269,19 @@ export function start() {
     rebind();
     document.dispatchEvent(new CustomEvent("lineside:changed"));
     giveBack();
-    const named = event.detail.ctx.target;
+    const { target: named, sourceElement: source } = event.detail.ctx;
     const target = typeof named === "string" ? document.querySelector(named) : named;
-    if (target === content) opened();
+    if (target?.matches(PLACE)) opened(target);
+    else if (source.matches("[data-review]")) dismiss();
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked.
-    else if (target?.matches("[role=status]") && target.firstElementChild && !isAutomatic(event.detail.ctx.sourceElement))
+    if (target?.matches("[role=status]") && target.firstElementChild && !isAutomatic(source))
       target.scrollIntoView({ block: "nearest" });
   });
   document.addEventListener("htmx:error", (event) => {
     const form = content.querySelector("[data-pending]");
     if (form) unanswered(form);
-    else if (event.detail.ctx?.sourceElement.matches("[data-once]")) showNoResponse();
+    else if (event.detail.ctx?.sourceElement.matches("[data-once]"))
+      explain(document.getElementById("setpoint-error"), word("outcomeUnknown"));
   });
 }

@@ -45,8 +45,8 @@ function followUnit(input) {
     delete input.dataset.touched;
     refresh();
   };
-  // A review that ended without the person, and a refusal, leave what was typed.
-  document.addEventListener("lineside:done", ({ detail }) => detail !== "ended" && detail !== "bad" && forget());
+  // What was typed stays until it is set, or until the person leaves its review.
+  document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget());
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }

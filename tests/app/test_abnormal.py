@@ -6,7 +6,7 @@ import pytest
 
 from app.conditions.of_unit import suspicion
 from app.live.diagnosis.abnormal import UnitView, all_offline, shown_cause, state_counts
-from app.live.diagnosis.cause import Cause, bus_cause
+from app.live.diagnosis.cause import Cause, bus_cause, unit_cause
 from app.live.state.onset import Onset
 from bus.contract import BusFigures, BusLink, ParameterValue, UnitLink
 from bus.messages import Message, term
@@ -25,6 +25,7 @@ def shown(
     found = shown_cause(
         bus,
         bus.units[1],
+        unit_cause(bus, bus.units[1], NOW),
         NOW,
         blocked=Message.of("block_by", reason=blocked, who="anna") if blocked else None,
         drifted=drifted,
@@ -74,7 +75,7 @@ def test_a_unit_for_which_another_may_respond_is_abnormal(
     live = line()
     bus = live.buses["dry"]
     live.buses["dry"].apply([reading(), update])
-    cause = shown_cause(bus, bus.units[1], NOW, blocked=None, drifted="")
+    cause = shown_cause(bus, bus.units[1], unit_cause(bus, bus.units[1], NOW), NOW, blocked=None, drifted="")
     assert (cause and (cause.level, str(cause.params["why"]))) == (found and ("high", found))
     shown = line_view(live).unit("dry", 1, NOW)["suspect"]
     assert (shown and shown["detail"]) == found
@@ -88,7 +89,7 @@ def test_an_address_of_another_speaks_where_most_units_read_their_own() -> None:
     live.buses["dry"].apply([ParameterValue(3, 17, NOW, 3)])
     assert suspicion(bus, bus.units[1]) is None, "other units have another #17"
     live.buses["dry"].apply([ParameterValue(2, 17, NOW, 2)])
-    assert str(suspicion(bus, bus.units[1])) == "unit 3 may respond in its place (#17)"
+    assert str(suspicion(bus, bus.units[1])) == "unit 3 may respond in its place"
     assert suspicion(bus, bus.units[2]) is None
 
 

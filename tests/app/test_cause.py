@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.live.diagnosis.cause import Cause, unit_cause
+from app.live.diagnosis.cause import Cause, broken_rung, unit_cause
 from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
 from app.live.state.onset import Onset
@@ -105,18 +105,18 @@ def test_the_first_broken_rung_is_named_with_its_time(
 
 
 @pytest.mark.parametrize(
-    ("changes", "code"),
+    ("changes", "code", "rung"),
     [
-        ({"outputs": 0, "actual": 0, "inputs": 0}, "estop_active"),
-        ({"outputs": 0, "actual": 0, "inputs": HEALTHY}, "run_off"),
-        ({"outputs": 0, "actual": 0}, "not_in_remote"),
-        ({"outputs": REMOTE, "actual": 0}, "not_at_speed"),
+        ({"outputs": 0, "actual": 0, "inputs": 0}, "estop_active", "e-stop urgent"),
+        ({"outputs": 0, "actual": 0, "inputs": HEALTHY}, "run_off", "run high"),
+        ({"outputs": 0, "actual": 0}, "not_in_remote", "mode high"),
+        ({"outputs": REMOTE, "actual": 0}, "not_at_speed", "ramp high"),
     ],
 )
-def test_a_rung_hides_those_that_need_it(changes: dict[str, int], code: str) -> None:
+def test_a_rung_hides_those_that_need_it(changes: dict[str, int], code: str, rung: str) -> None:
     found = cause_of(after(changes), NOW + 10)
     assert found is not None
-    assert found.code == code
+    assert (found.code, broken_rung(found)) == (code, rung)
 
 
 def test_while_it_slows_down_it_is_not_shown_as_stopped() -> None:
@@ -163,6 +163,7 @@ def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
     live = after({})
     live.buses["dry"].apply([BusLink(at=NOW + 10, link="closed", cause=term("the port is closed"))])
     assert shown_cause(live, NOW + 70) == ("", "Port closed since 02:22: the port is closed")
+    assert broken_rung(cause_of(live, NOW + 70)) == "link", "its bus has the priority"
 
 
 def test_a_worker_that_does_not_respond_is_the_cause_of_its_units() -> None:

@@ -6,13 +6,15 @@ import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from app.audit.log import EventLog
 from app.live.state.bus_live import LiveState
 from app.web.access import Role
-from bus.contract import BusFigures, BusLink, UnitFigures
+from bus.contract import BusFigures, BusLink, ParameterValue, Reading, UnitFigures, UnitLink
+from bus.instants import unix_now
 from tests.app.complete_app import House, complete_app
 from tests.app.intents import intend
 
@@ -24,7 +26,10 @@ async def house(tmp_path: Path) -> AsyncIterator[House]:
 
 
 async def samples(house: House) -> dict[tuple[str, ...], float]:
-    program = await house.program(Role.VIEWER)
+    return await samples_for(await house.program(Role.VIEWER))
+
+
+async def samples_for(program: httpx.AsyncClient) -> dict[tuple[str, ...], float]:
     response = await program.get("/metrics")
     assert response.headers["content-type"].startswith("text/plain; version=")
     return {
@@ -57,6 +62,31 @@ async def test_figures_of_the_workers(house: House) -> None:
     assert found["lineside_scan_hz", "dry-end"] == 4.5
     assert found["lineside_wire_utilisation", "dry-end"] == 0.97
     assert found["lineside_bus_open", "dry-end"] == 1
+
+
+async def test_a_unit_has_its_speed_while_it_is_online(house: House) -> None:
+    bus, now = house.services[LiveState].buses["dry-end"], unix_now()
+    program = await house.program(Role.VIEWER)
+
+    def reading(unit: int, actual: int) -> Reading:
+        return Reading(unit=unit, at=now, commanded=1000, actual=actual, inputs=1, outputs=0xC0, analog=0)
+
+    decimals = [ParameterValue(unit=unit, number=3, at=now, raw=1) for unit in (1, 2)]
+    online = [UnitLink(unit=unit, at=now, link="online") for unit in (1, 2)]
+    bus.worker_lost = None
+    bus.apply([BusLink(at=now, link="open"), *decimals, *online, reading(1, 1000), reading(2, 1053)])
+    found = await samples_for(program)
+    assert found["lineside_unit_online", "dry-end", "2"] == 1
+    assert found["lineside_speed_actual", "dry-end", "2"] == 105.3
+    assert found["lineside_speed_commanded", "dry-end", "2"] == 100
+    assert found["lineside_unit_info", "dry-end", "", "Nip", "2"] == 1
+    assert any(name[0] == "lineside_build_info" for name in found)
+    assert found["lineside_disk_free_bytes",] > 0
+    assert found["process_resident_memory_bytes",] > 0
+    bus.lose_worker(now)
+    found = await samples_for(program)
+    assert found["lineside_unit_online", "dry-end", "2"] == 0
+    assert not any(name[0].startswith("lineside_speed") for name in found), "a gap, and not the last value"
 
 
 async def test_commands_by_their_outcome(house: House) -> None:

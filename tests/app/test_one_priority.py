@@ -14,7 +14,7 @@ from app.conditions.condition import Condition
 from app.conditions.of_unit import BY_READING
 from app.conditions.priority import MATRIX, PRIORITIES, AlarmPriority
 from app.live.diagnosis.abnormal import shown_cause
-from app.live.diagnosis.cause import Cause, abnormal, bus_cause
+from app.live.diagnosis.cause import Cause, abnormal, bus_cause, unit_cause
 from app.live.diagnosis.links import unit_facts
 from app.live.screen.cause_text import cause_texts, check_text
 from app.live.state.bus_live import LiveState
@@ -47,7 +47,9 @@ def after(seconds: float = 10.0, **changes: int) -> LiveState:
 def cause_of(live: LiveState, now: float = NOW + 10, drifted: str = "", blocked: str = "") -> Cause | None:
     bus = live.buses["dry"]
     why = Message.of("block_by", reason=blocked, who="anna") if blocked else None
-    return shown_cause(bus, bus.units[1], now, blocked=why, drifted=drifted)
+    return shown_cause(
+        bus, bus.units[1], unit_cause(bus, bus.units[1], now), now, blocked=why, drifted=drifted
+    )
 
 
 @pytest.mark.parametrize(

@@ -200,6 +200,6 @@ async def test_in_german_too(house: House) -> None:
         ": seine letzte Antwort ist N s alt",
         ": Not\u2011Halt ist aktiv: der Sollwert wirkt, sobald er aufgehoben ist",
         ": Lauf-Eingang ist aus: der Sollwert wirkt, sobald er an ist",
-        ": ändert sich sofort, ohne Rampe: #7 ist 0,0 s",
+        ": ändert sich sofort: seine Rampe ist 0,0 s",
         "ausgelassen: nicht in REMOTE",
     ]

@@ -78,7 +78,7 @@ def test_the_numbers_are_params() -> None:
     assert obstacle == Message.of("obstacle_blocked", block="{age}")
     assert [risk.params for risk in risks_of(bus, bus.units[1], NOW, Ramp(7, 0, 0.0))] == [
         {"age": 4},
-        {"number": 7},
+        {},
     ]
 
 

@@ -110,7 +110,7 @@ def test_a_second_tap_presses_nothing_on_the_page_that_the_first_one_opened(
     site: Site, page: Page, stopped: str
 ) -> None:
     page.goto(f"{site.url}/alarms/{stopped}")
-    place = page.get_by_role("button", name="Acknowledge alarm").bounding_box()
+    place = page.locator("main").get_by_role("button", name="Acknowledge alarm").bounding_box()
     assert place is not None
     x, y = place["x"] + 20, place["y"] + 20
     page.mouse.click(x, y)

@@ -52,7 +52,7 @@ def test_nothing_leaves_before_the_confirm(site: Site, shared_page: OpensPages) 
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     assert writes(site) == before
     page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(page.locator("[data-review]")).to_have_count(0)
     assert writes(site) == before
 
     type_on_pad(page, "101.5")
@@ -70,13 +70,13 @@ def test_enter_reviews_and_does_not_execute_and_escape_leaves(site: Site, shared
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.keyboard.press("Enter")
-    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(page.locator("[data-review]")).to_have_count(0)
     page.locator("#setpoint").fill("99,5")
     rest(page)
     page.keyboard.press("Enter")
-    expect(page.locator("dialog[open]")).to_have_count(1)
+    expect(page.locator("[data-review]")).to_have_count(1)
     page.keyboard.press("Escape")
-    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(page.locator("[data-review]")).to_have_count(0)
     assert writes(site) == before
 
 
@@ -91,7 +91,7 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     page.keyboard.press("Enter")
     expect(cancel).to_be_focused()
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
-    expect(page.locator("dialog[open]")).to_have_count(0)
+    expect(page.locator("[data-review]")).to_have_count(0)
     expect(field).to_have_value("88.0")
     expect(field).to_be_focused()
     rest(page)
@@ -101,7 +101,6 @@ def test_keyboard_alone_sets_a_speed_that_no_message_removes(site: Site, shared_
     page.keyboard.press("Enter")
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 88.0")
     assert state(site, 4)["setpoint"] == 880
-    page.get_by_role("button", name="Close").click()
     site.set_speed(4, value="89.0")
     expect(field).to_have_value("89.0")
 
@@ -127,7 +126,6 @@ def test_undo_is_an_ordinary_command_with_a_review(site: Site, shared_page: Open
     page.get_by_role("button", name="Set now").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
-    page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name=re.compile("Undo")).click()
     act = page.locator("[data-review-act]")
     expect(act).to_have_text(re.compile(re.escape(former) + "$"))
@@ -145,7 +143,6 @@ def test_a_review_ends_when_the_value_has_moved(site: Site, shared_page: OpensPa
     expect(page.locator("[data-review-act]")).to_have_count(0)
     expect(page.locator("[data-review-end]")).to_contain_text("50.0")
     assert state(site, 6)["setpoint"] == 500
-    page.get_by_role("button", name="Close").click()
     expect(page.locator("#setpoint")).to_have_value("66.0")
 
 
@@ -159,10 +156,9 @@ def test_a_click_without_a_response_has_an_unknown_outcome(site: Site, browser_p
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-progress]")).to_be_visible()
     page.evaluate("document.dispatchEvent(new CustomEvent('lineside:lost'))")
-    expect(page.locator("dialog[open]")).to_have_count(0)
-    page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
+    expect(page.locator("[data-review]")).to_have_count(0)
     expect(page.locator("[data-review-end]")).to_contain_text("result is not known")
-    page.get_by_role("button", name="Close").click()
+    page.evaluate("document.dispatchEvent(new CustomEvent('lineside:found'))")
     page.locator(".nudges button").first.click()
     expect(page.locator("#setpoint-error")).to_contain_text("result is not known")
     assert writes(site) == before
@@ -195,8 +191,8 @@ def test_a_review_lapses_after_half_a_minute(site: Site, browser_page: OpensPage
     page.locator("#setpoint").fill("90.0")
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("[data-review-end]")).to_have_text("30 s have passed. Nothing was sent.")
-    expect(page.locator("[data-review-act]")).to_have_count(0)
-    expect(page.get_by_role("button", name="Close")).to_be_focused()
+    expect(page.locator("[data-review]")).to_have_count(0)
+    expect(page.locator("#setpoint")).to_have_value("90.0")
     assert writes(site) == before
 
 
@@ -279,9 +275,10 @@ def test_a_refused_parameter_value_offers_the_nearest(shared_page: OpensPages) -
 def test_a_small_nudge_needs_no_review(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page(viewport=PANEL), "/units/line/7")
     was = state(site, 7)["setpoint"]
-    page.locator(".nudges button").nth(2).click()
-    expect(page.locator("#setpoint-error")).to_contain_text("verified")
+    page.get_by_role("button", name="Up by 0.2").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("verified")
     assert state(site, 7)["setpoint"] == was + 2
+    expect(page.get_by_role("button", name=f"Undo: set {was / 10:.1f}")).to_be_visible()
 
 
 def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPages) -> None:
@@ -292,9 +289,10 @@ def test_staging_changes_nothing_until_executed(site: Site, shared_page: OpensPa
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
     assert state(site, 8)["setpoint"] == was
-    page.get_by_role("button", name="Close").click()
     expect(page.locator('[data-live="line/8.staged"]').first).to_have_text("91.0")
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site, 8)["setpoint"] == 910, "the staged speed executed")
@@ -318,8 +316,7 @@ def test_a_unit_in_local_disables_the_controls_and_shows_why(site: Site, shared_
     try:
         expect(page.locator("[data-review-end]")).to_contain_text("left REMOTE")
         expect(page.locator("[data-review-act]")).to_have_count(0)
-        page.get_by_role("button", name="Close").click()
-        expect(page.locator(".by-mode__not")).to_be_visible()
+        expect(page.locator(".notice.by-mode__not")).to_be_visible()
         expect(page.locator("#setpoint")).to_be_hidden()
         expect(page.get_by_role("button", name="Switch output 1")).to_be_hidden()
         expect(page.locator('[hx-post$="/analog-output/review"]')).to_be_hidden()
@@ -380,8 +377,8 @@ def test_a_parameter_is_written_and_its_row_shows_it(site: Site, shared_page: Op
     row.locator("[name=value]").fill("12.5")
     row.get_by_role("button", name="Write").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_contain_text("12.5")
-    page.get_by_role("button", name="Close").click()
+    expect(row.locator("[data-review-done=good]")).to_contain_text("12.5")
+    expect(page.locator("dialog[open]")).to_have_count(0)
     expect(row).to_contain_text("125")
     assert site.line.remote.do("parameter", unit=2, number=6) == 125
 
@@ -406,8 +403,6 @@ def test_a_block_is_shown_and_lifted(site: Site, shared_page: OpensPages) -> Non
     expect(page.locator("[data-review-act]")).to_be_visible()
     with site.api("engineer") as client:
         client.post("/buses/line/units/7/block", json={"reason": "belt off since 14:20"})
-    expect(page.locator("[data-review-end]")).to_contain_text("belt off since 14:20")
-    page.get_by_role("button", name="Close").click()
     expect(page.locator("#setpoint")).to_have_count(0)
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     opened(page, "/")
@@ -427,7 +422,7 @@ def test_the_line_goes_to_zero(site: Site, shared_page: OpensPages) -> None:
     assert {state(site, unit)["setpoint"] for unit in range(1, 9)} == {0}
     opened(page, "/units/line/1")
     expect(page.locator("#setpoint")).to_have_value("0.0")
-    page.locator(".nudges button").first.click()
+    page.get_by_role("button", name="Down by 2.0").click()
     expect(page.locator("#setpoint-error")).to_contain_text("cannot go below 0")
     page.get_by_role("button", name="Use 0.0").click()
     expect(page.locator("#setpoint")).to_have_value("0.0")

@@ -103,14 +103,14 @@ def test_a_server_that_does_not_respond_disables_the_controls_and_the_page_recov
     try:
         expect(page.locator(LOST)).to_be_attached()
         expect(page.locator(".gone")).to_contain_text("does not respond")
-        expect(page.locator("dialog[open]")).to_have_count(0)
+        expect(page.locator("[data-review]")).to_have_count(0)
         expect(page.get_by_role("button", name="Set now")).to_have_count(0)
         page.evaluate("document.querySelector('form.setter').requestSubmit()")
     finally:
         own_site.server.send_signal(signal.SIGCONT)
     expect(page.locator(LIVE)).to_be_attached()
     expect(page.locator("#setpoint")).to_be_visible()
-    assert page.locator("dialog[open]").count() == 0
+    assert page.locator("[data-review]").count() == 0
     assert received_writes(own_site) == before
 
 
@@ -160,7 +160,7 @@ def test_a_press_that_was_held_up_on_the_way_is_not_carried_out(
         lambda route: route.continue_(headers={**route.request.headers, "lineside-clicked-at": "1.0"}),
     )
     act.click()
-    expect(page.locator("#review-body [role=alert]")).to_contain_text("too late")
+    expect(page.locator("#setpoint-error [role=alert]")).to_contain_text("too late")
     assert received_writes(own_site) == before
 
 

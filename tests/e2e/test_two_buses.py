@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import GERMAN, OpensPages
+from tests.e2e.conftest import GERMAN, OpensPages, rest
 from tests.e2e.site import AT_REST, Line, Site, eventually
 
 PANEL = {"width": 1280, "height": 800}
@@ -199,7 +199,6 @@ def test_a_followers_setpoint_is_a_ratio(site: Site, shared_page: OpensPages, fo
     page.get_by_role("button", name=re.compile("Undo: set")).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text(f"reads {before / 10_000:.4f}")
-    page.get_by_role("button", name="Close").click()
     expect(field).to_have_value(f"{before / 10_000:.4f}")
 
     page.get_by_role("button", name="Up by 0.0100").click()
@@ -226,9 +225,10 @@ def test_a_staged_value_of_a_follower_is_a_ratio_too(
     page.get_by_role("button", name="Stage…", exact=True).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("acknowledged")
-    page.get_by_role("button", name="Close").click()
     expect(page.locator(f'[data-live="line/{follower}.staged"]').first).to_have_text(re.compile("0.9876"))
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     eventually(lambda: state(site.line, follower)["setpoint"] == 9876, "the staged ratio executed")

@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import OpensPages
+from tests.e2e.conftest import OpensPages, rest
 from tests.e2e.site import Site, eventually
 
 UNIT = 8
@@ -32,11 +32,16 @@ def undo(page: Page) -> Locator:
 
 
 def send(page: Page, opens_review: str) -> None:
-    """One reviewed command, and its result closed."""
+    """One reviewed command, until its review is gone."""
+    rest(page)
     page.get_by_role("button", name=opens_review).click()
+    rest(page)
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
-    page.get_by_role("button", name="Close").click()
+    expect(page.locator("[data-review-done=good]").last).to_be_visible()
+    close = page.locator("dialog[open] [data-review-cancel]")
+    if close.count():
+        close.click()
+    expect(page.locator("[data-review]")).to_have_count(0)
 
 
 def stage(page: Page, value: str) -> None:
@@ -56,14 +61,13 @@ def test_after_execute_staged_undo_offers_what_was_commanded_before_it(site: Sit
 
 
 def test_each_command_has_its_own_undo_and_the_one_before_comes_back(page: Page) -> None:
-    page.locator(".nudges button").nth(2).click()
+    page.get_by_role("button", name="Up by 0.2").click()
     expect(undo(page)).to_have_text("Undo: set 111.0…")
     page.goto("/alarms")
     page.goto(f"/units/line/{UNIT}")
     undo(page).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_contain_text("reads 111.0")
-    page.get_by_role("button", name="Close").click()
     expect(undo(page)).to_have_text("Undo: set 115.0…")
 
 
@@ -72,7 +76,7 @@ def test_an_output_is_switched_back(site: Site, page: Page) -> None:
     page.get_by_role("button", name="Switch output 3").click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
-    page.locator("#review-body").get_by_role("button", name=re.compile("Undo: switch output 3")).click()
+    page.get_by_role("button", name=re.compile("Undo: switch output 3")).click()
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=good]")).to_be_visible()
     assert site.unit(UNIT)["outputs"][2] == on
@@ -102,10 +106,12 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it(site: Site, page: Page
 
 def test_an_execute_is_refused_where_the_setpoint_has_moved_since_the_review(site: Site, page: Page) -> None:
     stage(page, "119.0")
+    rest(page)
     page.get_by_role("button", name="Execute staged").click()
     was = page.locator('[data-review] [name="was"]')
     expect(was).to_have_value("1110")
     was.evaluate("field => (field.value = '1150')")
+    rest(page)
     page.locator("[data-review-act]").click()
     expect(page.locator("[data-review-done=bad]")).to_be_visible()
     eventually(lambda: site.unit(UNIT)["commanded"] == "111.0", "nothing was executed")

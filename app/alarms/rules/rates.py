@@ -42,7 +42,7 @@ class AlarmRates:
 
     def chatters(self, alarm: str, now: UnixTime) -> bool:
         """Whether it came three times within a minute, lately."""
-        rises = self._of_alarm.get(alarm, ())
-        if len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
+        rises = self._of_alarm.get(alarm)
+        if rises is None or len(rises) < RISES_OF_CHATTER or not 0 <= now - rises[-1] < WINDOW_S:
             return False
         return 0 <= rises[-1] - rises[0] <= CHATTERS_S

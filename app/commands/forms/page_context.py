@@ -7,7 +7,7 @@ import uuid
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Form
 from starlette.requests import Request
@@ -47,6 +47,8 @@ from bus.messages import Message
 
 REVIEW_LASTS_S = 45.0
 """Thirty seconds on the screen, and something for the way."""
+_RESULT: dict[str, Any] = {"requested": "", "reads": "", "undo": None, "controlled": ""}
+"""What a result shows where nothing else is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ class PageContext:
 
     def done(self, title: str, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
         """The end of a review, in the dialog. ``setpoint``: the requested value, its live field, its undo."""
-        context = {"requested": "", "reads": "", "undo": None, "controlled": ""} | setpoint
+        context = _RESULT | setpoint
         return self.render("unit/_done.html", title=title, outcome=outcome, status=status, **context)
 
 
@@ -253,6 +255,22 @@ class UnitPage(BusPage):
         self.unit: UnitLive = unit_of_bus_or_404(self.bus, unit)
         self.title = self.unit.settings.name
         self.on_line = self.shown(unit)
+
+    def neighbor(self, step: Literal[-1, 1]) -> UnitOnLine | None:
+        """The unit before or after this one in floor order; None at an end of the bus."""
+        units = list(self.bus.units)
+        at = units.index(self.id) + step
+        return self.shown(units[at]) if 0 <= at < len(units) else None
+
+    def result(self, outcome: OutcomeText, *, status: int = 200, **setpoint: Any) -> Response:
+        """The result of a command, in place. ``setpoint``: the requested value, its live field, its undo."""
+        context = _RESULT | setpoint
+        return self.render("unit/_result.html", outcome=outcome, status=status, **context)
+
+    def not_sent(self, problem: Problem) -> Response:
+        """The result of a confirmed review of which nothing was sent."""
+        outcome = OutcomeText("bad", problem.message)
+        return self.result(outcome, status=problem.status, controlled=_controlled(problem))
 
     def setpoint(self, raw: int | None) -> str:
         """A setpoint as the unit shows it, in the reader's language; empty where there is none."""

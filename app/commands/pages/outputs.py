@@ -32,7 +32,7 @@ async def review_output(page: OfUnit, number: OutputPath) -> Response:
             raise Problem(409, "unknown", Message("output_unknown"))
         return review_switch(page, number, on=not output_is_on(reading.outputs, number))
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.explain(problem, "#outputs-result", status=problem.status)
 
 
 def review_switch(page: UnitPage, number: int, *, on: bool) -> Response:
@@ -56,12 +56,12 @@ async def set_output(
     try:
         result = await page.carry_out(WriteOutput(unit=page.id, number=number, on=on), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return page.not_sent(problem)
     outcome = outcome_text(result)
     if result.outcome == "verified":
         state = term("on") if on else term("off")
         outcome = OutcomeText("good", Message.of("result_output", n=number, state=state))
-    return page.done(page.title, outcome, undo=page.undo(confirmed.id))
+    return page.result(outcome, undo=page.undo(confirmed.id))
 
 
 @router.post("/analog-output/review", dependencies=[permitted(WRITE_ANALOG_OUTPUT)])
@@ -91,8 +91,8 @@ async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: C
     try:
         result = await page.carry_out(WriteAnalogOutput(unit=page.id, raw=raw), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
-    return page.done(page.title, outcome_text(result), undo=page.undo(confirmed.id))
+        return page.not_sent(problem)
+    return page.result(outcome_text(result), undo=page.undo(confirmed.id))
 
 
 def _integer(text: str) -> int:

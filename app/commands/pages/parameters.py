@@ -48,7 +48,8 @@ async def read_all(page: OfUnit) -> Response:
 def _table(page: UnitPage) -> dict[str, Any]:
     rows = [_row(page, number) for number in sorted(PARAMETERS, key=_by_group)]
     groups = [(name, list(members)) for name, members in groupby(rows, key=lambda row: row["group"])]
-    return {"fields": page.fields(), "bus": page.name, "unit": page.on_line, "groups": groups}
+    shown = {"unit": page.on_line, "before": page.neighbor(-1), "after": page.neighbor(1)}
+    return {"fields": page.fields(), "bus": page.name, "groups": groups, **shown}
 
 
 _GROUPS = list(dict.fromkeys(parameter.group for parameter in PARAMETERS.values()))
@@ -116,20 +117,24 @@ async def write_parameter(
 ) -> Response:
     """86h, read back by 85h; a dangerous one only with the word typed."""
     parameter = PARAMETERS[number]
-    title = f"#{number} {parameter.name}"
     try:
         if danger_of_writing(parameter, raw) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
         result = await page.carry_out(WriteParameter(unit=page.id, number=number, raw=raw), confirmed)
     except Problem as problem:
-        return page.refused(problem, title)
+        if confirmed.undoes:
+            return page.refused(problem, page.title)
+        response = page.not_sent(problem)
+        response.headers["HX-Retarget"] = f"#parameter-{number}-error"
+        response.headers["HX-Reswap"] = "innerHTML"
+        return response
     return page.render(
         "unit/_parameter_done.html",
-        title=title,
         outcome=_outcome(page, parameter, result),
         unit=page.on_line,
         row=_row(page, number),
         undo=page.undo(confirmed.id),
+        undoes=confirmed.undoes,
     )
 
 

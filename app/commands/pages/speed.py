@@ -11,7 +11,7 @@ from fastapi import APIRouter, Form
 from starlette.responses import Response
 
 from app.commands.catalogue import EXECUTE_SPEED, SET_SPEED
-from app.commands.forms.page_context import Confirmation, Confirmed, OfUnit, UnitPage
+from app.commands.forms.page_context import Confirmed, OfUnit, UnitPage
 from app.commands.review import nudges
 from app.commands.service.writer import permitted, permitted_writer
 from app.errors import Problem
@@ -76,19 +76,18 @@ async def set_speed(
         _refuse_moved(page, was)
         result = await page.carry_out(action, confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
-    return _done(page, raw, result, confirmed)
+        return page.not_sent(problem)
+    return _done(page, raw, result, confirmed.id)
 
 
-def _done(page: UnitPage, raw: int, result: Result, confirmed: Confirmation) -> Response:
+def _done(page: UnitPage, raw: int, result: Result, id: str) -> Response:
     # The screen has the commanded speed of a follower, and no ratio to compare with.
     reads = "" if follower(page.unit) else f"{page.on_line.key}.commanded"
-    return page.done(
-        page.title,
+    return page.result(
         page.outcome(result, page.id),
         requested=page.setpoint(raw),
         reads=reads,
-        undo=page.undo(confirmed.id),
+        undo=page.undo(id),
     )
 
 
@@ -115,10 +114,7 @@ async def nudge(
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
     except Problem as problem:
         return _explain(page, problem)
-    outcome = page.outcome(result, page.id)
-    response = page.render(
-        "unit/_nudged.html", requested=page.setpoint(raw), outcome=outcome, undo=page.undo(id)
-    )
+    response = _done(page, raw, result, id)
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
 
@@ -138,7 +134,7 @@ async def review_execute(page: OfUnit) -> Response:
         await page.judge(ExecuteSpeed(unit=page.id))
         await page.know_ramps([page.id])
     except Problem as problem:
-        return page.refused(problem, page.title)
+        return _explain(page, problem)
     change, draws = page.change(page.id, staged), page.draws({page.id: staged})
     return page.review("unit/_review_execute.html", unit=page.on_line, change=change, draws=draws)
 
@@ -152,5 +148,5 @@ async def execute(page: OfUnit, confirmed: Confirmed, raw: SetpointField, was: W
         _refuse_moved(page, was)
         result = await page.carry_out(ExecuteSpeed(unit=page.id), confirmed)
     except Problem as problem:
-        return page.refused(problem, page.title)
-    return _done(page, raw, result, confirmed)
+        return page.not_sent(problem)
+    return _done(page, raw, result, confirmed.id)

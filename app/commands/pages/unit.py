@@ -41,6 +41,8 @@ def _faceplate(page: UnitPage) -> dict[str, Any]:
         "fields": page.fields(),
         "bus": page.name,
         "unit": page.on_line,
+        "before": page.neighbor(-1),
+        "after": page.neighbor(1),
         "present": page.setpoint(page.present),
         "lowest": page.setpoint(allowed.lowest),
         "highest": page.setpoint(allowed.highest),
@@ -59,7 +61,7 @@ _LIMIT_NAMES = ("lowest", "highest", "largest_step", "per_minute")
 
 
 def _signed(fine: int, coarse: int) -> list[tuple[int, int]]:
-    return [(-1, coarse), (-1, fine), (1, fine), (1, coarse)]
+    return [(1, coarse), (1, fine), (-1, fine), (-1, coarse)]
 
 
 @router.post("/limits")

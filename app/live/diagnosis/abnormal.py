@@ -49,14 +49,19 @@ def state_counts(views: Iterable[UnitView]) -> Counter[str]:
 
 
 def shown_cause(
-    bus: BusLive, unit: UnitLive, now: UnixTime, *, blocked: Message | None, drifted: str
+    bus: BusLive,
+    unit: UnitLive,
+    cause: Cause | None,
+    now: UnixTime,
+    *,
+    blocked: Message | None,
+    drifted: str,
 ) -> Cause | None:
     """What the first line of a unit names: the first broken rung, else what else is abnormal about it.
 
-    ``blocked``: why commands are blocked, None where they are not; ``drifted``: in what it departs from its
-    golden set, empty where in nothing.
+    ``cause``: its ``unit_cause``; ``blocked``: why commands are blocked, None where they are not;
+    ``drifted``: in what it departs from its golden set, empty where in nothing.
     """
-    cause = unit_cause(bus, unit, now)
     if cause is not None and cause.code in _BEFORE_ALL:
         return cause
     return next(_others(cause, _draw(bus, unit, now), suspicion(bus, unit), blocked, drifted), cause)

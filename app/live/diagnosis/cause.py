@@ -94,6 +94,14 @@ def _broken(index: int, facts: UnitFacts, bus: BusLive, unit: UnitLive, reading:
     return Cause(row.code, min(held, key=PRIORITIES.index, default=""), onset, params)
 
 
+def broken_rung(cause: Cause | None) -> str:
+    """The broken rung of a ``unit_cause`` with its priority, ``run high``; the rung alone where another
+    condition has the priority; empty where no rung is broken. What cannot be read breaks the rung link."""
+    if cause is None or cause.code == "ramping":
+        return ""
+    return f"{TILES[cause.code].rung or 'link'} {cause.level}".rstrip()
+
+
 def _since(unit: UnitLive, names: Sequence[str]) -> Onset | None:
     return later(*(unit.onsets.of.get(name) for name in names))
 

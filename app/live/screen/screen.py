@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from app.live.diagnosis.abnormal import UnitView, shown_cause
+from app.live.diagnosis.cause import broken_rung, unit_cause
 from app.live.screen.cause_text import cause_texts, check_text, joined
 from app.live.screen.diff import FlatFields, Groups, merge_groups, put_fields
 from app.live.screen.fields import Fields, Translator, bus_fields, draw_fields, unit_fields, unit_key
@@ -84,7 +85,8 @@ class Screen:
         block = self.sources.guards[bus_name].block_reason(number)
         blocked = self.translator.t(block) if block is not None else ""
         drifted = self.sources.drift[bus_name].summary(number, self.translator, now)
-        cause = shown_cause(bus, unit, now, blocked=block, drifted=drifted.words)
+        ladder = unit_cause(bus, unit, now)
+        cause = shown_cause(bus, unit, ladder, now, blocked=block, drifted=drifted.words)
         view = UnitView(unit, unit_link_now(bus, unit, now), cause, blocked)
         self._views[unit_key(bus_name, number)] = view
         fields = unit_fields(bus, unit, view.link, self.translator)
@@ -95,6 +97,7 @@ class Screen:
             "cause": line if view.level else "",
             "status": line or joined(fields["state_text"]),
             "check": check_text(cause, self.translator),
+            "rung": broken_rung(ladder),
             "blocked": blocked,
             "drift": drifted.key,
             **self.sources.alarms.of_unit(bus_name, number, self.translator, now),
