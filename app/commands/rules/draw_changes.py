@@ -76,4 +76,4 @@ def _with_band(text: Message, seam: Seam) -> Message:
 
 
 def _percent(percent: Decimal, sign: str = "") -> Message:
-    return number(f"{percent:{sign}}".replace("-", "−"))
+    return number(f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}"))
