@@ -75,10 +75,11 @@ def test_an_output_is_switched_back(site: Site, page: Page) -> None:
     on = site.unit(UNIT)["outputs"][2]
     page.get_by_role("button", name="Switch output 3").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    result = page.locator("#outputs-result [data-review-done=good]")
+    expect(result).to_be_visible()
     page.get_by_role("button", name=re.compile("Undo: switch output 3")).click()
     page.locator("[data-review-act]").click()
-    expect(page.locator("[data-review-done=good]")).to_be_visible()
+    expect(result).to_contain_text("output 3 is on" if on else "output 3 is off")
     assert site.unit(UNIT)["outputs"][2] == on
 
 

@@ -135,6 +135,8 @@ async def write_parameter(
         row=_row(page, number),
         undo=page.undo(confirmed.id),
         undoes=confirmed.undoes,
+        requested="",
+        controlled="",
     )
 
 
