@@ -32,13 +32,15 @@ BANDED = {"draw_percent": ["-0.5", "2.0"]}
 def test_a_neighbor_that_stays_is_named_with_its_speed_and_the_draw() -> None:
     assert texts(at_120(**BANDED), {2: 1140}) == [
         (
-            "Unit 1 stays at 120.0 m/min: draw of Unit 2 \N{MINUS SIGN}5.0 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
+            "Unit 1 stays at 120.0 m/min: draw of Unit 2 \N{MINUS SIGN}5.0 %,"
+            " outside its band of \N{MINUS SIGN}0.5 to 2.0 %",
             True,
         ),
         ("Unit 3 stays at 120.0 m/min: draw +5.3 %, outside its band of \N{MINUS SIGN}0.5 to 2.0 %", True),
     ]
     assert texts(at_120(**BANDED), {3: 1300}, "de")[0] == (
-        "Unit 2 bleibt bei 120,0 m/min: Verzug von Unit 3 +8,3 %, außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
+        "Unit 2 bleibt bei 120,0 m/min: Verzug von Unit 3 +8,3 %,"
+        " außerhalb seines Bandes von \N{MINUS SIGN}0,5 bis 2,0 %",
         True,
     )
 
