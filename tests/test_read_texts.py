@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
+from app.messages.languages import DEFAULT, catalogs
+from tests.catalogs import catalog_at
 from tests.vocabulary import avoided_words, in_text, read_texts
 
 ENGLISH = in_text(avoided_words() + avoided_words("texts"))
+SCREEN = in_text(avoided_words("screen"))
 GERMAN = in_text(avoided_words("German"))
 Texts = Callable[[], Iterable[tuple[str, str]]]
 
@@ -30,6 +33,18 @@ def test_no_document_has_a_word_to_avoid() -> None:
 
 def test_no_german_text_has_a_word_to_avoid() -> None:
     assert [text for text in read_texts.translations("de") if GERMAN.search(text[1])] == []
+
+
+def test_no_text_of_the_screen_has_a_word_that_operators_did_not_understand() -> None:
+    """A code that the English catalog renders, such as offline, is not read itself."""
+    codes = {message.id for message in catalog_at(catalogs()[DEFAULT]) if message.string}
+    shown = [(where, text) for where, text in read_texts.screen() if text not in codes]
+    assert [each for each in shown if SCREEN.search(each[1])] == []
+
+
+def test_bedienfeld_is_the_keypad_of_the_drive_and_nothing_else() -> None:
+    texts = read_texts.translations("de")
+    assert [text for text in texts if "Bedienfeld" in text[1] and "keypad" not in text[0].lower()] == []
 
 
 @pytest.mark.parametrize(

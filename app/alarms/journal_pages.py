@@ -38,7 +38,7 @@ AFTER: tuple[AlarmState, ...] = (
     "out_of_service",
 )
 """The states by which the journal is filtered."""
-Chosen = Annotated[str, Query(max_length=80)]
+TypedFilter = Annotated[str, Query(max_length=80)]
 
 
 @router.get("/alarms/journal", dependencies=[SEARCH])
@@ -46,11 +46,11 @@ async def journal_page(
     request: Request,
     _: Viewer,
     alarms: Alarms,
-    search: Chosen = "",
-    place: Chosen = "",
-    priority: Chosen = "",
-    state: Chosen = "",
-    day: Chosen = "",
+    search: TypedFilter = "",
+    place: TypedFilter = "",
+    priority: TypedFilter = "",
+    state: TypedFilter = "",
+    day: TypedFilter = "",
     before: Annotated[int | None, Query(ge=1, le=2**62)] = None,
 ) -> Response:
     """The transitions that a person chose, newest first; ``day``: of the site."""

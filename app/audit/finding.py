@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 from app.audit.log import EventLog
 from app.audit.store import Filter, UnitPlace
 from app.errors import StoreError
-from app.find.finders import Place, Search
+from app.find.finders import FoundPlace, Search
 from app.find.matching import rank, words_of
 from app.settings import Settings
 from bus.messages import Message
@@ -37,7 +37,7 @@ class EventFinder:
         self._events = events
         self._settings = settings
 
-    async def __call__(self, search: Search) -> Iterable[Place]:
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """A way to the page of events with this search, and the newest of them."""
         typed = search.formats.typed_number(search.typed)
         wanted = Filter(search=typed, named=units_named(self._settings, search.typed), folded=True)
@@ -46,10 +46,10 @@ class EventFinder:
         except StoreError:
             events = []
         every = f"/events?{urlencode({'search': search.typed})}"
-        more = Place(Message.of("find_events_with", text=search.typed), every, rank=LAST)
+        more = FoundPlace(Message.of("find_events_with", text=search.typed), every, rank=LAST)
         return [
             *(
-                Place(
+                FoundPlace(
                     search.language.t(event["messages"].get("what", event["what"])),
                     f"{every}#event-{event['id']}",
                     search.formats.moment(event["time"]) if event["time"] else "",

@@ -29,7 +29,7 @@ def demo(
         int, typer.Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")
     ] = 8000,
 ) -> None:
-    """Run a simulated line and its dashboard until Ctrl-C. Its data is deleted afterwards."""
+    """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (
         listen("127.0.0.1", port, CHOOSE) as listening,
         tempfile.TemporaryDirectory(prefix="lineside-demo-") as folder,
@@ -38,11 +38,13 @@ def demo(
         with _simulator(units, here / "line") as begun:
             # The simulator begins in its own process while this one reads the rest.
             from app.cli.hosting import host
+            from app.cli.past import write_past
             from bus.simulator.demo import demo_line
 
-            config = here / "lineside.toml"
-            config.write_text(configuration(here / "line", port, demo_line(units).settings), encoding="utf-8")
+            line, config = demo_line(units), here / "lineside.toml"
+            config.write_text(configuration(here / "line", port, line.settings), encoding="utf-8")
             settings = load(config)
+            write_past(settings, line)
             begun()
             host(settings, config, listening, demo=True)
 

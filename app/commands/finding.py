@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from app.find.finders import MAX_OF_KIND, Place, Search
+from app.find.finders import MAX_OF_KIND, FoundPlace, Search
 from app.find.matching import missing, rank
 from app.live.finding import unit_names
 from app.live.screen.fields import unit_key
@@ -23,7 +23,7 @@ class ParameterFinder:
     def __init__(self, live: LiveState) -> None:
         self._live = live
 
-    async def __call__(self, search: Search) -> Iterable[Place]:
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """Of "coater ramp", the ramp of Coater; of "#9" alone, that of the unit of the page, or the first."""
         pages = [
             _Page(unit_key(name, number), unit)
@@ -40,7 +40,7 @@ class ParameterFinder:
 
 def _of_parameter(
     search: Search, parameter: Parameter, pages: list[_Page], near: list[_Page]
-) -> Iterator[Place]:
+) -> Iterator[FoundPlace]:
     names = [str(parameter.number), parameter.name, search.language.t(parameter.meaning)]
     of_unit = missing(search.words, names)
     if len(of_unit) == len(search.words):
@@ -49,4 +49,4 @@ def _of_parameter(
     named = [page for page in pages if rank(of_unit, unit_names(page.unit)) is not None] if of_unit else near
     for page in named[:MAX_OF_KIND]:
         href = f"/units/{page.key}/parameters#parameter-{parameter.number}"
-        yield Place(f"#{parameter.number} {parameter.name}", href, page.unit.settings.name, how_well + 1)
+        yield FoundPlace(f"#{parameter.number} {parameter.name}", href, page.unit.settings.name, how_well + 1)

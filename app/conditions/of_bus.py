@@ -48,7 +48,7 @@ BY_BUS: tuple[Condition[BusPredicate], ...] = (
         ("severe", "minutes"),
         holds=lambda bus: bus.worker_is_lost,
         means="no bus worker is connected, or it reports nothing",
-        # A worker that ends is started again, and links within seconds: so does one at the start of the server.
+        # A worker that ends is started again and links within seconds, as at the start of the server.
         tuning=Tuning(on_delay_s=10),
         suppresses=("bus", "cable", "unit", "speed"),
         tiles=("worker_lost", "worker_silent"),

@@ -32,7 +32,7 @@ class Search:
         return words_of(self.typed)
 
 
-class Place(NamedTuple):
+class FoundPlace(NamedTuple):
     """A thing that was found. ``label`` names it, ``detail`` is what or where it is; ``rank``: 0 is the best.
     ``is_name``: a label that a person wrote, of any script."""
 
@@ -43,10 +43,10 @@ class Place(NamedTuple):
     is_name: bool = False
 
 
-Finder = Callable[[Search], Awaitable[Iterable[Place]]]
+Finder = Callable[[Search], Awaitable[Iterable[FoundPlace]]]
 
 
-class Link(NamedTuple):
+class FixedPlace(NamedTuple):
     """A page or an action at a fixed address. ``act``: what a person must be permitted to do; ``words``: the
     code of more words that find it."""
 
@@ -56,11 +56,11 @@ class Link(NamedTuple):
     words: Message | None = None
 
 
-class Found(NamedTuple):
+class FoundKind(NamedTuple):
     """Places of one kind, the best first."""
 
     kind: Message
-    places: Sequence[Place]
+    places: Sequence[FoundPlace]
 
 
 class Finders:
@@ -73,15 +73,15 @@ class Finders:
         """``kind``: the code of its heading."""
         self._finders.setdefault(kind, []).append(finder)
 
-    def add_links(self, kind: str, links: Sequence[Link]) -> None:
+    def add_links(self, kind: str, links: Sequence[FixedPlace]) -> None:
         """Pages or actions, each for those who may use it."""
 
-        async def find(search: Search) -> Iterable[Place]:
+        async def find(search: Search) -> Iterable[FoundPlace]:
             return _linked(links, search)
 
         self.add(kind, find)
 
-    async def find(self, search: Search) -> list[Found]:
+    async def find(self, search: Search) -> list[FoundKind]:
         """What ``search`` finds; nothing for a text without a letter or digit."""
         if not search.words:
             return []
@@ -90,20 +90,20 @@ class Finders:
             places = [place for finder in finders for place in await finder(search)]
             if places:
                 best = sorted(places, key=lambda place: place.rank)[:MAX_OF_KIND]
-                found.append(Found(Message(kind), best))
+                found.append(FoundKind(Message(kind), best))
         return sorted(found, key=lambda of_kind: of_kind.places[0].rank)
 
 
-def matched(search: Search, place: Place, *names: str) -> Iterator[Place]:
+def matched(search: Search, place: FoundPlace, *names: str) -> Iterator[FoundPlace]:
     """``place`` with its rank, if the words of ``search`` are in ``names``."""
     how_well = rank(search.words, names)
     if how_well is not None:
         yield place._replace(rank=how_well)
 
 
-def _linked(links: Iterable[Link], search: Search) -> Iterator[Place]:
+def _linked(links: Iterable[FixedPlace], search: Search) -> Iterator[FoundPlace]:
     t = search.language.t
     for link in links:
         if not link.act or search.may(link.act):
             more = (t(link.words),) if link.words else ()
-            yield from matched(search, Place(link.label, link.href), t(link.label), *more)
+            yield from matched(search, FoundPlace(link.label, link.href), t(link.label), *more)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from app.find.finders import Place, Search, matched
+from app.find.finders import FoundPlace, Search, matched
 from app.live.screen.fields import unit_key
 from app.live.state.bus_live import BusLive, LiveState, UnitLive
 
@@ -20,7 +20,7 @@ class UnitFinder:
     def __init__(self, live: LiveState) -> None:
         self._live = live
 
-    async def __call__(self, search: Search) -> Iterable[Place]:
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """Each unit of a bus that is here."""
         return [
             place
@@ -30,8 +30,8 @@ class UnitFinder:
         ]
 
 
-def _of_unit(search: Search, bus: BusLive, unit: UnitLive) -> Iterator[Place]:
+def _of_unit(search: Search, bus: BusLive, unit: UnitLive) -> Iterator[FoundPlace]:
     settings, name = unit.settings, bus.settings.name
     detail = " · ".join(part for part in (str(settings.id), settings.group, name) if part)
     href = f"/units/{unit_key(name, settings.id)}"
-    yield from matched(search, Place(settings.name, href, detail, is_name=True), *unit_names(unit))
+    yield from matched(search, FoundPlace(settings.name, href, detail, is_name=True), *unit_names(unit))

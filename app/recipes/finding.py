@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from app.find.finders import Place, Search, matched
+from app.find.finders import FoundPlace, Search, matched
 from app.recipes.store import RecipeStore
 
 
@@ -12,14 +12,14 @@ class RecipeFinder:
     def __init__(self, store: RecipeStore) -> None:
         self._store = store
 
-    async def __call__(self, search: Search) -> Iterable[Place]:
+    async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """The newest version of each recipe in use."""
         return [
             place
             for recipe in await self._store.newest()
             for place in matched(
                 search,
-                Place(recipe.name, f"/recipes/{recipe.id}", recipe.bus, is_name=True),
+                FoundPlace(recipe.name, f"/recipes/{recipe.id}", recipe.bus, is_name=True),
                 recipe.name,
                 recipe.comment,
             )

@@ -78,7 +78,14 @@ REQUESTS = {"Quantity"}
 TIMES = {
     *("acknowledged_at", "at", "changed_at", "from", "lapses_at", "link_since", "loaded_at", "proven_at"),
     *("read_at", "saved_at", "sent_at", "since", "t", "taken_at", "time", "to"),
-    *("shelved_until", "unknown_since", "Alarm.came", "Alarm.cleared"),
+    *(
+        "shelved_until",
+        "unknown_since",
+        "Alarm.came",
+        "Alarm.cleared",
+        "RecipeRuns.loaded",
+        "RecipeRuns.before",
+    ),
     *("created_at", "end", "made_at", "start", "tried_at", "until", "written_at", "Shifts.next"),
     *("HistoryStatus.begun", "HistoryStatus.oldest_reading", "Event.entered_at"),
     *(f"HistoryStatus.{name}" for name in ("away_since", "spooled_from", "spooled_to")),
@@ -91,7 +98,7 @@ TIMES = {
     ),
 }
 NUMBERS_AND_BYTES = {
-    *("actual", "commanded", "data", "deviation", "frame", "frames", "hex", "highest", "lowest"),
+    *("actual", "commanded", "data", "deviation", "draw", "frame", "frames", "hex", "highest", "lowest"),
     *(f"OwnAlarm.{name}" for name in ("above", "below", "deadband", "change_per_s")),
     *("recipe", "staged", "HistorySeries.value", "RecipeDryRunStep.new", "RecipeSetpoint.value"),
 }

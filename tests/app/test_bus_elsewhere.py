@@ -129,7 +129,8 @@ async def test_the_store_is_shown_of_every_bus(house: House) -> None:
     standing = next((each["value"] for each in figures if each["code"] == "standing"), None)
     assert standing in (None, 1), figures
     assert "Couch roll" in (await person.get("/trends")).text
-    assert "Couch roll" in (await person.get("/shifts/present", follow_redirects=True)).text
+    form = await person.get("/shifts/present?place=wet-end/7", follow_redirects=True)
+    assert "Couch roll" in form.text
 
 
 async def test_no_side_of_a_comparison_is_what_was_read_before(house: House) -> None:

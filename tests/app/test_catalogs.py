@@ -204,7 +204,7 @@ def test_a_message_is_rendered_in_each_language() -> None:
     english, german = Languages()["en"], Languages()["de"]
     message = Message.of("unit_refused", unit=7, error=Message("illegal_speed"))
     assert english.t(message) == str(message) == "unit 7 rejected the command: illegal speed value"
-    assert german.t(message) == "Regler 7 hat den Befehl abgelehnt: unzulässige Drehzahl"
+    assert german.t(message) == "Regler 7 hat den Befehl abgelehnt: unzulässige Geschwindigkeit"
     assert german.t(number("48.0")) == "48,0"
     assert german.t(term("verified")) == "bestätigt (gelesen)"
 

@@ -90,9 +90,9 @@ def test_a_unit_at_speed_in_remote_has_none() -> None:
             {"outputs": 0, "actual": 900},
             "high",
             "Off speed: in LOCAL since 02:22",
-            "Drehzahl verfehlt: in LOCAL seit 02:22",
+            "Nicht auf Sollwert: in LOCAL seit 02:22",
         ),
-        (OFF_SPEED, "high", "Off speed since 02:22", "Drehzahl verfehlt seit 02:22"),
+        (OFF_SPEED, "high", "Off speed since 02:22", "Nicht auf Sollwert seit 02:22"),
         (STOPPED, "high", "Stopped with run input on since 02:22", "Steht trotz Lauf-Eingang seit 02:22"),
     ],
 )
@@ -156,7 +156,7 @@ def test_the_link_comes_after_what_was_last_read_and_before_the_ramp() -> None:
 
 def test_of_a_unit_that_is_offline_nothing_else_is_claimed() -> None:
     live = after(STOPPED | {"inputs": RUN}, link="offline")
-    assert shown_cause(live, NOW + 700) == ("high", "Offline since 02:22")
+    assert shown_cause(live, NOW + 700) == ("high", "No response since 02:22")
 
 
 def test_a_lost_port_is_the_cause_of_its_units_and_abnormal_once() -> None:
@@ -181,10 +181,10 @@ def test_a_unit_never_read_and_a_unit_lost_before_the_start_with_its_time() -> N
     bus = live.buses["dry"]
     bus.units[1].reading = None
     assert shown_cause(live, 105.0) == ("low", "No response yet")
-    assert shown_cause(live, 200.0) == ("high", "Offline since at least 00:01"), "as its alarm"
+    assert shown_cause(live, 200.0) == ("high", "No response since at least 00:01"), "as its alarm"
     bus.units[1].last_response = 60.0
     assert shown_cause(live, 105.0) == ("low", "No response yet"), "it has its time to respond"
-    assert shown_cause(live, 111.0) == ("high", "Offline since 00:01")
+    assert shown_cause(live, 111.0) == ("high", "No response since 00:01")
 
 
 RAMPING: list[tuple[dict[int, int | None], str]] = [

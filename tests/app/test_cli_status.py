@@ -89,7 +89,7 @@ def test_a_dashboard_that_serves(config: Path, play: Callable[[PlayedDashboard],
     assert plain.stdout.startswith("Mill 7: serving at http://127.0.0.1:")
     call = ["status", "--config", str(config), "--token", "secret"]
     result = CliRunner().invoke(cli, call)
-    words = "bus dry-end: 1 of 2 units online, port closed: /dev/ttyUSB0 is not there"
+    words = "bus dry-end: 1 of 2 units live, port closed: /dev/ttyUSB0 is not there"
     assert words in result.stdout
     assert "degraded" not in result.stdout
     printed = json.loads(CliRunner().invoke(cli, [*call, "--json"]).stdout)

@@ -43,7 +43,7 @@ def test_words_are_found_in_names(typed: str, names: list[str], found: int | Non
 
 
 @given(st.text(max_size=20), st.lists(st.text(max_size=20), max_size=4))
-def test_a_name_finds_itself_and_what_is_missing_is_all_that_hinders(typed: str, names: list[str]) -> None:
+def test_a_name_finds_itself_and_only_missing_words_hinder(typed: str, names: list[str]) -> None:
     words = words_of(typed)
     assert rank(words, [*names, typed]) is not None
     assert (rank(words, names) is None) == bool(missing(words, names))
@@ -83,7 +83,7 @@ async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Pat
 @pytest.mark.parametrize(
     "query", [{"typed": "x" * 81}, {"near": "x" * 201, "typed": "x"}, {"typed": "a\nb"}, {"part": "maybe"}]
 )
-async def test_what_is_typed_is_bounded(tmp_path: Path, query: dict[str, str]) -> None:
+async def test_typed_text_is_bounded(tmp_path: Path, query: dict[str, str]) -> None:
     async with complete_app(tmp_path) as house:
         client = await house.signed_in(Role.VIEWER)
         assert (await client.get("/find", params=query)).status_code == 422

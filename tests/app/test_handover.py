@@ -122,7 +122,8 @@ async def test_alarms_that_another_one_hides_are_in_a_section_and_a_note_may_nam
     page = (await operator.get(f"/shifts/{await present(operator)}")).text
     section = page.partition('<h2 id="suppressed">')[2].partition("</section>")[0]
     assert "Emergency stop" in section
-    assert f'<option value="{BUS}.1.estop_active.1"' in page
+    form = (await operator.get(f"/shifts/{await present(operator)}/note")).text
+    assert f'<option value="{BUS}.1.estop_active.1"' in form
     operator.headers["Accept-Language"] = "de"
     assert (
         "Automatisch unterdrückte Alarme" in (await operator.get(f"/shifts/{await present(operator)}")).text

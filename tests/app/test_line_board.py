@@ -146,8 +146,8 @@ def test_what_cannot_be_read_changes_nothing() -> None:
 def test_the_words_of_a_line() -> None:
     fields = tile_fields(LineOnBoard("a", summary("a", "high", waiting=1), 0.5), translator("de"), 100.0)
     assert fields["place"] == "Nip"
-    assert fields["verdict"].startswith("Getrennt seit")
-    assert fields["counts"] == "8/8 aktuell · 7 auf Drehzahl · 1 in Rampe"
+    assert fields["verdict"].startswith("Keine Antwort seit")
+    assert fields["counts"] == "8/8 aktuell · 7 auf Sollwert · 1 in Rampe"
     assert fields["alarm"] == "Nip · Slow"
     assert (fields["alarm_mark"], fields["alarms"]) == ("high", "1 hoch · 1 zu quittieren")
     assert (fields["scan"], fields["speed"], fields["home"]) == ("4,6", "110,5", "app-2")

@@ -171,7 +171,7 @@ async def test_a_change_names_what_has_changed_and_nothing_else() -> None:
         assert kind == "change"
         assert change["unit"] == 2
         assert (change["actual"], change["actual_raw"]) == ("120.1", 1201)
-        assert set(change) == {"unit", "actual", "actual_raw", "deviation", "deviation_raw"}
+        assert set(change) == {"unit", "actual", "actual_raw", "deviation", "deviation_raw", "draw"}
 
 
 async def test_who_was_away_for_a_moment_gets_what_was_missed_and_no_snapshot() -> None:

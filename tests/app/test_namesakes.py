@@ -47,8 +47,8 @@ async def test_control_of_one_is_not_that_of_the_other(
     handed = (await user.post(f"{BUS}/control/hand-over", json={"to": f"{NAME} (token)"})).json()
     assert (handed["holder"], handed["is_token"]) == (NAME, True)
     assert (await user.post(SPEED, json={"raw": 5})).json()["code"] == "controlled"
-    page = await user.get("/bus/dry-end/control")
-    assert f"{NAME} (token) has control" in page.text
+    page = await user.get("/control?bus=dry-end")
+    assert f"Control: {NAME} (token)" in page.text
     assert [(event["old"], event["new"]) for event in await house.events("control")] == [
         (NAME, f"{NAME} (token)"),
         (None, NAME),

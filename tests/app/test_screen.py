@@ -103,7 +103,7 @@ def test_a_block_is_shown_with_its_reason() -> None:
 def test_the_first_paint_has_the_same_texts() -> None:
     shown = screen(line(), "de")
     assert shown.flat()["dry/1.actual"] == "120,0"
-    assert shown.flat()["line_summary.verdict"] == "Alle 2 Regler auf Drehzahl"
+    assert shown.flat()["line_summary.verdict"] == "Alle 2 Regler auf Sollwert"
 
 
 def test_the_strip_has_an_end() -> None:
@@ -120,19 +120,19 @@ def test_a_bus_without_any_response_is_one_entry() -> None:
     shown.settle(111.0)
     assert shown.shown["line_summary"]["verdict"] == "dry · No unit responds since 00:01"
     assert shown.shown["line_summary"]["level"] == "urgent"
-    assert shown.shown["dry/1"]["status"] == "Offline since 00:01"
+    assert shown.shown["dry/1"]["status"] == "No response since 00:01"
 
 
 @pytest.mark.parametrize(
     ("readings", "verdict", "german"),
     [
-        ([{}, {}], "All 2 units at speed", "Alle 2 Regler auf Drehzahl"),
+        ([{}, {}], "All 2 units at speed", "Alle 2 Regler auf Sollwert"),
         ([{"commanded": 0, "actual": 0}] * 2, "All 2 units at zero", "Alle 2 Regler auf null"),
         ([{}, {"outputs": 0x40, "actual": 900}], "1 of 2 ramping", "1 von 2 in Rampe"),
         (
             [{}, {"commanded": 0, "actual": 0}],
             "1 of 2 at speed, the others at zero",
-            "1 von 2 auf Drehzahl, die anderen auf null",
+            "1 von 2 auf Sollwert, die anderen auf null",
         ),
     ],
 )
@@ -149,7 +149,7 @@ def test_the_verdict_of_a_normal_line_is_one_text(
 @pytest.mark.parametrize(
     ("changes", "verdict", "german"),
     [
-        ({}, "1 unit at speed", "1 Regler auf Drehzahl"),
+        ({}, "1 unit at speed", "1 Regler auf Sollwert"),
         ({"commanded": 0, "actual": 0}, "1 unit at zero", "1 Regler auf null"),
     ],
 )
@@ -166,7 +166,7 @@ def test_without_units_the_verdict_reports_it() -> None:
 
 def test_the_first_line_of_a_unit_that_is_well_is_its_state() -> None:
     assert screen(line()).shown["dry/1"]["status"] == "At speed"
-    assert screen(line(), "de").shown["dry/1"]["status"] == "Auf Drehzahl"
+    assert screen(line(), "de").shown["dry/1"]["status"] == "Auf Sollwert"
 
 
 def test_a_ramp_updates_its_unit_and_not_the_line_each_second() -> None:

@@ -75,10 +75,10 @@ async def test_a_command_is_named_with_its_hour_and_a_hand_at_the_panel_too(scen
     scene.reads(7, 34)
     assert (
         await scene.text()
-        == "3 values differ from the golden set: 1 changed by anna 14:20, 2 changed at the panel"
+        == "3 values differ from the golden set: 1 changed by anna 14:20, 2 changed at the keypad"
     )
     scene.reads(12, 0)
-    assert await scene.text() == "2 values differ from the golden set, changed at the panel"
+    assert await scene.text() == "2 values differ from the golden set, changed at the keypad"
     assert 1 in scene.notified
 
 
@@ -86,7 +86,7 @@ async def test_the_hand_that_came_after_the_command_is_the_one(scene: Scene) -> 
     await scene.sent("anna", 12, 21)
     scene.reads(12, 21)
     scene.reads(12, 22)
-    assert await scene.text() == "#12 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#12 differs from the golden set, changed at the keypad"
     await scene.sent("berta", 12, 22)
     scene.reads(12, 22)
     assert await scene.text() == "#12 differs from the golden set: changed by berta 14:20"
@@ -99,7 +99,7 @@ async def test_a_command_that_was_not_carried_out_changed_nothing(scene: Scene, 
     scene.reads(12, 21)
     assert "by anna" in await scene.text()
     scene.reads(12, 99)
-    assert await scene.text() == "#12 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#12 differs from the golden set, changed at the keypad"
 
 
 async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_none(scene: Scene) -> None:
@@ -107,14 +107,14 @@ async def test_number_1_is_not_number_12_and_a_command_older_than_the_set_is_non
     scene.now = GOLDEN_READ - 1
     await scene.sent("anna", 1, 21)
     scene.reads(1, 21)
-    assert await scene.text() == "#1 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#1 differs from the golden set, changed at the keypad"
 
 
 async def test_the_last_write_of_the_operator_password_is_named_unseen(
     scene: Scene,
 ) -> None:
     scene.reads(21, 4711)
-    assert await scene.text() == "#21 differs from the golden set, changed at the panel"
+    assert await scene.text() == "#21 differs from the golden set, changed at the keypad"
     fields: dict[str, Any] = {"who": "anna", "origin": "api", "bus": "dry-end", "unit": 1}
     what = Message.of("event_write_parameter", number=21, called="Operator Password")
     await scene.events.record(kind="command", what=what, outcome="verified", **fields)

@@ -31,7 +31,7 @@ PAGES = [
     *("/users/the-admin/remove", "/events", "/login", "/offline", "/nowhere"),
 ]
 SHOWN = {"aria-label", "title", "placeholder", "alt"}
-NO_TEXT = {"data-live-var", "data-catalogue", "data-value-words"}
+NO_TEXT = {"data-is", "data-live-var", "data-catalogue", "data-value-words"}
 """Names of fields, and JSON."""
 AS_THEY_ARE = {
     *(parameter.name for parameter in PARAMETERS.values()),

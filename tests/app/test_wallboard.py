@@ -33,7 +33,7 @@ async def test_it_has_every_line_in_the_order_of_the_configuration(tmp_path: Pat
         text = (await page(house, language="de")).text
         assert re.findall(r'data-line="line_of/([a-z-]+)"', text) == ["dry-end", "coater", "wet-end"]
         assert 'data-wall="all"' in text
-        assert "Getrennt seit" in text
+        assert "Keine Antwort seit" in text
         assert not INLINE.search(text)
         assert text.count("section__roll") == 2, "sections are shown of the lines whose home is here"
         assert '<nav class="rail"' not in text

@@ -112,7 +112,7 @@ def test_going_remote_is_harmless() -> None:
 @every_row
 def test_both_ends_of_the_range_may_be_written(row: Parameter) -> None:
     if row.never_writable:
-        with pytest.raises(CallerError, match="cannot be changed over the link"):
+        with pytest.raises(CallerError, match="cannot be changed over the bus"):
             check_writable_value(row, row.minimum)
         return
     check_writable_value(row, row.minimum)

@@ -616,7 +616,7 @@ def test_a_nak_on_the_retry_does_not_speak_for_the_try_before() -> None:
         result = _result_of(line, command)
         assert result.outcome == "unverified"
         assert "unit 2 rejected" in str(result.message)
-        assert "At the panel of unit 2: set #18 to 96" in str(result.message)
+        assert "At the keypad of unit 2: set #18 to 96" in str(result.message)
         assert {each.unit: each.outcome for each in result.units} == {
             1: "verified",
             2: "unverified",

@@ -61,7 +61,7 @@ def test_the_refusal_of_a_secret_does_not_repeat_it() -> None:
 
 
 def test_a_parameter_that_is_never_written_takes_no_value() -> None:
-    with pytest.raises(CallerError, match="#37 Display cannot be changed over the link") as refused:
+    with pytest.raises(CallerError, match="#37 Display cannot be changed over the bus") as refused:
         check_writable_value(FIXED, 5)
     assert not isinstance(refused.value, IllegalValue)
 

@@ -84,7 +84,7 @@ def test_at_twice_the_size_nothing_is_lost(shared_page: OpensPages, path: str) -
 
 def test_an_engineer_simulates_an_alarm_before_it_goes_live(shared_page: OpensPages) -> None:
     page = opened(shared_page("engineer", viewport=PANEL), "/alarms")
-    page.get_by_role("link", name="Alarms of the site").click()
+    page.get_by_role("link", name="Custom alarms").click()
     page.get_by_label("Name", exact=True).fill("Too fast")
     page.get_by_label("Above", exact=True).fill("1.0")
     page.get_by_label("Deadband", exact=True).fill("2")

@@ -80,7 +80,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
         client.get("/buses/line/units/3/parameters", params={"refresh": "true"})
         both = re.compile(
             r"2 values differ from the golden set: "
-            r"1 changed by engineer-program \d\d:\d\d, 1 changed at the panel"
+            r"1 changed by engineer-program \d\d:\d\d, 1 changed at the keypad"
         )
         expect(status).to_contain_text(both)
     site.stop()
@@ -91,7 +91,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
         eventually(both_rows, "both rows were read after the restart", within=PROCEDURE_S)
     page.goto("/units/line/3")
     expect(page.locator("#drift")).to_contain_text("changed by engineer-program")
-    expect(page.locator("#drift")).to_contain_text("changed at the panel")
+    expect(page.locator("#drift")).to_contain_text("changed at the keypad")
     with site.api("engineer") as client:
         drift = client.get("/buses/line/units/3/drift").json()
         assert {row["number"]: row["changed_by"] for row in drift["rows"]} == {
@@ -128,7 +128,7 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     site.line.remote.do("parameter", unit=2, number=7, raw=66)
     with site.api("engineer") as client:
         client.get("/buses/line/units/2/parameters", params={"refresh": "true"}).raise_for_status()
-        expect(other.locator("#drift")).to_contain_text("changed at the panel")
+        expect(other.locator("#drift")).to_contain_text("changed at the keypad")
         expect(restore).to_be_focused()
         client.put("/buses/line/units/2/parameters/7", json={"raw": 67}).raise_for_status()
         expect(other.locator("#drift")).to_contain_text("changed by engineer-program")

@@ -64,7 +64,7 @@ def begin(page: Page) -> None:
     if page.get_by_role("button", name=LEAVE).count():
         leave(page, 3)
         page.goto("/swap/line/3")
-    page.get_by_role("button", name="Start the swap of Coater").click()
+    page.get_by_role("button", name="Start the replacement of Coater").click()
 
 
 def leave(page: Page, unit: int) -> None:
@@ -116,7 +116,7 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
     expect(page.get_by_text("accelerates in 3.3 s instead of 10.0 s")).to_be_visible()
     page.get_by_role("button", name=re.compile(r"Write \d+ rows to unit 3")).click()
     expect(page.get_by_role("heading", name=re.compile("^Read-back"))).to_be_visible(timeout=PROCEDURE_MS)
-    page.get_by_role("link", name="Back to the swap").click()
+    page.get_by_role("link", name="Back to the replacement").click()
     shows(page, "The new unit has the parameters of the old unit, verified by a full read.")
     expect(page.get_by_role("link", name="Open the report")).to_be_visible()
 
@@ -175,9 +175,10 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     page = browser_page("engineer", viewport=OFFICE)
     page.goto("/swap/line/2")
     expect(page.get_by_text("No parameter set of this unit is stored. Use")).to_be_visible()
-    begin_it = page.get_by_role("button", name="Start the swap of Infeed nip")
+    begin_it = page.get_by_role("button", name="Start the replacement of Infeed nip")
     begin_it.click()
-    expect(page.get_by_text("choose the source of the parameters; the swap was not started")).to_be_visible()
+    refusal = "choose the source of the parameters; the replacement was not started"
+    expect(page.get_by_text(refusal)).to_be_visible()
     page.goto("/swap/line/2")
     page.get_by_label("Source of the parameters").select_option("live:line:1")
     rest(page)

@@ -56,7 +56,7 @@ def test_a_dead_unit_is_hatched_and_named_and_the_others_are_not(
     own_site.line.remote.do("fault", kind="dead", rate=1, unit=2)
     try:
         expect(page.locator('[data-unit="line/2"]')).to_have_attribute("data-quality", "offline")
-        expect(page.locator("h1")).to_contain_text("Offline since")
+        expect(page.locator("h1")).to_contain_text("No response since")
         expect(page.locator('[data-unit="line/1"]')).to_have_attribute("data-quality", "online")
         expect(page.locator('[data-live="line/2.actual"]')).not_to_be_empty()
         opened(page, "/units/line/2")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from typing import NamedTuple
 
 from app.commands.values import in_measure, measure_of_setpoint, setpoint_message
@@ -38,7 +39,7 @@ def _changes(bus: BusLive, setpoints: Mapping[int, int]) -> Iterator[DrawChange]
         if then.tenths is None or then.tenths == now.tenths or then.state == "in_band":
             continue
         is_out = then.state == "out_of_band"
-        text = _text(*pair, setpoints, number(f"{percent_of(then.tenths):+}"))
+        text = _text(*pair, setpoints, _percent(percent_of(then.tenths), "+"))
         yield DrawChange(_with_band(text, seam) if is_out else text, is_out)
 
 
@@ -70,5 +71,9 @@ def _stays_at(unit: UnitLive) -> Message:
 
 
 def _with_band(text: Message, seam: Seam) -> Message:
-    low, high = map(number, seam.band)
+    low, high = map(_percent, seam.band)
     return Message.of("draw_and_band", text=text, low=low, high=high)
+
+
+def _percent(percent: Decimal, sign: str = "") -> Message:
+    return number(f"{percent:{sign}}".replace("-", "\N{MINUS SIGN}"))

@@ -79,7 +79,7 @@ def _run_draw(connection: tables.StoreConnection, tail: Tail, query: SeriesQuery
     coarser = max(before, section, key=lambda each: each.bucket)
     made = draw.draw_series(before.series, section.series, coarser.bucket)
     damaged = [*before.damaged, *section.damaged]
-    return QueryResult(made, coarser.resolution, coarser.bucket, draw.DECIMALS, damaged)
+    return QueryResult(made, coarser.resolution, coarser.bucket, draw.STORED_DECIMALS, damaged)
 
 
 def _run(source: unit_history.StoredUnit, query: SeriesQuery) -> QueryResult:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from app.history.series.downsampling import Series
 from app.history.series.gaps import LONG_GAP
 
-DECIMALS = 2
+STORED_DECIMALS = 2
 
 
 def draw_series(before: Series, section: Series, width: int) -> Series:
@@ -37,4 +37,4 @@ def _held(series: Series, width: int) -> Callable[[int], float | None]:
 
 
 def _draw(before: float | None, section: float | None) -> float | None:
-    return round(100 * (section / before - 1), DECIMALS) if before and section else None
+    return round(100 * (section / before - 1), STORED_DECIMALS) if before and section else None
