@@ -391,7 +391,7 @@ def test_a_dangerous_parameter_wants_a_word(site: Site, shared_page: OpensPages)
     row.get_by_role("button", name="Write").click()
     act = page.locator("[data-review-act]")
     expect(act).to_be_disabled()
-    page.locator("[name=typed]").fill("WRITE")
+    page.locator("[data-typed]").fill("WRITE")
     expect(act).to_be_enabled()
     page.get_by_role("button", name="Cancel").click()
     assert writes(site) == before
