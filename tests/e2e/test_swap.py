@@ -128,7 +128,7 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
         0,
     ]
     [end, start] = events(site, "swap")
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 3)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit replaced and verified", "verified", 3)
     assert "started" in start["what"]
     for part in (
         "two units respond at address 1",
@@ -177,7 +177,9 @@ def test_a_section_without_a_set_becomes_what_its_neighbour_is_or_the_sheet(
     expect(page.get_by_text("No parameter set of this unit is stored. Use")).to_be_visible()
     begin_it = page.get_by_role("button", name="Start the replacement of Infeed nip")
     begin_it.click()
-    expect(page.get_by_text("choose the source of the parameters; the replacement was not started")).to_be_visible()
+    expect(
+        page.get_by_text("choose the source of the parameters; the replacement was not started")
+    ).to_be_visible()
     page.goto("/swap/line/2")
     page.get_by_label("Source of the parameters").select_option("live:line:1")
     rest(page)
