@@ -126,7 +126,7 @@ async def test_a_swap_ends_with_one_complete_event(scene: Scene) -> None:
     await scene.swaps.on_restore_end(restore)
     assert swap.proven
     [_, end] = events.events
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 2)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit replaced and verified", "verified", 2)
     for part in (
         "no response at address 5 and two units respond at address 1",
         "from set 1:",
@@ -175,7 +175,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
     known = again.of_or_404("dry-end", 2)
     assert (known.who, known.began_at, known.source) == ("anna", 100.0, SwapSource(1, 2))
     assert (known.is_new, known.seen, known.equal, known.proven) == (True, swap.seen, False, False)
-    with pytest.raises(Problem, match="anna has already started a swap of unit 2"):
+    with pytest.raises(Problem, match="anna has already started a replacement of unit 2"):
         await again.begin(ANNA, "dry-end", 2, None)
     await again.cancel(ANNA, known)
     later = scene.another()
@@ -185,7 +185,7 @@ async def test_a_server_that_ends_forgets_no_swap(scene: Scene) -> None:
 
 async def test_without_a_set_the_sheet_is_entered_and_the_unit_kept(scene: Scene) -> None:
     swap = await scene.swaps.begin(ANNA, "dry-end", 2, None)
-    assert scene.events.events[-1]["what"] == "unit swap started, from the parameter sheet"
+    assert scene.events.events[-1]["what"] == "unit replacement started, from the parameter sheet"
     ready = advice(state("digimax", remote=True))
     assert step_text(ready, swap) == Message("swap_enter_sheet")
     await scene.swaps.save_entered(ANNA, swap, ParameterSet("dry-end", 1.0, "anna", "by hand", (), id=9))

@@ -103,7 +103,7 @@ def test_needed_to_show() -> None:
 
 
 def test_going_remote_is_harmless() -> None:
-    assert danger_of_writing(PARAMETERS[19], 0).endswith("panel")
+    assert danger_of_writing(PARAMETERS[19], 0).endswith("keypad")
     assert danger_of_writing(PARAMETERS[19], 1) == ""
     assert danger_of_writing(PARAMETERS[27], 1) != ""
     assert danger_of_writing(PARAMETERS[6], 50) == ""

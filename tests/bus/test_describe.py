@@ -57,7 +57,7 @@ def test_vectors(vector: dict[str, Any]) -> None:
         ("10 02 04 06 10 03 F6", "unit 4: ACK, write accepted"),
         (
             "10 02 01 06 00 00 03 E8 00 00 03 E7 80 C1 03 10 03 E0",
-            "unit 1: commanded 1000, actual 999, analog 128; at speed; remote; output 1 on; run",
+            "unit 1: commanded 1000, actual 999, analog 128; at speed; REMOTE; output 1 on; run",
         ),
     ],
 )

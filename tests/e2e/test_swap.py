@@ -128,7 +128,7 @@ def test_from_the_failed_unit_to_the_verified_spare(site: Site, browser_page: Op
         0,
     ]
     [end, start] = events(site, "swap")
-    assert (end["what"], end["outcome"], end["unit"]) == ("unit swapped and verified", "verified", 3)
+    assert (end["what"], end["outcome"], end["unit"]) == ("unit replaced and verified", "verified", 3)
     assert "started" in start["what"]
     for part in (
         "two units respond at address 1",
