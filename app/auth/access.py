@@ -32,7 +32,16 @@ COOKIE = "lineside_session"
 _HOST_PREFIX = "__Host-"
 """Browsers take a cookie of such a name from this host alone, and by TLS (RFC 6265bis, 4.1.3.2)."""
 PUBLIC_PATHS = frozenset(
-    {"/healthz", "/login", "/login/panel", "/manifest.webmanifest", "/offline", "/sw.js", "/favicon.ico"}
+    {
+        "/healthz",
+        "/login",
+        "/login/panel",
+        "/setup",
+        "/manifest.webmanifest",
+        "/offline",
+        "/sw.js",
+        "/favicon.ico",
+    }
 )
 PUBLIC_PREFIX = "/static/"
 

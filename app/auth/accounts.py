@@ -70,6 +70,14 @@ class Accounts:
         async with self._performing(acts.ADD_USER, by, name=name, role=term(role)):
             await self._add(User(name, role, False, "/", "", False, self._clock(), None), password)
 
+    async def add_first_admin(self, name: str, password: str, *, address: str) -> None:
+        """Add the first user, an admin who acts from ``address``. Raises Problem 409 where there is a user,
+        CallerError."""
+        by = Person(name, Role.ADMIN, "session", address=address)
+        async with self._performing(acts.ADD_FIRST_ADMIN, by, name=name):
+            user = User(name, Role.ADMIN, False, "/", "", False, self._clock(), None)
+            await self._add(user, password, is_first=True)
+
     async def add_panel(self, name: str, role: Role, pin: str, home: str, *, by: Person) -> None:
         """Add a panel on the wall, which signs in by a PIN. Raises CallerError."""
         async with self._performing(acts.ADD_PANEL, by, name=name, role=term(role)):
@@ -156,7 +164,7 @@ class Accounts:
         for subscriber in self._subscribers:
             await subscriber(kept)
 
-    async def _add(self, user: User, secret: str) -> None:
+    async def _add(self, user: User, secret: str, *, is_first: bool = False) -> None:
         rules.check_name(user.name)
         if user.panel:
             rules.check_panel_role(user.role)
@@ -165,7 +173,10 @@ class Accounts:
         hashed = await hash_secret(secret)
 
         def add(connection: StoreConnection) -> None:
-            rules.check_distinct(user.name, (each.name for each in store.users(connection)))
+            there = store.users(connection)
+            if is_first and there:
+                raise Problem(409, "conflict", Message("first_admin_exists"))
+            rules.check_distinct(user.name, (each.name for each in there))
             store.add_user(connection, user, hashed)
 
         await self._write_new(add, Message.of("user_exists", name=user.name))

@@ -6,6 +6,7 @@ from app.audit.act import Act
 from app.web.access import Role
 
 ADD_USER = Act("add_user", Role.ADMIN, "user", "event_user_added")
+ADD_FIRST_ADMIN = Act("add_first_admin", Role.ADMIN, "user", "event_first_admin_added")
 ADD_PANEL = Act("add_panel", Role.ADMIN, "user", "event_panel_added")
 SET_ROLE = Act("set_role", Role.ADMIN, "user", "event_role_changed")
 DISABLE_USER = Act("disable_user", Role.ADMIN, "user", "event_user_refused")

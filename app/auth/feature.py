@@ -9,6 +9,7 @@ from app.auth import api, notices, pages, users
 from app.auth.accounts import Accounts
 from app.auth.acts import ACTS
 from app.auth.break_glass import BreakGlass, path_in
+from app.auth.first_admin import FirstAdmin
 from app.auth.identity import Identity
 from app.auth.known import KnownCredentials
 from app.auth.lasting import Rechecks
@@ -45,6 +46,9 @@ def make(services: Services) -> None:
             break_glass=break_glass,
         )
     )
+    first_admin = services.add(FirstAdmin(accounts, sign_in, events))
+    if not services.demo:
+        services.lifespan.add("first admin", start=first_admin.start)
     services.lifespan.add("notices of rights", start=partial(_listen, database, rights, sign_in))
     services.add(RefusalLog())
     services.add(Identity(database, sign_in, services.worker_tokens, known=known, break_glass=break_glass))

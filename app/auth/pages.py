@@ -13,10 +13,11 @@ from app.auth import rules
 from app.auth.access import COOKIE, cookie_name, is_encrypted
 from app.auth.accounts import Accounts, check_has_own_password
 from app.auth.acts import CHANGE_OWN_PASSWORD, LOG_OUT
+from app.auth.first_admin import FirstAdmin, WrongCodeError
 from app.auth.signin import SignIn, WrongSecretError
 from app.errors import Problem
 from app.web.access import Person, Viewer, address_of, person_of, public
-from app.web.services import service
+from app.web.services import service, service_of
 from app.web.templating import render, templates_of
 from bus.errors import CallerError
 from bus.messages import Message
@@ -25,6 +26,7 @@ router = APIRouter(include_in_schema=False)
 
 
 SignInService = Annotated[SignIn, service(SignIn)]
+FirstAdminService = Annotated[FirstAdmin, service(FirstAdmin)]
 AccountsService = Annotated[Accounts, service(Accounts)]
 FormText = Annotated[str, Form()]
 DEVICE_COOKIE = "lineside_device"
@@ -62,6 +64,36 @@ async def log_panel_in(
 ) -> Response:
     """A panel on the wall, by PIN."""
     return await _sign_in(request, sign_in, name.strip(), pin, next, panel=True)
+
+
+@router.get("/setup", dependencies=[Depends(public)])
+async def setup_page(request: Request, first_admin: FirstAdminService) -> Response:
+    """The form for the first admin; redirected once there is a user."""
+    return _setup_form(request) if await first_admin.is_open() else RedirectResponse("/login", 303)
+
+
+@router.post("/setup", dependencies=[Depends(public)])
+async def create_first_admin(
+    request: Request,
+    first_admin: FirstAdminService,
+    sign_in: SignInService,
+    code: FormText = "",
+    name: FormText = "",
+    password: FormText = "",
+    again: FormText = "",
+) -> Response:
+    """Create the first admin by the code that the server printed, and log in."""
+    name, address = name.strip(), address_of(request)
+    try:
+        await first_admin.create(code, name, password, again, address)
+    except Problem as problem:
+        form = _setup_form(request, problem, code, name)
+        if isinstance(problem, WrongCodeError):
+            form.background = BackgroundTask(first_admin.note_refusal, address)
+        return form
+    except CallerError as fault:
+        return _setup_form(request, Problem(422, "invalid", fault.message), code, name)
+    return await _sign_in(request, sign_in, name, password, "/", panel=False)
 
 
 @router.post("/logout")
@@ -177,6 +209,21 @@ async def _login_form(
         name=name,
         refused=refused,
         no_users=await sign_in.has_no_users(),
+        has_code=bool(service_of(request, FirstAdmin).code),
+    )
+
+
+def _setup_form(
+    request: Request, problem: Problem | None = None, code: str = "", name: str = ""
+) -> HTMLResponse:
+    return render(
+        request,
+        "auth/setup.html",
+        status=problem.status if problem else 200,
+        headers=problem.headers if problem else None,
+        problem=problem,
+        code=code[:LONGEST_NAME],
+        name=name[:LONGEST_NAME],
     )
 
 

@@ -194,7 +194,7 @@ class SignIn:
                     self._throttle.succeeded(attempt, self._monotonic())
                 return user
         except TooManyWaitingError:
-            raise _too_soon(1) from None
+            raise too_soon(1) from None
 
     async def _attempt(self, name: str, address: str, device: str, panel: bool) -> Attempt:
         network, browser = source_of(address), _browser(device)
@@ -210,7 +210,7 @@ class SignIn:
     def _refuse_too_soon(self, attempt: Attempt) -> None:
         wait_s = self._throttle.wait_s(attempt, self._monotonic())
         if wait_s > 0:
-            raise _too_soon(ceil(wait_s))
+            raise too_soon(ceil(wait_s))
 
     async def _verified(self, name: str, secret: str, panel: bool) -> User | None:
         secret = secret[: strength.LONGEST_PASSWORD + 1]
@@ -321,6 +321,7 @@ def _browser(device: str) -> str:
     return f"browser {rules.secret_hash(device).hex()}"
 
 
-def _too_soon(seconds: int) -> Problem:
+def too_soon(seconds: int) -> Problem:
+    """429 with the time to wait."""
     problem = Problem(429, "too_many", Message.of("too_many_sign_ins", seconds=seconds))
     return problem.with_headers(Retry_After=str(seconds))

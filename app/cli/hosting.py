@@ -11,6 +11,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,7 @@ async def _host(
                 with_port(settings, port) if leased else settings,
                 demo,
                 tokens,
-                lambda: report(Message.of("dashboard_at", url=url)),
+                partial(_report_serving, url),
                 feed,
                 workers if leased else None,
             )
@@ -105,6 +106,13 @@ async def _host(
     await serving
     if not server.started:
         raise HostingError(Message("dashboard_not_started"))
+
+
+def _report_serving(url: str, code: str) -> None:
+    """``code``: for the first admin; empty where there is a user."""
+    report(Message.of("dashboard_at", url=url))
+    if code:
+        report(Message.of("first_admin_code", url=url, code=code))
 
 
 def with_port(settings: Settings, port: int) -> Settings:

@@ -12,6 +12,7 @@ from typing import Any, cast
 import uvicorn
 from starlette.types import ASGIApp
 
+from app.auth.first_admin import FirstAdmin
 from app.feature import Services
 from app.feed.workers import Workers
 from app.home.keeping.life import NO_PORTS, Ports
@@ -43,12 +44,13 @@ class Server(uvicorn.Server):
         settings: Settings,
         demo: bool,
         worker_tokens: Mapping[str, str],
-        serving: Callable[[], None],
+        serving: Callable[[str], None],
         feed: socket.socket | None = None,
         ports: Ports | None = None,
     ) -> None:
         """``feed``: where its own workers connect in clear, beside HTTPS; ``ports``: what runs them, where
-        each begins and ends with the home of its bus."""
+        each begins and ends with the home of its bus; ``serving``: called with the code for the first admin,
+        empty where there is a user."""
         self._watch = LoopWatch()
         connections = Connections(settings.server.trusted_proxies, raise_file_limit())
         app = create_app(settings, demo=demo, worker_tokens=worker_tokens, ports=ports or NO_PORTS)
@@ -101,7 +103,7 @@ class Server(uvicorn.Server):
             if self._feed is not None:
                 config = self._configure(OnlyFeed(cast(ASGIApp, self.config.app)))
                 self._accept(self._feed, partial(self._make_protocol, config))
-            self._serving()
+            self._serving(self.services[FirstAdmin].code)
 
     def _accept(self, listening: socket.socket, make: Callable[[], asyncio.Protocol]) -> None:
         self._accepting.append(asyncio.create_task(accept_connections(listening, make)))

@@ -24,6 +24,7 @@ OWN_PATHS = frozenset(
             "/login",
             "/login/panel",
             "/logout",
+            "/setup",
             "/feed",
             "/lines",
             "/wallboard",

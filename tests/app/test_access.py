@@ -36,7 +36,7 @@ HAS = {
 """Which rights each role includes. A worker has only the feed, and is the only role that has it."""
 ENDLESS = "/api/v1/stream"
 """Its headers come at once, and its body has no end."""
-SIGNING_IN = {"/login", "/login/panel"}
+SIGNING_IN = {"/login", "/login/panel", "/setup"}
 """They refuse an empty form by 401."""
 
 

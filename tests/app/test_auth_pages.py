@@ -42,7 +42,9 @@ async def can_sign_in(house: House, name: str, password: str) -> bool:
 
 
 async def test_a_site_without_users_shows_how_to_begin(house: House) -> None:
-    assert "lineside user add NAME" in (await house.client().get("/login")).text
+    login = (await house.client().get("/login")).text
+    assert "lineside user add NAME" in login
+    assert 'href="/setup"' in login
     await house.add("ann", Role.VIEWER)
     assert "lineside user add NAME" not in (await house.client().get("/login")).text
 
