@@ -66,8 +66,8 @@ def _write_blocks(connection: StoreConnection, key: int, runs: list[PlainRun], m
         of_day.setdefault(hour - hour % DAY, []).append((hour, list(of_hour)))
     for day, hours in of_day.items():
         rollups = []
-        for hour, of_hour in hours:
-            table = list(zip(*of_hour, strict=True))
+        for hour, rows_of_hour in hours:
+            table = list(zip(*rows_of_hour, strict=True))
             tables.write_raw(connection, key, hour, HOUR, table)
             rows = minute_rollups(table)
             tables.write_rollups(connection, "minutes", key, hour, rows)
