@@ -21,7 +21,7 @@ from app.audit.log import EventLog
 from app.audit.store import heads_of
 from app.cli.past.story import Incident, Past, setpoint_of
 from app.conditions.catalogue import CONDITIONS
-from app.database import Database
+from app.database import Database, StoreConnection
 from app.database.opening import open_database
 from app.handover import notes
 from app.handover.acts import WRITE_NOTE
@@ -102,11 +102,10 @@ class _Records:
         acknowledged = incident.acknowledged_at
         rise = Transition(incident.began, "rise", occurrence, "normal", "unack_active")
         is_late = acknowledged is None or acknowledged > incident.ended
-        clear = Transition(
-            incident.ended,
-            "clear",
-            occurrence,
-            *(("unack_active", "rtn_unack") if is_late else ("ack_active", "normal")),
+        clear = (
+            Transition(incident.ended, "clear", occurrence, "unack_active", "rtn_unack")
+            if is_late
+            else Transition(incident.ended, "clear", occurrence, "ack_active", "normal")
         )
         entries = [entry_of(definition, rise), entry_of(definition, clear)]
         facts = AlarmFacts(
@@ -118,8 +117,11 @@ class _Records:
             acknowledged_at=acknowledged,
         )
         if acknowledged is not None:
-            before, after = ("rtn_unack", "normal") if is_late else ("unack_active", "ack_active")
-            change = Transition(acknowledged, "acknowledge", occurrence, before, after)
+            change = (
+                Transition(acknowledged, "acknowledge", occurrence, "rtn_unack", "normal")
+                if is_late
+                else Transition(acknowledged, "acknowledge", occurrence, "unack_active", "ack_active")
+            )
             entries.append(entry_of(definition, change, OPERATOR.name))
             yield acknowledged, partial(self._acknowledged, incident.unit, definition.name)
         entries.sort(key=lambda entry: float(entry.at))
@@ -167,7 +169,7 @@ class _Records:
             ParameterSet(self._bus, self._now, ENGINEER.name, "by hand", rows, "Commissioned", "simulated")
         )
         units = [each.unit for each in rows]
-        saved = set_acts.SAVE.by(ENGINEER, set=kept.id, units=units, origin=term(kept.origin))
+        saved = set_acts.SAVE.by(ENGINEER, set=kept.id, units=[*units], origin=term(kept.origin))
         await self._events.record(**saved, bus=self._bus)
         for unit in units[:MAX_GOLDEN]:
             await self._sets.mark_golden(self._bus, unit, kept.id, ENGINEER.name, self._now)
@@ -197,10 +199,14 @@ class _Records:
             sender=OPERATOR.sender,
             key=None,
         )
+
+        def write(connection: StoreConnection) -> None:
+            notes.add(connection, note, shift)
+
         await self._events.record(
             **WRITE_NOTE.by(OPERATOR, start=site_time(shift.start, self._zone)),
             bus=self._bus,
             unit=unit,
             message=text,
-            also=lambda connection: notes.add(connection, note, shift),
+            also=write,
         )
