@@ -175,7 +175,7 @@ class Accounts:
         def add(connection: StoreConnection) -> None:
             there = store.users(connection)
             if is_first and there:
-                raise Problem(409, "taken", Message("first_admin_exists"))
+                raise Problem(409, "not_in_state", Message("first_admin_exists"))
             rules.check_distinct(user.name, (each.name for each in there))
             store.add_user(connection, user, hashed)
 

@@ -51,7 +51,7 @@ class FirstAdmin:
         """Create the admin; the code is spent then. Raises Problem 409 where there is a user, 429 after too
         many wrong codes, 401 for a wrong one, and CallerError for a name or a password that cannot be."""
         if not await self.is_open():
-            raise Problem(409, "taken", Message("first_admin_exists"))
+            raise Problem(409, "not_in_state", Message("first_admin_exists"))
         self._check(code, address)
         if password != again:
             raise CallerError(Message("new_passwords_differ"))

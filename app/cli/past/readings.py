@@ -62,8 +62,8 @@ def _marks(stretches: list[Stretch]) -> Marks:
 
 def _write_blocks(connection: StoreConnection, key: int, runs: list[PlainRun], marks: Marks) -> None:
     of_day: dict[int, list[tuple[int, list[PlainRun]]]] = {}
-    for hour, of_hour in groupby(runs, key=lambda run: run[0] - run[0] % HOUR):
-        of_day.setdefault(hour - hour % DAY, []).append((hour, list(of_hour)))
+    for hour, of in groupby(runs, key=lambda run: run[0] - run[0] % HOUR):
+        of_day.setdefault(hour - hour % DAY, []).append((hour, list(of)))
     for day, hours in of_day.items():
         rollups = []
         for hour, rows_of_hour in hours:

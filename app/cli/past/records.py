@@ -14,7 +14,6 @@ from app.alarms.alarm import Alarm
 from app.alarms.catalogue import built_in
 from app.alarms.rules.facts import AlarmFacts, Transition
 from app.alarms.rules.observed import ObservedSpan
-from app.alarms.rules.states import AlarmState
 from app.alarms.store import AlarmStore, entry_of
 from app.audit.act import Act
 from app.audit.keys import open_keys
@@ -103,10 +102,11 @@ class _Records:
         acknowledged = incident.acknowledged_at
         rise = Transition(incident.began, "rise", occurrence, "normal", "unack_active")
         is_late = acknowledged is None or acknowledged > incident.ended
-        states: tuple[AlarmState, AlarmState] = (
-            ("unack_active", "rtn_unack") if is_late else ("ack_active", "normal")
+        clear = (
+            Transition(incident.ended, "clear", occurrence, "unack_active", "rtn_unack")
+            if is_late
+            else Transition(incident.ended, "clear", occurrence, "ack_active", "normal")
         )
-        clear = Transition(incident.ended, "clear", occurrence, *states)
         entries = [entry_of(definition, rise), entry_of(definition, clear)]
         facts = AlarmFacts(
             acknowledged=acknowledged is not None,
@@ -117,8 +117,11 @@ class _Records:
             acknowledged_at=acknowledged,
         )
         if acknowledged is not None:
-            before, after = ("rtn_unack", "normal") if is_late else ("unack_active", "ack_active")
-            change = Transition(acknowledged, "acknowledge", occurrence, before, after)
+            change = (
+                Transition(acknowledged, "acknowledge", occurrence, "rtn_unack", "normal")
+                if is_late
+                else Transition(acknowledged, "acknowledge", occurrence, "unack_active", "ack_active")
+            )
             entries.append(entry_of(definition, change, OPERATOR.name))
             yield acknowledged, partial(self._acknowledged, incident.unit, definition.name)
         entries.sort(key=lambda entry: float(entry.at))
@@ -197,7 +200,7 @@ class _Records:
             key=None,
         )
 
-        def add(connection: StoreConnection) -> None:
+        def write(connection: StoreConnection) -> None:
             notes.add(connection, note, shift)
 
         await self._events.record(
@@ -205,5 +208,5 @@ class _Records:
             bus=self._bus,
             unit=unit,
             message=text,
-            also=add,
+            also=write,
         )
