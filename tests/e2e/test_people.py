@@ -339,7 +339,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     unsaid = []
     for path in pages:
         opened(page, path)
-        expect(page.locator("[data-live='line_summary.verdict']").first).to_contain_text("Commands blocked")
+        expect(page.locator(".verdict").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
             unsaid.append(path)
         assert page.evaluate(UNREACHABLE) == [], path

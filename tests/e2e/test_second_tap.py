@@ -31,7 +31,7 @@ def page(site: Site, browser_page: OpensPages) -> Page:
 
 @pytest.fixture
 def step(page: Page) -> Locator:
-    return page.locator(".nudges button").nth(2)
+    return page.get_by_role("button", name="Up by 0.2")
 
 
 def let_pass(page: Page, ms: int) -> None:
@@ -73,7 +73,10 @@ def test_a_second_tap_does_not_confirm_what_the_first_one_opened(site: Site, pag
     assert place is not None
     x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
     act.evaluate(
-        "(act, [x, y]) => (act.style.cssText = `position: fixed; left: ${x - 40}px; top: ${y - 20}px`)",
+        """(act, [x, y]) => {
+            const { left, top, width, height } = act.getBoundingClientRect();
+            act.style.translate = `${x - left - width / 2}px ${y - top - height / 2}px`;
+        }""",
         [x, y],
     )
     page.mouse.click(x, y)
