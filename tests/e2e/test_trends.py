@@ -105,6 +105,12 @@ def view_of(page: Page) -> dict[str, str]:
     return dict(re.findall(r"[?&](\w+)=([^&]*)", page.evaluate("location.search")))
 
 
+def span_of(page: Page) -> list[float]:
+    """The two times of a view that follows no live values."""
+    view = view_of(page)
+    return [datetime.fromisoformat(unquote(view[name])).timestamp() for name in ("from", "to")]
+
+
 def test_the_history_equals_what_the_unit_sent(site: Site) -> None:
     raw = site.unit(2)["commanded_raw"]
     site.set_speed(2, raw=raw + 55)
@@ -167,13 +173,13 @@ def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
     middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     page.mouse.move(*middle)
     page.mouse.wheel(0, 200)
-    page.wait_for_function("scrollY > 0")
+    eventually(lambda: page.evaluate("scrollY > 0"), "the page scrolled")
     assert "from=" not in page.evaluate("location.search")
     page.mouse.wheel(0, -200)
-    page.wait_for_function("scrollY === 0")
+    eventually(lambda: page.evaluate("scrollY === 0"), "the page scrolled back")
     page.keyboard.down("Control")
     page.mouse.wheel(0, -200)
-    page.wait_for_function("location.search.includes('from=')")
+    eventually(lambda: "from" in view_of(page), "the picture zoomed")
     page.keyboard.up("Control")
     page.mouse.down()
     page.mouse.move(middle[0] + box["width"] / 4, middle[1], steps=5)
@@ -186,7 +192,7 @@ def test_wheel_drag_and_keys_move_the_picture(shared_page: OpensPages) -> None:
     assert "to" in view
     page.locator("#trend-picture").focus()
     page.keyboard.press("l")
-    page.wait_for_function("!location.search.includes('to=')")
+    eventually(lambda: "to" not in view_of(page), "live values")
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("a")
     page.keyboard.press("ArrowLeft")
@@ -202,11 +208,10 @@ def test_the_axis_of_a_value_is_chosen_by_keyboard_and_keeps_the_focus(shared_pa
     )
     axis = page.locator("#trend-values th button").nth(1)
     axis.focus()
-    before = page.locator("#trend-plot canvas").evaluate("canvas => canvas.toDataURL()")
+    canvas = page.locator("#trend-plot canvas")
+    before = canvas.evaluate("canvas => canvas.toDataURL()")
     page.keyboard.press("Enter")
-    page.wait_for_function(
-        "before => document.querySelector('#trend-plot canvas').toDataURL() !== before", arg=before
-    )
+    eventually(lambda: canvas.evaluate("canvas => canvas.toDataURL()") != before, "another axis")
     expect(page.locator("#trend-values th button").nth(1)).to_be_focused()
 
 
@@ -283,11 +288,7 @@ def test_one_finger_pulls_the_picture_and_sets_no_cursor(browser_page: OpensPage
         touch("touchMove", (x, y))
     touch("touchEnd")
     began = datetime(2026, 1, 1, tzinfo=UTC).timestamp() - 600 * pull / width
-    page.wait_for_function(
-        "wanted => ['from', 'to'].every((name, i) => Math.abs("
-        "Date.parse(new URLSearchParams(location.search).get(name)) / 1000 - wanted[i]) < 5)",
-        arg=[began, began + 600],
-    )
+    eventually(lambda: span_of(page) == pytest.approx([began, began + 600], abs=5), "the picture pulled")
     assert {"a", "b"}.isdisjoint(view_of(page))
 
 
@@ -295,15 +296,14 @@ def test_two_presses_set_two_cursors_and_two_fingers_zoom(shared_page: OpensPage
     page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/1/actual&span=600")
     box = page.locator("#trend-plot .u-over").bounding_box()
     assert box is not None
-    page.mouse.click(box["x"] + 100, box["y"] + 50)
-    page.mouse.click(box["x"] + 300, box["y"] + 50)
+    page.mouse.click(box["x"] + 100, box["y"] + box["height"] / 2)
+    page.mouse.click(box["x"] + 300, box["y"] + box["height"] / 2)
     expect(page.locator("#time-difference")).to_have_text(re.compile(r"\d"))
-    page.mouse.click(box["x"] + 300, box["y"] + 50)
+    page.mouse.click(box["x"] + 300, box["y"] + box["height"] / 2)
     expect(page.locator("#time-difference")).to_have_text(NOTHING)
     page.evaluate(PINCH, [box["x"] + 200, box["x"] + 400])
-    view = view_of(page)
-    moments = [datetime.fromisoformat(unquote(view[name])).timestamp() for name in ("from", "to")]
-    assert moments[1] - moments[0] == pytest.approx(300, rel=0.05)
+    began, ended = span_of(page)
+    assert ended - began == pytest.approx(300, rel=0.05)
 
 
 def test_the_legend_reads_at_the_cursor(site: Site, shared_page: OpensPages) -> None:
