@@ -187,7 +187,8 @@ export class Picture {
         sync: { key: SYNC },
         y: false,
         points: { size: 7 },
-        drag: { x: true, y: false, setScale: false },
+        // uPlot sees no press begin (trends-gestures.js), takes each for a drag, and would stop its click here.
+        drag: { x: true, y: false, setScale: false, click: () => {} },
       },
       hooks: {
         setCursor: [(plot) => this.on.cursor(cursorAt(plot))],
