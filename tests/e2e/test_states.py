@@ -156,6 +156,9 @@ CUT_OFF = """() => [...document.querySelectorAll(
   .map(([one]) => one.outerHTML.slice(0, 200))"""
 """Causes, numbers and marks of which a part is outside of their tile or row."""
 
+FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
+
 
 @pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
 def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, locale: str) -> None:
@@ -164,6 +167,7 @@ def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, l
         opened(page, path)
         for width in (320, 620, 1024, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
+            page.evaluate(FITTED)
             assert page.evaluate(CUT_OFF) == [], f"{path}, {width}"
 
 
