@@ -101,8 +101,12 @@ def stopped(site: Site) -> Iterator[str]:
     site.line.remote.do("input", unit=UNIT, input="estop", on=True)
     with site.api() as client:
         query = {"unit": UNIT, "state": "unack_active"}
-        found = eventually(lambda: client.get("/alarms", params=query).json()["alarms"], "an alarm")
-        yield found[0]["id"]
+
+        def found() -> list[str]:
+            alarms = client.get("/alarms", params=query).json()["alarms"]
+            return [alarm["id"] for alarm in alarms if alarm["code"] == "estop_active"]
+
+        yield eventually(found, "an alarm")[0]
         site.line.remote.do("input", unit=UNIT, input="estop", on=False)
         eventually(
             lambda: client.get("/alarms", params=query | {"state": "normal"}).json()["alarms"], "normal"
