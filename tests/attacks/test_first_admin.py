@@ -40,7 +40,7 @@ async def users(house: House) -> list[tuple[str, str]]:
     return [(user.name, user.role.value) for user in await house.services[Accounts].users()]
 
 
-async def test_the_code_makes_one_admin_who_is_signed_in_and_recorded(house: House) -> None:
+async def test_the_code_makes_one_signed_in_and_recorded_admin(house: House) -> None:
     client, code = house.client(), code_of(house)
     assert await create(client, code.lower().replace("-", " ")) == 303
     assert (await client.get("/api/v1/me")).json()["role"] == "admin"
