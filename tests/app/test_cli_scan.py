@@ -129,7 +129,7 @@ def test_words_for_people() -> None:
         result = run(port, "--baud", "9600", "--last", "3", "--turnaround-ms", PATIENCE_MS)
     assert result.exit_code == 0
     assert result.stdout.startswith(
-        "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, remote, responds within"
+        "unit 2 at 9600 baud: DIGIMAX IV, parameters 1 to 40, in REMOTE, responds within"
     )
     assert "addresses 1 to 3, at 9600 baud" in result.stderr
 

@@ -266,7 +266,7 @@ async def test_the_page_adds_changes_and_removes_without_script(house: House) ->
     form = {"alarm": own.key, "version": str(book.added[own.key].version)}
     assert (await engineer.post("/alarms/own/remove", data=form)).status_code == 422
     assert (await engineer.post("/alarms/own/remove", data=form | {"reason": "done"})).status_code == 303
-    assert "There are no alarms of the site." in (await engineer.get("/alarms/own")).text
+    assert "There are no custom alarms." in (await engineer.get("/alarms/own")).text
 
 
 async def test_a_change_on_the_page_keeps_what_the_form_has_no_field_for(house: House) -> None:

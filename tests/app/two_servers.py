@@ -116,7 +116,7 @@ async def _served(settings: Settings, name: str) -> AsyncIterator[ServedApp]:
     serving, homes = asyncio.Event(), PlayedHomes(name)
     listening = socket.create_server(("127.0.0.1", 0))
     port = listening.getsockname()[1]
-    server = Server(settings, demo=False, worker_tokens={}, serving=serving.set)
+    server = Server(settings, demo=False, worker_tokens={}, serving=lambda _code: serving.set())
     servers = server.services[SiteServers]
     servers.homes = homes
     task = asyncio.create_task(server.serve([listening]))
