@@ -43,7 +43,7 @@ async def test_only_a_proxy_that_is_named_is_believed(
     settings, serving = settings_in(tmp_path), asyncio.Event()
     proxied = settings.server.model_copy(update={"trusted_proxies": trusted})
     settings = settings.model_copy(update={"server": proxied})
-    server = Server(settings, demo=False, worker_tokens={}, serving=serving.set)
+    server = Server(settings, demo=False, worker_tokens={}, serving=lambda _code: serving.set())
     services = server.services
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))
