@@ -196,7 +196,7 @@ async def test_a_long_body_makes_no_write_late(house: House, monkeypatch: pytest
     assert (await browser.put(path, content=slowly(), headers=headers)).status_code == 200
 
 
-PUBLIC = {"/login", "/login/panel"}
+PUBLIC = {"/login", "/login/panel", "/setup"}
 """Signing in changes nothing at a unit."""
 
 

@@ -156,7 +156,7 @@ async def test_more_live_readings_than_a_wire_carries_are_shown_and_not_stored(t
         assert shown is not None
         assert shown.actual == 19
         assert len(await stored(house, now - 1, now + 1)) in range(10, 15)
-        assert "wire can carry" in (await refusals(house))[0]["message"]
+        assert "bus can carry" in (await refusals(house))[0]["message"]
 
 
 async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ async def test_more_than_a_wire_carries_is_refused_and_summed_up(tmp_path: Path)
         ]
         feed._quota._updates.capacity = 1e9  # the test does not wait until the rest is read
         await connect(house, *flood)
-        refused = [event for event in await refusals(house) if "wire can carry" in event["message"]]
+        refused = [event for event in await refusals(house) if "bus can carry" in event["message"]]
         assert 0 < len(refused) <= 2, "one at once, and their sum"
         total = sum(int(event["new"]) for event in refused)
         # The test takes some seconds, in which some more are admitted.

@@ -70,6 +70,7 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
     page.goto("/shifts")
     page.locator("tbody a").nth(1).click()
     page.get_by_role("button", name="Hand over shift: operator").click()
+    expect(page.get_by_role("button", name="Take over shift").first).to_be_visible()
     page.get_by_label("Name", exact=True).fill("engineer")
     page.get_by_label("Password", exact=True).fill(PASSWORD)
     page.keyboard.press("Enter")

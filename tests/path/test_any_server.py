@@ -35,7 +35,7 @@ def is_at(host: Host, home: str) -> bool:
 def units_at(host: Host) -> list[str]:
     """The links of the units, wherever their home is."""
     line = host.get("/api/v1/line")
-    return [unit["link"] for unit in line["buses"][0]["units"]] if line else []
+    return [unit["link"] for bus in line["buses"][:1] for unit in bus["units"]] if line else []
 
 
 @needs_postgresql

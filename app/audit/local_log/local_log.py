@@ -52,6 +52,7 @@ class LocalLog:
         self._followed: list[FollowedSubscriber] = []
         self._pending: deque[LoggedTransaction] = deque()
         self._adding = asyncio.Lock()
+        self._following = asyncio.Lock()
         self._count = 0
         self._gone = 0
         """How many have followed since the start."""
@@ -113,12 +114,14 @@ class LocalLog:
     async def follow(self) -> None:
         """Write all that is pending into the database, in order; nothing is pending when this returns. Raises
         StoreUnavailableError where that is away again."""
-        while self.has_pending or not self._is_noted:
-            await self._drain()
-            await self._note_end()
-        self._is_noted = False
-        with suppress(StoreError):
-            self._file.clear()
+        # Two at once would each take an entry off that one of them has not written.
+        async with self._following:
+            while self.has_pending or not self._is_noted:
+                await self._drain()
+                await self._note_end()
+            self._is_noted = False
+            with suppress(StoreError):
+                self._file.clear()
 
     async def forget(self) -> None:
         """Run until canceled: forget the references that no local log needs any more."""
