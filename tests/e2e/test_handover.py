@@ -10,7 +10,7 @@ from zlib import compress, crc32
 from playwright.sync_api import Page, ViewportSize, expect
 
 from app.handover.rules.orientation import exif_of
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.site import PASSWORD
 
 MAX_SCREENS, MAX_PAPER = 12, 2
@@ -69,8 +69,10 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
 
     page.goto("/shifts")
     page.locator("tbody a").nth(1).click()
+    rest(page)
     page.get_by_role("button", name="Hand over shift: operator").click()
     expect(page.get_by_role("button", name="Take over shift").first).to_be_visible()
+    rest(page)
     page.get_by_label("Name", exact=True).fill("engineer")
     page.get_by_label("Password", exact=True).fill(PASSWORD)
     page.keyboard.press("Enter")
