@@ -62,7 +62,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
 
 @pytest.fixture(scope="module")
 def api_schema(api: Api) -> BaseSchema:
-    document = httpx.get(f"{api.url}/api/v1/openapi.json", headers=api.headers, trust_env=False)
+    document = httpx.get(f"{api.url}/api/v1/openapi.json", headers=api.headers, trust_env=False, timeout=60)
     return schemathesis.openapi.from_dict(document.json())
 
 

@@ -597,7 +597,7 @@ def test_a_unit_that_does_not_come_along_brings_all_the_others_back(odd: str) ->
         assert "back at 9600" in str(result.message)
         assert [line.plant.unit(unit).baud for unit in (1, 2, 4)] == [9600] * 3
         if odd in ("dead", "dies"):
-            assert "panel of unit 3" in str(result.message)
+            assert "keypad of unit 3" in str(result.message)
         await asyncio.sleep(3)
         assert line.worker.line.baud == 9600
         assert unit_links(line, 1)[-1] == "online"

@@ -15,7 +15,8 @@ from tests.path.independent_unit import ACK, NAK, Cable, Unit, frame
 
 UNITS = (1, 2, 3)
 WRITES = 12
-"""To each unit."""
+"""To each unit, of those that are sent at all: on a slow machine a unit that misses responses is offline for a while."""
+MAX_TRIES = 20 * WRITES
 RATE = 0.05
 """Of each fault."""
 DEAF_RATE = 0.2
@@ -79,14 +80,17 @@ def test_verified_on_a_bad_line_is_true(tmp_path: Path) -> None:
         plant.cable.bad = False
     outcomes = Counter(outcome for outcome, _ in result)
     assert [complaint for _, complaint in result if complaint] == []
-    assert outcomes["verified"] > len(result) / 4, outcomes
+    assert outcomes["verified"] > (len(result) - outcomes["not_sent"]) / 4, outcomes
     assert outcomes.keys() <= {"verified", "unverified", "refused", "not_sent"}
 
 
 def _play(plant: Dashboard, number: int) -> list[tuple[str, str]]:
     """One write after the other to one unit; what came of each, and what is wrong with that."""
     dice = random.Random(number)
-    return [_write(plant, plant.cable.units[number], 1000 + fresh, dice) for fresh in range(WRITES)]
+    result: list[tuple[str, str]] = []
+    while sum(outcome != "not_sent" for outcome, _ in result) < WRITES and len(result) < MAX_TRIES:
+        result.append(_write(plant, plant.cable.units[number], 1000 + len(result), dice))
+    return result
 
 
 def _write(plant: Dashboard, unit: Unit, raw: int, dice: random.Random) -> tuple[str, str]:
