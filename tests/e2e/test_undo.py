@@ -95,10 +95,13 @@ def test_what_was_typed_is_a_draft_on_the_next_page(page: Page) -> None:
     expect(page.locator("[data-draft]")).to_have_count(0)
 
 
-def test_setting_the_line_to_zero_ends_the_undo_before_it(site: Site, page: Page) -> None:
+def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Site, page: Page) -> None:
     before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]
     try:
         send(page, "Set line to zero")
+        # Asked again, as an offer that lapses would be gone in time, too.
+        offered = page.request.get(f"{site.url}/bus/line/undo?unit={UNIT}")
+        assert offered.ok and "<button" not in offered.text()
         expect(undo(page)).to_have_count(0)
     finally:
         for number, value in enumerate(before, 1):

@@ -82,7 +82,10 @@ async def _zero_bus(page: BusPage, id: str) -> list[ResultRow]:
         (_on_site(page, name), "", OutcomeText("bad", Message.of("result_left_out", reason=reason)))
         for name, reason in plan.left_out
     ]
-    return left_out + (await _zero_units(page, plan, id) if plan.units else [])
+    proofs = await _zero_units(page, plan, id) if plan.units else []
+    # Nor is this: one press on Undo would start the line.
+    page.commands.undo.clear(page.person)
+    return left_out + proofs
 
 
 async def _zero_units(page: BusPage, plan: ZeroPlan, id: str) -> list[ResultRow]:
