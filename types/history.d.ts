@@ -71,9 +71,10 @@ interface LaneWords {
   notes: string;
 }
 
-/** What happened, for example an act of a person. */
+/** What happened, for example an act of a person; `until` is the end of readings that came late, null of all else. */
 interface Mark {
   t: number;
+  until: number | null;
   bus: string | null;
   unit: number | null;
   who: string | null;
