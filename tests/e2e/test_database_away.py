@@ -62,6 +62,9 @@ def test_an_open_page_states_it_and_what_still_works(
     expect(english.locator(NOTICE)).to_be_empty()
     expect(german.locator(NOTICE)).to_be_empty()
     eventually(lambda: _followed(site), "the stop came into the audit log")
+    opened(english, "/trends?s=line/1/actual")
+    expect(english.locator("#trend-events")).to_contain_text("are being stored")
+    assert flaws(english) == []
 
 
 def _followed(site: Site) -> bool:
