@@ -31,9 +31,9 @@ _ACCEPTED = re.compile(rb"^accept-language: *([^\r\n]*)", re.IGNORECASE | re.MUL
 _PAGE = """<!doctype html>
 <html lang="{language}">
 <meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<meta name="color-scheme" content="light dark">
 <title>Lineside</title>
-<h1>Lineside</h1>
-<p>{text}</p>
+<main><p>Lineside</p><h1>{text}</h1></main>
 </html>
 """
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
+from app.cli import awaiting
 from app.database.settings import StoreSettings
+from tests.app.test_awaiting import Away, settings_of, waiting
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
@@ -65,6 +68,20 @@ def test_an_open_page_states_it_and_what_still_works(
     opened(english, "/trends?s=line/1/actual")
     expect(english.locator("#trend-events")).to_contain_text("are being stored")
     assert flaws(english) == []
+
+
+@pytest.mark.provokes("503")
+def test_a_page_before_the_database_is_there(
+    tmp_path: Path, browser: Browser, flaws: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = Away()
+    monkeypatch.setattr(awaiting, "look_at", away.look_at)
+    monkeypatch.setattr(awaiting, "RETRY_S", 0.01)
+    with waiting(settings_of(tmp_path), away) as port, browser.new_context(locale=GERMAN) as context:
+        page = context.new_page()
+        page.goto(f"http://127.0.0.1:{port}/wallboard")
+        expect(page.get_by_role("main")).to_contain_text("Die Datenbank antwortet nicht.")
+        assert flaws(page, GERMAN) == []
 
 
 def _followed(site: Site) -> bool:
