@@ -38,7 +38,7 @@ export function drawOverlay(plot, overlay, range, unknown, words) {
   ctx.font = `600 ${12 * devicePixelRatio}px ${css("--family")}`;
   for (const { t, until } of overlay.marks)
     if (until === null) line(plot, t, range, "--line-strong", [2, 4]);
-    else late(plot, [t, until]);
+    else late(plot, [t, until], words?.late ?? "");
   for (const { t } of overlay.notes) line(plot, t, range, "--text", []);
   for (const name of /** @type {const} */ (["a", "b"]))
     line(plot, overlay[name], range, "--mark-ink", [], name.toUpperCase());
@@ -59,12 +59,19 @@ function line({ ctx, bbox, valToPos }, at, [from, to], name, dash, label = "") {
   if (label) ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 14 * devicePixelRatio);
 }
 
-/** A bar along the time axis: readings that came late. @param {uPlot} plot @param {Span} span */
-function late({ ctx, bbox, valToPos }, [from, to]) {
+/** A bar along the time axis: readings that came late.
+ * @param {uPlot} plot @param {Span} span @param {string} label */
+function late({ ctx, bbox, valToPos }, [from, to], label) {
   const [left, right] = [valToPos(from, "x", true), valToPos(to, "x", true)];
-  const height = 4 * devicePixelRatio;
+  if (right < bbox.left) return;
+  const [height, bottom] = [4 * devicePixelRatio, bbox.top + bbox.height];
+  ctx.save();
   ctx.fillStyle = colour("--line-strong");
-  ctx.fillRect(left, bbox.top + bbox.height - height, Math.max(height, right - left), height);
+  ctx.fillRect(left, bottom - height, Math.max(height, right - left), height);
+  ctx.fillStyle = colour("--quiet");
+  ctx.textAlign = "left";
+  ctx.fillText(label, Math.max(left, bbox.left + height), bottom - 2 * height);
+  ctx.restore();
 }
 
 /** @param {uPlot} plot @param {Span} span */
