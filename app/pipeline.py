@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from app.live.change_recorder import ChangeRecorder
 from app.live.changes import Changes, LineEvent
 from app.live.state.bus_live import BusLive
+from app.web.shape import iso
 from bus.contract import BusLink, Hello, ParameterValue, Reading, Snapshot, UnitLink, Update
 from bus.instants import UnixTime
 from bus.messages import Message, number, term
@@ -88,6 +89,11 @@ class Pipeline:
             if count:
                 refused = LineEvent("worker", None, at, what, "", "", reason, reason.code, count)
                 self._recorder.note(refused)
+
+    def readings_came_late(self, at: UnixTime, count: int, since: UnixTime, until: UnixTime) -> None:
+        """The worker has delivered readings of a span before; trends mark it."""
+        what = Message.of("event_readings_late", count=count, since=iso(since), until=iso(until))
+        self._recorder.note(LineEvent("worker", None, at, what, "", "", series=what.code))
 
     def worker_disconnected(self, at: UnixTime, cause: Message) -> None:
         self._live.lose_worker(at, cause)

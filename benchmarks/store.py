@@ -106,7 +106,9 @@ def _values(reading: Reading) -> tuple[int, int, int, int, int]:
 
 def _written(database: Database, deliveries: list[list[Delivery]], server_s: Callable[[], float]) -> Written:
     recorder = Recorder(database, Tail(), lambda _: None)
+    # As in a server: what was loaded is in no collection.
     gc.collect()
+    gc.freeze()
     began, server_began = time.process_time(), server_s()
     for number, delivery in enumerate(deliveries):
         recorder.commit(delivery)

@@ -45,15 +45,16 @@ class OwnPostgresql:
         initdb = [self._programs / "initdb", "-D", self._data, *options]
         subprocess.run(initdb, check=True, user=self._user, cwd="/", stdout=subprocess.DEVNULL)
 
-    def start(self) -> None:
-        """Returns once it takes connections."""
-        words = [word for name, value in {**OPTIONS, **DURABLE}.items() for word in ("-c", f"{name}={value}")]
+    def start(self, **more: str) -> None:
+        """Returns once it takes connections. ``more``: settings of this run."""
+        options = {**OPTIONS, **DURABLE, **more}
+        words = [word for name, value in options.items() for word in ("-c", f"{name}={value}")]
         command = [self._programs / "postgres", "-D", self._data, "-k", self.folder, *words]
         with (self.folder / "log").open("ab") as log:
             self._server = subprocess.Popen(
                 command, user=self._user, cwd="/", stdout=log, stderr=log, start_new_session=True
             )
-        ready = [self._programs / "pg_isready", "-q", "-h", self.folder]
+        ready = [self._programs / "pg_isready", "-q", "-h", self.folder, "-p", options.get("port", "5432")]
         eventually(lambda: subprocess.run(ready).returncode == 0, "PostgreSQL", within=START_S)
 
     def signal(self, number: int) -> None:

@@ -71,7 +71,9 @@ def test_systemd_accepts_it_without_a_word(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", UNITS)
 def test_it_has_what_a_service_on_a_plant_needs(name: str) -> None:
-    service = Unit(UNITS[name]).service
+    unit = Unit(UNITS[name])
+    service = unit.service
+    assert unit["Unit"]["StartLimitIntervalSec"] == "0", "a fault that lasts must not end it for good"
     wanted = {
         "User": "lineside",
         "SupplementaryGroups": "dialout",

@@ -65,15 +65,17 @@ interface Note extends StoredNote {
 /** What a preset shows now: from when, and until when; null: up to now. */
 type Preset = (now: number, starts: number[]) => [from: number, to: number | null];
 
-/** The names of the lanes above the curves. */
+/** The names of the lanes above the curves, and of the bar below them. */
 interface LaneWords {
   alarms: string;
   notes: string;
+  late: string;
 }
 
-/** What happened, for example an act of a person. */
+/** What happened, for example an act of a person; `until` is the end of readings that came late, null of all else. */
 interface Mark {
   t: number;
+  until: number | null;
   bus: string | null;
   unit: number | null;
   who: string | null;

@@ -239,6 +239,7 @@ interface TrendWords extends DOMStringMap {
   full: string;
   holes: string;
   language: string;
+  late: string;
   latest: string;
   live: string;
   more: string;

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from app.feed.channel import Channel, MessageSink
 from app.feed.clock import WorkerClock, shifted
-from app.feed.late import Coverage
+from app.feed.late import Coverage, LateReadings
 from app.feed.plausibility import judge_snapshot, sort_updates
 from app.feed.rates import FeedQuota
 from app.pipeline import IMPLAUSIBLE, KNOWN, OVER_QUOTA, Pipeline
@@ -69,6 +69,8 @@ class Ingest:
     missed_ticks: int = 0
     """Ticks in a row in which nothing came, though more would have been read."""
     _is_held_back: bool = False
+    _late: LateReadings = field(default_factory=LateReadings)
+    """Since the last batch without any."""
 
     def __post_init__(self) -> None:
         self._units: Collection[int] = self._pipeline.units
@@ -148,6 +150,10 @@ class Ingest:
             until = now if batch.live else self._window.until
             late = self._within_quota(self._in_window(found.late, until, refused), refused)
             self._pipeline.batch(late, live=False)
+            self._late.add(late)
+        elif self._late.count:
+            self._pipeline.readings_came_late(now, self._late.count, self._late.since, self._late.until)
+            self._late = LateReadings()
         if found.live:
             # The present is shown, also where history takes no more.
             unknown = [update for update in found.live if not self._window.is_known(update)]

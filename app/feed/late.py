@@ -6,6 +6,7 @@ reported live, and what another worker reported, is not changed later.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import inf
 
@@ -56,6 +57,21 @@ class LateWindow:
             return False
         self._newest[reading.unit] = own_at
         return True
+
+
+@dataclass(slots=True)
+class LateReadings:
+    """How many readings came late, and of which span."""
+
+    count: int = 0
+    since: UnixTime = UnixTime(inf)
+    until: UnixTime = UnixTime(-inf)
+
+    def add(self, updates: Iterable[Update]) -> None:
+        """Count those among late updates that were taken in."""
+        times = [update.at for update in updates if isinstance(update, Reading)]
+        self.count += len(times)
+        self.since, self.until = min((self.since, *times)), max((self.until, *times))
 
 
 @dataclass(slots=True)

@@ -121,6 +121,4 @@ def _spool_notice(status: HistoryStatus, formats: Formats, now: UnixTime) -> Mes
         held = Message.of("history_spool_lost", held=held, lost=status.spool_lost)
     if status.state == "following" or status.away_since is None:
         return Message.of("history_following_now", held=held)
-    reason = status.cause or NOTICES["spooling"]
-    since = formats.since(status.away_since, now)
-    return Message.of("history_spooling_since", time=since, held=held, reason=reason)
+    return Message.of("history_spooling_since", time=formats.since(status.away_since, now), held=held)

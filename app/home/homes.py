@@ -87,7 +87,8 @@ class Homes:
         self._held: dict[str, Lease] = {}
         self._subscribers: list[HomeSubscriber] = []
         self.faults: tuple[Message, ...] = ()
-        """What a person must put right, as of the last look at the store; every page shows it."""
+        """What a person must put right, as of the last look at the store; the pages of the line and of trends
+        show it."""
         self.outnumbered: dict[str, int] = {}
         """The highest epoch that a worker has seen of a bus, where it is above that of its home here."""
         self.is_outnumbered = asyncio.Event()

@@ -17,9 +17,14 @@ from app.routing.hop import Hop, opened, sealed
 from app.routing.secret import site_secret
 from app.routing.store_clock import StoreClock
 from app.server.admission import ARRIVED_AT
-from bus.instants import MonotonicClock, UnixTime, monotonic_now
+from bus.instants import Clock, MonotonicClock, UnixTime, monotonic_now, unix_now
+from bus.messages import Message
 
 COMPARE_EVERY_S = 1.0
+MAX_APART_S = 5
+"""Up to here, times of this server and of others match for a person who compares them."""
+STEADY_S = 2
+"""A notice that counted each second would be read aloud each second."""
 log = structlog.get_logger()
 
 
@@ -31,6 +36,8 @@ class SiteServers:
     buses: Collection[str]
     monotonic: MonotonicClock = monotonic_now
     clock: StoreClock = field(default_factory=StoreClock)
+    wall_clock: Clock = unix_now
+    _apart_s: int = 0
     _secret: bytes = b""
 
     async def load(self, database: Database) -> None:
@@ -43,9 +50,24 @@ class SiteServers:
             before = self.monotonic()
             try:
                 self.clock.compare(before, await read_clock(), self.monotonic())
+                self._note_apart(round(self.wall_clock() - self.clock.to_store(self.monotonic())))
             except StoreError as error:
                 log.warning("clock of the store not read", why=str(error))
             await asyncio.sleep(COMPARE_EVERY_S)
+
+    def _note_apart(self, apart_s: int) -> None:
+        if abs(apart_s - self._apart_s) < STEADY_S:
+            return
+        self._apart_s = apart_s
+        if (notice := self.clock_notice) is not None:
+            log.warning("clock", why=str(notice))
+
+    @property
+    def clock_notice(self) -> Message | None:
+        """For people, where the clock of this server and that of the store differ; None while they agree."""
+        if abs(self._apart_s) <= MAX_APART_S:
+            return None
+        return Message.of("clocks_apart", seconds=abs(self._apart_s))
 
     @property
     def is_shared(self) -> bool:

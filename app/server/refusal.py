@@ -14,6 +14,14 @@ from app.server.security_headers import HEADERS
 MEDIA_TYPE = "application/problem+json"
 
 
+def last_response(status: int, media_type: str, body: bytes, **more: str) -> bytes:
+    """A complete HTTP response with which its connection ends. ``more``: further headers by their names."""
+    own = {"Content-Type": media_type, "Content-Length": len(body), "Connection": "close"}
+    headers = {**HEADERS, **own, **more}
+    lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+    return f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\n{lines}\r\n".encode() + body
+
+
 @dataclass(frozen=True, slots=True)
 class Refusal:
     """A problem (RFC 9457) for a request that could not be read; the connection ends with it."""
@@ -24,10 +32,7 @@ class Refusal:
 
     def response(self) -> bytes:
         """The complete HTTP response."""
-        phrase, body = HTTPStatus(self.status).phrase, self._body()
-        headers = {**HEADERS, "Content-Type": MEDIA_TYPE, "Content-Length": len(body), "Connection": "close"}
-        lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
-        return f"HTTP/1.1 {self.status} {phrase}\r\n{lines}\r\n".encode() + body
+        return last_response(self.status, MEDIA_TYPE, self._body())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """As an ASGI app."""

@@ -35,7 +35,7 @@ export function fetchSeries(names, range, points, signal) {
   return get("/series", query, signal);
 }
 
-/** What happened over the span: `{marks: [{t, what, …}], more}`.
+/** What happened over the span: `{marks: [{t, until, what, …}], more}`.
  * @param {string[]} names @param {Span} range @returns {Promise<{ marks: Mark[], more: boolean }>} */
 export function fetchMarks(names, range) {
   const query = unitQuery(names, range);

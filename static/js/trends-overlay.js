@@ -36,7 +36,9 @@ export function drawOverlay(plot, overlay, range, unknown, words) {
   for (const span of unknown) hatch(plot, span);
   ctx.lineWidth = devicePixelRatio;
   ctx.font = `600 ${12 * devicePixelRatio}px ${css("--family")}`;
-  for (const { t } of overlay.marks) line(plot, t, range, "--line-strong", [2, 4]);
+  for (const { t, until } of overlay.marks)
+    if (until === null) line(plot, t, range, "--line-strong", [2, 4]);
+    else late(plot, [t, until], words?.late ?? "");
   for (const { t } of overlay.notes) line(plot, t, range, "--text", []);
   for (const name of /** @type {const} */ (["a", "b"]))
     line(plot, overlay[name], range, "--mark-ink", [], name.toUpperCase());
@@ -55,6 +57,21 @@ function line({ ctx, bbox, valToPos }, at, [from, to], name, dash, label = "") {
   ctx.lineTo(x, bbox.top + bbox.height);
   ctx.stroke();
   if (label) ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 14 * devicePixelRatio);
+}
+
+/** A bar along the time axis: readings that came late.
+ * @param {uPlot} plot @param {Span} span @param {string} label */
+function late({ ctx, bbox, valToPos }, [from, to], label) {
+  const [left, right] = [valToPos(from, "x", true), valToPos(to, "x", true)];
+  if (right < bbox.left) return;
+  const [height, bottom] = [4 * devicePixelRatio, bbox.top + bbox.height];
+  ctx.save();
+  ctx.fillStyle = colour("--line-strong");
+  ctx.fillRect(left, bottom - height, Math.max(height, right - left), height);
+  ctx.fillStyle = colour("--quiet");
+  ctx.textAlign = "left";
+  ctx.fillText(label, Math.max(left, bbox.left + height), bottom - 2 * height);
+  ctx.restore();
 }
 
 /** @param {uPlot} plot @param {Span} span */

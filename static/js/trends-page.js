@@ -60,7 +60,7 @@ export class TrendsPage {
       document.getElementById("trend-lanes"),
       { cursor: (at) => this.moved(at), selected: (from, to) => this.view.show(from, to) },
       () => this.overlay(),
-      { alarms: this.words.alarms, notes: this.words.notes },
+      { alarms: this.words.alarms, notes: this.words.notes, late: this.words.late },
     );
   }
 

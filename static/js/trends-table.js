@@ -143,5 +143,6 @@ export function eventContent(mark) {
   const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
   const { what, old, new: changed } = mark.shown;
   const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
-  return [`${formatTime(mark.t)} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`];
+  const until = mark.until === null ? "" : ` – ${formatTime(mark.until)}`;
+  return [`${formatTime(mark.t)}${until} · ${where}${what}${change}${mark.who ? ` (${mark.who})` : ""}`];
 }

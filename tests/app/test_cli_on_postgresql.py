@@ -12,6 +12,7 @@ from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import cli
 from app.database.settings import StoreSettings
+from tests import fork_server
 from tests.postgresql import fresh_database, needs_postgresql
 
 pytestmark = needs_postgresql
@@ -27,7 +28,7 @@ def site(folder: Path, store: StoreSettings) -> Path:
     """The configuration of a site whose audit key is beside it once it was made."""
     folder.mkdir(exist_ok=True)
     config = folder / "lineside.toml"
-    config.write_text(f"[store]\nurl = '{store.url}'\n")
+    config.write_text(f"[server]\nport = 0\n[store]\nurl = '{store.url}'\n")
     return config
 
 
@@ -54,6 +55,8 @@ def test_a_second_server_needs_the_key_of_the_site_and_another_site_another_data
     assert "a site lives in the database of [store], and its audit key is not here" in add_user(without, 1)
     make_key_file(without.with_name("lineside.audit.key"), KeyOrigin())
     assert "another site lives there, or the key was rotated" in add_user(without, 1)
+    served = fork_server.run("serve", "--config", without)
+    assert (served.returncode, "another site lives there" in served.stderr) == (1, True), served.stderr
     without.with_name("lineside.audit.key").write_bytes(first.with_name("lineside.audit.key").read_bytes())
     assert "anna" in run(without, "user", "list")
 

@@ -145,6 +145,9 @@ async def test_the_backlog_goes_to_history_alone_and_is_no_gap(stage: Stage) -> 
     await worker.update(reading(1, 8))
     await until(lambda: _commanded(stage) == 8, "the live reading")
     assert not any(isinstance(message, WantSnapshot) for message in worker.received)
+    await stage.recorder.recorded()
+    events, _ = await stage.events.page(Filter(code="event_readings_late"), 10)
+    assert [event["messages"]["what"].params["count"] for event in events] == [1]
 
 
 @pytest.mark.usefixtures("quick_ticks")

@@ -8,7 +8,7 @@ import json
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,8 @@ from app.web.shape import iso
 from app.web.templating import Templates
 from app.web.turns import Turns
 from bus.contract import UnitLink
+from bus.instants import UnixTime
+from bus.messages import Message
 from tests.app.history_line import BUS, NOON, parameter, polls, until
 from tests.stores import both_engines, open_store
 
@@ -221,6 +223,31 @@ async def test_marks_are_what_happened_to_the_units_shown(client: httpx.AsyncCli
     assert [mark["t"] for mark in epoch["marks"]] == [NOON + 5]
     later = (await client.get("/history/marks", params={"from": at(10), "to": at(20)})).json()
     assert later["marks"] == []
+
+
+async def test_readings_that_came_late_are_a_mark_of_their_span(
+    client: httpx.AsyncClient, tmp_path: Path
+) -> None:
+    """Whenever they came, and however much of the span is shown."""
+    with closing(open_store(tmp_path / "lineside.db")) as database:
+        for code, span in (("event_history_follows", (30, 60)), ("event_readings_late", (80, 90))):
+            begin, end = (iso(NOON + each) for each in span)
+            what = Message.of(code, count=100, since=begin, until=end)
+            await EventLog(database).record(kind="server", what=what, at=UnixTime(NOON + 3600))
+
+    async def spans(start: float, end: float) -> list[tuple[float, float | None]]:
+        params = {"from": at(start), "to": at(end), "format": "epoch", "unit": "dry-end/1"}
+        marks = (await client.get("/history/marks", params=params)).json()["marks"]
+        return [(mark["t"] - NOON, mark["until"] and mark["until"] - NOON) for mark in marks]
+
+    assert await spans(0, 20) == [(5, None)]
+    assert await spans(0, 50) == [(5, None), (30, 60)]
+    assert await spans(40, 85) == [(30, 60), (80, 90)]
+    assert await spans(3500, 3700) == [], "not when they came"
+    params = {"from": at(20), "to": at(40)}
+    [mark] = (await client.get("/history/marks", params=params)).json()["marks"]
+    assert (mark["t"], mark["until"]) == (iso(NOON + 30), iso(NOON + 60))
+    assert "100 readings" in mark["shown"]["what"]
 
 
 async def test_csv_names_units_and_time_zone(client: httpx.AsyncClient, history: History) -> None:

@@ -327,7 +327,7 @@ async def test_a_namesake_is_named_and_takes_nothing(start: Start) -> None:
     twin, _ = await start("a")
     await until(lambda: twin.homes.faults)
     assert not twin.homes.is_here(BUS)
-    assert "another server has the id a too" in str(twin.homes.faults[0])
+    assert "Another server has the id a too" in str(twin.homes.faults[0])
 
 
 async def test_one_that_cannot_start_it_gives_it_up(start: Start, tmp_path: Path) -> None:

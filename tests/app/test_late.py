@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from app.feed.late import FIRST_S, OFFSET_ERROR_S, REPEATED_S, Coverage, LateWindow
+from app.feed.late import FIRST_S, OFFSET_ERROR_S, REPEATED_S, Coverage, LateReadings, LateWindow
 from bus.contract import (
     MAX_UPDATES,
     Batch,
@@ -122,3 +122,12 @@ def test_a_clock_that_was_set_back_refuses_the_time_before_and_not_all_that_foll
     coverage = Coverage(NOW)
     assert coverage.window(NOW - 3600).since == NOW - 3600
     assert coverage.window(NOW - 3000).since == NOW - 3600
+
+
+def test_late_readings_are_counted_with_their_span() -> None:
+    late = LateReadings()
+    late.add([UnitLink(1, NOW - 90, "offline")])
+    assert late == LateReadings()
+    for ages in ((60, 50), (40, 30)):
+        late.add([replace(READING, at=NOW - age) for age in ages])
+    assert late == LateReadings(4, NOW - 60, NOW - 30)

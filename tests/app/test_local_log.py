@@ -18,6 +18,7 @@ from app.audit.local_log.transaction import LoggedEvent, LoggedTransaction
 from app.audit.local_log.writing import forget_old
 from app.audit.log import EventLog
 from app.audit.store import Filter
+from app.database import SqliteDatabase
 from app.errors import StoreError, StoreUnavailableError
 from bus.instants import unix_now
 from bus.messages import Message
@@ -115,6 +116,23 @@ async def test_an_outcome_finds_its_intent_wherever_that_is(away: AwayDatabase, 
     found = {event["what"]: event["outcome"] for event in await stored(events, "command")}
     assert found == {"direct": "verified", "local": "refused"}
     assert await events.close_open_intents(None) == 0
+
+
+async def test_an_outcome_that_comes_after_another_is_a_remark_on_its_unit(
+    away: AwayDatabase, events: EventLog, tmp_path: Path
+) -> None:
+    [intent] = await events.intend_together([{"what": "stop", "bus": "dry-end", "unit": 3}])
+    away.leave()
+    await events.conclude(intent, "verified")
+    with closing(SqliteDatabase(tmp_path / "store.db")) as other:
+        assert await EventLog(other, keys=KEYS).close_open_intents("dry-end") == 1
+    await away.come_back()
+    [command] = await stored(events, "command")
+    assert command["outcome"] == "unverified"
+    [remark, _followed] = await stored(events, "audit")
+    late = Message.of("event_outcome_came_late", event=command["id"], outcome="verified")
+    assert (remark["messages"]["what"], remark["bus"], remark["unit"]) == (late, "dry-end", 3)
+    assert (await events.proof.verify({})).fault is None
 
 
 async def test_an_unconfirmed_intent_that_was_not_sent_ends_as_not_sent(
@@ -277,3 +295,23 @@ def test_a_torn_line_is_cut_off_before_the_next(tmp_path: Path) -> None:
     assert (found.transactions, found.fault) == ([first], None)
     again.append(second, KEYS.ring, is_urgent=True)
     assert LocalFile(tmp_path).read(KEYS.ring).transactions == [first, second]
+
+
+async def test_a_log_that_is_cut_off_is_followed_as_far_as_it_goes(
+    away: AwayDatabase, events: EventLog, tmp_path: Path
+) -> None:
+    away.leave()
+    for number in range(3):
+        await log_event(events, f"while away {number}")
+    away.is_away = False
+    away.availability.__init__()  # type: ignore[misc]
+    log = tmp_path / "local-log"
+    log.write_bytes(log.read_bytes()[:-5])
+    next_server = event_log(away, tmp_path)
+    assert next_server.local is not None
+    await next_server.local.load()
+    assert [event["what"] for event in await stored(next_server)] == ["while away 0", "while away 1"]
+    notes = [event["messages"]["what"] for event in await stored(next_server, "audit")]
+    assert Message.of("event_local_log_cut_off", n=2) in notes
+    await next_server.local.load()
+    assert len(await stored(next_server, "audit")) == len(notes), "it is reported once"

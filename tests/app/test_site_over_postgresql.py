@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from functools import partial
@@ -20,6 +21,7 @@ from app.sites.board import LineBoard
 from app.sites.publisher import CHANNEL, notify_lines
 from app.sites.summary import end_notice
 from app.sites.summary import notices as notices_of
+from bus.instants import UnixTime, unix_now
 from tests.app.played_site import PlayedHomes
 from tests.app.stage import until
 from tests.app.test_line_board import summary
@@ -92,5 +94,26 @@ async def test_both_have_the_clock_of_the_store(two: tuple[Database, Database]) 
     now = servers[0].monotonic()
     seen = servers[1].clock.from_store(servers[0].clock.to_store(now))
     assert seen <= now
+    for task in comparing:
+        task.cancel()
+
+
+async def test_a_clock_that_is_an_hour_ahead_is_stated_and_counted_in_no_command(
+    two: tuple[Database, Database],
+) -> None:
+    ahead = [0.0, 3600.0]
+    servers = [
+        SiteServers(PlayedHomes(), BUSES, wall_clock=lambda by=by: UnixTime(unix_now() + by)) for by in ahead
+    ]
+    comparing = [
+        asyncio.create_task(each.compare_clocks(partial(database.read, engine.clock)))
+        for each, database in zip(servers, two, strict=True)
+    ]
+    await until(lambda: all(each.is_clock_known for each in servers), "both clocks")
+    await until(lambda: servers[1].clock_notice, "the notice")
+    assert servers[0].clock_notice is None
+    assert re.search(r"differ by 3(599|600|601) s", str(servers[1].clock_notice))
+    now = servers[0].monotonic()
+    assert abs(servers[1].clock.from_store(servers[0].clock.to_store(now)) - now) < 60
     for task in comparing:
         task.cancel()

@@ -97,6 +97,10 @@ class LocalLog:
             return
         self._pending.extend(found.transactions)
         await self.follow()
+        if found.is_cut_off:
+            what = Message.of("event_local_log_cut_off", n=len(found.transactions))
+            log.warning("local log cut off", what=str(what))
+            await self._remark(what)
 
     async def add(self, transaction: LoggedTransaction, *, is_urgent: bool) -> None:
         """Log a transaction; it is on disk when this returns. Raises StoreError where it is not."""

@@ -1,8 +1,8 @@
 """A transaction as data, and the sealed line that holds it in the local log. Pure.
 
 Each line is sealed with the audit key over the line before and its own text: none can be forged, changed,
-left out or put in another place unnoticed. The last line may be torn: the machine failed before anything was
-sent.
+left out or put in another place unnoticed. The last line may be cut off: the machine failed before anything
+was sent, or its disk has lost the end.
 """
 
 from __future__ import annotations
@@ -63,12 +63,13 @@ def new_transaction(
 @dataclass(frozen=True, slots=True)
 class ReadLog:
     """The content of a local log. ``end``: the bytes up to there are good; ``seal``: of the last good line;
-    ``fault``: why what follows is not believed; None: nothing does, or a torn line."""
+    ``fault``: why what follows is not believed; ``is_cut_off``: it ends in the middle of a line."""
 
     transactions: list[LoggedTransaction] = field(default_factory=list)
     end: int = 0
     seal: str = BEGINNING
     fault: Message | None = None
+    is_cut_off: bool = False
 
 
 def sealed_line(transaction: LoggedTransaction, previous: str, ring: KeyRing) -> tuple[bytes, str]:
@@ -97,4 +98,4 @@ def read_lines(content: bytes, ring: KeyRing) -> ReadLog:
         except msgspec.MsgspecError:
             return ReadLog(found, end, previous, ALTERED)
         end, previous = stop + 1, seal
-    return ReadLog(found, end, previous)
+    return ReadLog(found, end, previous, is_cut_off=end < len(content))

@@ -33,6 +33,7 @@ MAX_AGE_S = 30 * 86_400.0
 _FIND = "SELECT events FROM local_transaction WHERE ref = ?"
 _NOTE = "INSERT INTO local_transaction (ref, at, events, entered_at) VALUES (?, ?, ?, ?)"
 _CONCLUDED = "SELECT 1 FROM events WHERE about = ?"
+_PLACE = "SELECT bus, unit FROM events WHERE id = ?"
 _FORGET = "DELETE FROM local_transaction WHERE entered_at IS NULL AND at < ?"
 
 
@@ -96,7 +97,10 @@ def _in_time(connection: StoreConnection, entry: dict[str, Any]) -> dict[str, An
     if about is None or connection.execute(_CONCLUDED, (about,)).fetchone() is None:
         return entry
     what = Message.of("event_outcome_came_late", event=about, outcome=entry["outcome"])
-    remark = new_entry(time=entry["time"], kind="audit", what=what, message=entry["message"])
+    bus, unit = connection.execute(_PLACE, (about,)).fetchone()
+    remark = new_entry(
+        time=entry["time"], kind="audit", bus=bus, unit=unit, what=what, message=entry["message"]
+    )
     return {**remark, "frames": entry["frames"]}
 
 

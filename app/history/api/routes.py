@@ -9,10 +9,9 @@ from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from app.audit.api import Events
-from app.audit.log import Event
-from app.audit.store import Filter
 from app.errors import Problem
 from app.history.api import spans
+from app.history.api.marks import marks_of, shown_mark, time_shown
 from app.history.api.schemas import EXPORT, HistoryMarks, HistorySeries, Sparkline, json_of
 from app.history.api.spans import HistoryOf, PointsOf, Span, SpanOf
 from app.history.export import download
@@ -22,24 +21,16 @@ from app.history.series import values
 from app.history.series.runs import SECOND
 from app.history.service import seconds
 from app.history.status import HistoryStatus
-from app.messages import Language
 from app.web.access import Viewer
 from app.web.api_route import ApiRoute
-from app.web.shape import iso, json_response, message_shown
+from app.web.shape import iso, json_response
 from app.web.templating import templates_of
 from app.web.turns import DOWNLOAD, SEARCH
-from bus.instants import UnixTime
 from bus.messages import Message
 
 router = APIRouter(prefix="/api/v1/history", tags=["history"], route_class=ApiRoute)
 SPARK_POINTS = 120
 MAX_SPARKS = 255
-MAX_MARKS = 500
-MARK_KINDS = frozenset({"command", "mode", "estop", "run", "unit", "bus", "worker", "server", "clock"})
-"""Events that explain a curve; sign-ins do not."""
-_TEXTS = ("what", "old", "new")
-"""The fields of a mark that may be messages."""
-_OF_MARK = ("id", "kind", "who", "bus", "unit", "outcome", *_TEXTS)
 TimeFormat = Annotated[Literal["iso", "epoch"], Query(alias="format")]
 
 
@@ -57,7 +48,7 @@ def shown(requested: SeriesQuery, found: QueryResult, times: str) -> dict[str, A
         "to": iso(seconds(requested.end)),
         "resolution": found.resolution,
         "bucket_s": found.bucket / SECOND,
-        "t": [_time(each, times) for each in at],
+        "t": [time_shown(each, times) for each in at],
         "min": found.series.least,
         "max": found.series.greatest,
         "avg": found.series.average,
@@ -121,11 +112,7 @@ async def get_sparklines(
 
 
 def _small(found: QueryResult, times: str) -> dict[str, Any]:
-    return {"t": [_time(seconds(at), times) for at in found.series.at], "avg": found.series.average}
-
-
-def _time(at: UnixTime, times: str) -> str | UnixTime:
-    return at if times == "epoch" else iso(at)
+    return {"t": [time_shown(seconds(at), times) for at in found.series.at], "avg": found.series.average}
 
 
 @router.get("/marks", response_model=None, responses=json_of(HistoryMarks), dependencies=[SEARCH])
@@ -138,29 +125,13 @@ async def get_history_marks(
     times: TimeFormat = "iso",
 ) -> Response:
     """Events of a span, oldest first: events (setpoint changes too) of the site and of each
-    ``bus/unit`` named. At most the newest 500; ``more``: there were more. ``shown``: ``what``,
-    ``old`` and ``new`` in the reader's language."""
-    wanted = Filter(since=seconds(span.start), until=seconds(span.end))
-    found, after = await events.page(wanted, MAX_MARKS)
+    ``bus/unit`` named, and the spans of readings that came late. At most the newest 500; ``more``: there
+    were more. ``shown``: ``what``, ``old`` and ``new`` in the reader's language."""
     language = templates_of(request).language_of(request)
-    marks = [_mark(event, times, language) for event in reversed(found) if _explains(event, unit)]
-    return await json_response(lambda: {"marks": marks, "more": after is not None})
-
-
-def _explains(event: Event, units: list[str] | None) -> bool:
-    is_of_chosen = event["unit"] is None or not units or f"{event['bus']}/{event['unit']}" in units
-    return event["kind"] in MARK_KINDS and is_of_chosen
-
-
-def _mark(event: Event, times: str, language: Language) -> dict[str, Any]:
-    messages = {name: event["messages"][name] for name in _TEXTS if name in event["messages"]}
-    texts = {name: event[name] for name in _TEXTS if event[name]}
-    return {
-        **{name: event[name] for name in _OF_MARK},
-        "t": _time(event["time"], times),
-        "messages": {name: message_shown(message) for name, message in messages.items()},
-        "shown": texts | {name: language.t(messages[name]) for name in messages.keys() & texts},
-    }
+    found, more = await marks_of(events, seconds(span.start), seconds(span.end), unit)
+    return await json_response(
+        lambda: {"marks": [shown_mark(m, times, language) for m in found], "more": more}
+    )
 
 
 @router.get("/status")

@@ -57,6 +57,10 @@ class HistoryMark(TypedDict):
     t: Annotated[
         Instant | float, Field(description="ISO 8601 in UTC, or with format=epoch seconds since 1970.")
     ]
+    until: Annotated[
+        Instant | float | None,
+        Field(description="Of readings that came late, which are those from t on: their end; else null."),
+    ]
     id: Annotated[int, Field(description="Number of the event.")]
     kind: str
     what: str

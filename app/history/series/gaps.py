@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from operator import sub
 
 from app.history.series.runs import SECOND
@@ -37,10 +36,13 @@ def usual_interval(runs: Sequence[Sequence[int]]) -> int:
     The readings within a run count as well: of a steady value there is nothing between runs but holes.
     """
     sample = runs[:_SAMPLE]
-    if all(run[2] == 1 for run in sample):
-        lengths = sorted(b[0] - a[1] for a, b in pairwise(sample))
+    if not sample:
+        return 0
+    at, until, readings, *_ = zip(*sample, strict=True)
+    lengths = sorted(map(sub, at[1:], until))
+    if readings.count(1) == len(readings):
         return lengths[(len(lengths) - 1) // 2] if lengths else 0
-    spans = [(b[0] - a[1], 1) for a, b in pairwise(sample)]
+    spans = [(length, 1) for length in lengths]
     spans += [((run[1] - run[0]) // (run[2] - 1), run[2] - 1) for run in sample if run[2] > 1]
     return _middle(sorted(spans))
 
@@ -56,13 +58,19 @@ def _middle(spans: Iterable[tuple[int, int]]) -> int:
     return 0
 
 
+def short_gap(usual: int) -> int:
+    """The longest gap, µs, that no hole is without a report of a loss. ``usual``: how often
+    the unit responds, µs."""
+    return max(SHORT_GAP, FEW_INTERVALS * usual)
+
+
 def holes(times: Sequence[int], marks: Marks, usual: int, width: int = 0) -> list[int]:
     """Positions ``i`` with a hole between ``times[i]`` and ``times[i + 1]`` (in order).
 
     ``width``: a time represents all readings within so many µs after it.
     """
     differences = list(map(sub, times[1:], times))
-    short = width + max(SHORT_GAP, FEW_INTERVALS * usual)
+    short = width + short_gap(usual)
     if not marks.lost and max(differences, default=0) <= short:
         return []
     limit = width + max(LONG_GAP, MANY_INTERVALS * usual)

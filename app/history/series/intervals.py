@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import accumulate, pairwise
+from itertools import accumulate, compress, count, pairwise
+from operator import itemgetter, ne, sub
 from typing import NamedTuple
 
-from app.history.series.gaps import Marks, holes, usual_interval
-from app.history.series.runs import MINUTE, PlainRun
+from app.history.series.gaps import Marks, holes, short_gap, usual_interval
+from app.history.series.runs import MINUTE, PlainRun, Run
+
+_PART = itemgetter(*(Run._fields.index(name) for name in ("at", "until", "word")))
+"""Of a run, the fields of an interval."""
 
 
 class Interval(NamedTuple):
@@ -24,13 +28,19 @@ def intervals(parts: Iterable[tuple[int, int, int]], marks: Marks, usual: int = 
     if not ordered:
         return []
     starts, ends, words = zip(*ordered, strict=True)
-    reach = list(accumulate(ends, max))
+    changed = compress(count(1), map(ne, words[1:], words))
+    cuts = sorted({0, len(ordered), *_broken(starts, list(accumulate(ends, max)), marks, usual), *changed})
+    return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
+
+
+def _broken(starts: Sequence[int], reach: Sequence[int], marks: Marks, usual: int) -> set[int]:
+    """Which parts have a hole before them. ``reach``: where all parts up to each have ended."""
+    # As a rule there is none, and each minute of each unit passes here.
+    if not marks.lost and max(map(sub, starts[1:], reach), default=0) <= short_gap(usual):
+        return set()
     begins = map(max, starts, (0, *reach))
     edges = [time for pair in zip(begins, reach, strict=True) for time in pair]
-    broken = {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2}
-    changed = {i for i, (before, word) in enumerate(pairwise(words), 1) if word != before}
-    cuts = sorted({0, len(ordered)} | broken | changed)
-    return [Interval(starts[i], max(ends[i:j]), words[i]) for i, j in pairwise(cuts)]
+    return {i // 2 + 1 for i in holes(edges, marks, usual) if i % 2}
 
 
 def splice(stored: Sequence[Interval], minute: int, runs: Sequence[PlainRun], marks: Marks) -> list[Interval]:
@@ -39,4 +49,4 @@ def splice(stored: Sequence[Interval], minute: int, runs: Sequence[PlainRun], ma
     after = minute + MINUTE
     around = [part._replace(until=min(part.until, minute - 1)) for part in stored if part.at < minute]
     around += [part._replace(at=max(part.at, after)) for part in stored if part.until >= after]
-    return intervals([*around, *((run[0], run[1], run[6]) for run in runs)], marks, usual_interval(runs))
+    return intervals([*around, *map(_PART, runs)], marks, usual_interval(runs))

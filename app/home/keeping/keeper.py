@@ -371,7 +371,7 @@ class HomeKeeper:
             log.warning("event of a home not recorded", what=str(event), why=str(error))
 
     def _note_faults(self, found: Mapping[str, Verdict], beat: Beat) -> None:
-        """What a person must put right: it is logged once, and shown on every page."""
+        """What a person must put right: it is logged once, and shown on pages."""
         server, rows = self._homes.server, beat.rows
         twins = [bus for bus, each in found.items() if each == "held_by_namesake" and self._lives_on(bus)]
         faults = []

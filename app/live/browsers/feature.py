@@ -63,7 +63,7 @@ def _make_sources(services: Services) -> Sources:
         recipes=services[RecipeBook],
         alarms=services[AlarmBanner],
         lines=services[Fleet],
-        notices=partial(_notices, services[Homes], history, services[Anchoring], services[Reserve]),
+        notices=partial(_notices, servers, services[Homes], history, services[Anchoring], services[Reserve]),
         history_fault=lambda: history.status.message,
         away=partial(_away, services[Availability]),
         home=lambda bus: holder_of(bus, servers.homes),
@@ -81,6 +81,7 @@ def _stream_alarm(stream: LineStream, alarms: LineAlarms, alarm: Alarm) -> None:
 
 
 def _notices(
+    servers: SiteServers,
     homes: Homes,
     history: History,
     anchoring: Anchoring,
@@ -88,8 +89,9 @@ def _notices(
     translator: Translator,
     now: UnixTime,
 ) -> str:
-    """Faults of the homes and of the records, in the reader's language; mostly none."""
+    """Faults of the clocks, the homes and the records, in the reader's language; mostly none."""
     found = (
+        servers.clock_notice,
         *homes.faults,
         store_notice(history.status, translator.formats, now),
         anchor_notice(anchoring.status, translator.formats, now),
