@@ -18,7 +18,6 @@ from typing_extensions import TypedDict
 from bus.instants import UnixTime
 from bus.messages import ENGLISH, Message, shown
 
-
 _NUMBER = re.compile(r"-?[\d.,]+")
 
 
@@ -84,7 +83,7 @@ def csv_text(rows: Iterable[Iterable[str]]) -> str:
 
 
 def csv_cell(value: object) -> str:
-    """A cell of CSV that people wrote: what a spreadsheet would take for a formula is text (OWASP, CSV injection)."""
+    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
     text = "" if value is None else str(value)
     return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
 

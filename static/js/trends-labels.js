@@ -3,7 +3,7 @@ import { colour, css } from "./trends-look.js";
 
 const HEIGHT = 15;
 const INSET = 16;
-const LETTER = 6.6;
+const MIN_NAME = 53;
 
 /** Where labels of a height stand that want to be at `wanted`, in order of these, within a span: each as near as the
  * others allow, those that would touch around their middle; none overlaps another as long as there is room.
@@ -56,15 +56,17 @@ export function drawLabels(plot, ends, width) {
     ctx.lineTo(edge + (INSET - 4) * ratio, places[i]);
     ctx.stroke();
     ctx.fillStyle = colour(dimmed ? "--quiet" : "--text");
-    ctx.fillText(shortened(`${place + 1} ${label}`, width - INSET), edge + INSET * ratio, places[i]);
+    ctx.fillText(shortened(ctx, `${place + 1} ${label}`, (width - INSET) * ratio), edge + INSET * ratio, places[i]);
   });
   ctx.restore();
 }
 
-/** A text that fits into so many pixels: a number alone where a name would not.
- * @param {string} text @param {number} width */
-function shortened(text, width) {
-  const most = Math.floor(width / LETTER);
-  if (most < 8) return text.split(" ")[0];
-  return text.length > most ? `${text.slice(0, most - 1)}…` : text;
+/** A text that fits into so many pixels of a canvas: a number alone where a name would not.
+ * @param {CanvasRenderingContext2D} ctx @param {string} text @param {number} width */
+function shortened(ctx, text, width) {
+  if (width < MIN_NAME * devicePixelRatio) return text.split(" ")[0];
+  if (ctx.measureText(text).width <= width) return text;
+  let letters = text.length - 1;
+  while (letters > 2 && ctx.measureText(`${text.slice(0, letters)}…`).width > width) letters--;
+  return `${text.slice(0, letters)}…`;
 }

@@ -25,7 +25,7 @@ FLEETING_S = 10.0
 STALE_S = 24 * 3600.0
 """One that stays active longer is stale."""
 MIN_FOR_TOP_TEN = 200
-"""Of fewer annunciated alarms, ten are more than 5 % however they are distributed: their share has no value."""
+"""Of fewer annunciated alarms, ten are more than 5 % in any case: their share has no value."""
 
 FigureCode = Literal[
     "annunciated",
