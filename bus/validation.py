@@ -44,6 +44,9 @@ def fault_message(error: Any) -> Message:
     """The message of one of a ValidationError's ``errors()``."""
     of: Mapping[str, Any] = error.get("ctx", {})
     match error["type"]:
+        # Of a text that a validator of ours has seen before pydantic measures it.
+        case "too_long" | "too_short" if isinstance(error["input"], str):
+            return fault_message(error | {"type": f"string_{error['type']}"})
         case str(kind) if kind in _WITHOUT_BOUNDS:
             return _WITHOUT_BOUNDS[kind]
         case str(kind) if kind in _WITH_BOUND:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
@@ -20,7 +19,7 @@ from app.audit.walk import AuditVerification
 from app.web.access import Admin, Viewer
 from app.web.api_route import ApiRoute
 from app.web.services import service
-from app.web.shape import Instant, MaybeInstant, csv_text, iso, json_response
+from app.web.shape import Instant, MaybeInstant, csv_cell, csv_text, iso, json_response
 from app.web.turns import DOWNLOAD, SEARCH
 from bus.instants import UnixTime
 
@@ -29,7 +28,6 @@ MAX_EVENTS = 1000
 """How many events one page may hold."""
 
 CSV: dict[int | str, dict[str, Any]] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
-_NUMBER = re.compile(r"-?[\d.,]+")
 COLUMNS = (
     *("id", "time", "kind", "who", "origin", "bus", "unit", "what"),
     *("old", "new", "old_raw", "new_raw", "outcome", "message", "count"),
@@ -160,10 +158,4 @@ async def _csv(events: EventLog, wanted: Filter) -> AsyncIterator[str]:
 
 def _chunk_text(chunk: list[Event]) -> str:
     rows = (shown(event) for event in chunk)
-    return csv_text([_cell(row[name]) for name in COLUMNS] for row in rows)
-
-
-def _cell(value: object) -> str:
-    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
-    text = "" if value is None else str(value)
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
+    return csv_text([csv_cell(row[name]) for name in COLUMNS] for row in rows)

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from urllib.parse import urlencode
 
+from app.audit.entry import Event
 from app.audit.log import EventLog
 from app.audit.store import Filter, UnitPlace
 from app.errors import StoreError
 from app.find.finders import FoundPlace, Search
 from app.find.matching import rank, words_of
+from app.messages import Language
 from app.settings import Settings
 from bus.messages import Message
 
@@ -36,6 +38,7 @@ class EventFinder:
     def __init__(self, events: EventLog, settings: Settings) -> None:
         self._events = events
         self._settings = settings
+        self._names = {(bus.name, unit.id): unit.name for bus in settings.bus for unit in bus.unit}
 
     async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """A way to the page of events with this search, and the newest of them."""
@@ -50,7 +53,7 @@ class EventFinder:
         return [
             *(
                 FoundPlace(
-                    search.language.t(event["messages"].get("what", event["what"])),
+                    self._label(event, search.language),
                     f"{every}#event-{event['id']}",
                     search.formats.moment(event["time"]) if event["time"] else "",
                     rank=LAST,
@@ -59,3 +62,9 @@ class EventFinder:
             ),
             more,
         ]
+
+    def _label(self, event: Event, language: Language) -> str:
+        """What happened, after the name of the unit that it happened to."""
+        what = language.t(event["messages"].get("what", event["what"]))
+        name = self._names.get((event["bus"] or "", event["unit"] or 0))
+        return f"{name} · {what}" if name else what

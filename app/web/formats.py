@@ -58,6 +58,14 @@ class Formats:
             return UNKNOWN
         return format_datetime(self.local(at), "medium", locale=self.locale)
 
+    def minute(self, at: UnixTime | datetime) -> str:
+        """Date and time to the minute."""
+        return f"{self.day(at)}, {self.local(at):%H:%M}"
+
+    def hours(self, start: UnixTime | datetime, end: UnixTime | datetime) -> str:
+        """A span of less than a day: its date and the time of day to the minute at each end."""
+        return f"{self.minute(start)}\N{EN DASH}{self.local(end):%H:%M}"
+
     def day(self, at: UnixTime | datetime) -> str:
         return format_date(self.local(at).date(), "medium", locale=self.locale)
 

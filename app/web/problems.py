@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 import structlog
 from fastapi import FastAPI
@@ -95,7 +96,18 @@ def respond(request: HTTPConnection, problem: Problem) -> Response:
     if wants_json(request):
         return problem_json(problem, _detail(request, problem))
     template = "web/_problem.html" if is_fragment(request) else "web/problem.html"
-    return render(request, template, status=problem.status, headers=problem.headers, problem=problem)
+    left = _page_left(request) if request.scope.get("method") == "POST" else ""
+    return render(
+        request, template, status=problem.status, headers=problem.headers, problem=problem, left=left
+    )
+
+
+def _page_left(request: HTTPConnection) -> str:
+    """The path of the page whose form was sent; empty where the browser does not name it."""
+    page = urlsplit(request.headers.get("referer", ""))
+    # Browsers take two slashes for another host.
+    path = f"/{page.path.lstrip('/')}" if page.scheme in ("http", "https") else ""
+    return f"{path}?{page.query}" if path and page.query else path
 
 
 def _detail(request: HTTPConnection, problem: Problem) -> str:

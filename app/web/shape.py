@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import csv
+import re
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from io import StringIO
@@ -16,6 +17,8 @@ from typing_extensions import TypedDict
 
 from bus.instants import UnixTime
 from bus.messages import ENGLISH, Message, shown
+
+_NUMBER = re.compile(r"-?[\d.,]+")
 
 
 class StrictBody(BaseModel):
@@ -77,6 +80,12 @@ def csv_text(rows: Iterable[Iterable[str]]) -> str:
     buffer = StringIO()
     csv.writer(buffer).writerows(rows)
     return buffer.getvalue()
+
+
+def csv_cell(value: object) -> str:
+    """Text that a spreadsheet would take for a formula is kept text (OWASP, CSV injection)."""
+    text = "" if value is None else str(value)
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) and not _NUMBER.fullmatch(text) else text
 
 
 class MessageShown(TypedDict):

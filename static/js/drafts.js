@@ -10,6 +10,7 @@ const SENT = "lineside-draft-sent";
 const KEPT_S = 8 * 3600;
 const MAX_DRAFTS = 30;
 const MAX_LENGTH = 4000;
+const STAMP = /[?&]clicked_at=[\d.]+$/;
 const FIELDS =
   "input:is([type=text], [type=number], :not([type])), input.input--number, textarea, select";
 const { account } = document.body.dataset;
@@ -36,9 +37,10 @@ function write(drafts) {
   }
 }
 
-/** @param {HTMLFormElement} form */
+/** The address that a form is sent to is stamped with the moment of the press (review.js): without that.
+ * @param {HTMLFormElement} form */
 const keyOf = (form) =>
-  [account, location.pathname, form.getAttribute("hx-post") ?? form.getAttribute("action") ?? ""].join(" ");
+  [account, location.pathname, (form.getAttribute("hx-post") ?? form.action).replace(STAMP, "")].join(" ");
 
 /** A form that only filters, or is part of a review, has none; nor has a field that is not sent or is a secret.
  * @param {HTMLFormElement} form */

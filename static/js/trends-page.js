@@ -124,9 +124,9 @@ export class TrendsPage {
       this.marks = found.marks;
       this.alarms = active.alarms;
       this.notes = notes;
-      this.list("events", found.marks, found.more, eventContent);
-      this.list("alarms", active.alarms, active.more, (alarm) => alarmContent(alarm, words));
       const place = this.catalogue.place.bind(this.catalogue);
+      this.list("events", found.marks, found.more, (mark) => eventContent(mark, place));
+      this.list("alarms", active.alarms, active.more, (alarm) => alarmContent(alarm, words));
       this.list("notes", notes, false, (note) => noteContent(note, notes.indexOf(note), place));
       this.drawAll();
     } catch (error) {

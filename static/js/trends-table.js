@@ -137,10 +137,9 @@ export function clearList(list, count) {
   list.replaceChildren();
 }
 
-/** An event in a list.
- * @param {Mark} mark */
-export function eventContent(mark) {
-  const where = mark.unit ? `${mark.bus}/${mark.unit} · ` : mark.bus ? `${mark.bus} · ` : "";
+/** An event in a list. @param {Mark} mark @param {(bus: string, unit: number | null) => string} place */
+export function eventContent(mark, place) {
+  const where = mark.bus ? `${place(mark.bus, mark.unit)} · ` : "";
   const { what, old, new: changed } = mark.shown;
   const change = old || changed ? `: ${old || UNKNOWN} → ${changed || UNKNOWN}` : "";
   const until = mark.until === null ? "" : ` – ${formatTime(mark.until)}`;

@@ -10,16 +10,9 @@ const PARTS = {
   exact: { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3 },
   day: { day: "numeric", month: "short" },
   dayClock: { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit" },
-  minute: { year: "numeric", month: "short", day: "numeric", hour: "2-digit", minute: "2-digit" },
+  minute: { dateStyle: "medium", timeStyle: "short" },
   month: { month: "short", year: "numeric" },
-  moment: {
-    year: "numeric",
-    month: "short",
-    day: "numeric",
-    hour: "2-digit",
-    minute: "2-digit",
-    second: "2-digit",
-  },
+  moment: { dateStyle: "medium", timeStyle: "medium" },
 };
 /** @type {Map<string, Intl.DateTimeFormat>} */
 const formats = new Map();

@@ -72,7 +72,8 @@ async def test_units_parameters_recipes_events_and_pages_are_found(tmp_path: Pat
         assert ("/units/dry-end/2/parameters#parameter-6", "#6 Acceleration Ramp Rate") in near
         assert ("/recipes/1", "Board 200") in await found("board")
         assert ("/alarms", "Alarms") in await found("alarms")
-        assert any("#event-" in href for href, _ in await found("nip")), "an event of the unit by its name"
+        events_found = [label for href, label in await found("nip") if "#event-" in href]
+        assert events_found == ["Nip · server started"], "an event of the unit by its name, and with it"
         page = await client.get("/events", params={"search": "Nip"})
         assert "server started" in page.text
         assert not [href for href, _ in await found("add user") if href.startswith("/users")]

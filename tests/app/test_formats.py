@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.web.formats import UNKNOWN, Formats
+from bus.instants import UnixTime
 
 NOON = datetime(2026, 3, 29, 10, 0, tzinfo=UTC).timestamp()
 """The day on which Berlin's clocks went forward: noon there."""
@@ -57,3 +58,10 @@ def test_times_are_the_sites() -> None:
     assert berlin.iso(NOON) == "2026-03-29T12:00:00.000+02:00"
     assert berlin.moment(None) == UNKNOWN
     assert "12:00:00" in Formats("en", "Europe/Berlin").moment(datetime.fromtimestamp(NOON, UTC))
+
+
+def test_a_shift_is_its_date_and_its_hours() -> None:
+    english, german = Formats("en_GB", "Europe/Berlin"), Formats("de", "Europe/Berlin")
+    assert english.minute(UnixTime(NOON)) == "29 Mar 2026, 12:00"
+    assert german.hours(UnixTime(NOON), UnixTime(NOON + 8 * 3600)) == "29.03.2026, 12:00\N{EN DASH}20:00"
+    assert english.hours(UnixTime(NOON), UnixTime(NOON + 18 * 3600)) == "29 Mar 2026, 12:00\N{EN DASH}06:00"

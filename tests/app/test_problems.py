@@ -141,6 +141,24 @@ async def test_a_page_for_people_and_a_fragment_for_htmx(house: House) -> None:
     assert 'role="alert"' in part.text
 
 
+@pytest.mark.parametrize(
+    ("left", "link"),
+    [
+        ("http://server/trends?span=600&s=a", "/trends?span=600&amp;s=a"),
+        ("http://server//elsewhere.example/x", "/elsewhere.example/x"),
+        ("javascript:alert(1)", "/"),
+        ("", "/"),
+    ],
+)
+async def test_a_refused_form_leads_back_to_its_page(house: House, left: str, link: str) -> None:
+    """Which has what was typed as a draft."""
+    client = await house.signed_in(Role.VIEWER)
+    headers = {"accept": "text/html", "referer": left}
+    page = await client.post("/trends/views", data={"name": "N" * 10_000}, headers=headers)
+    assert (page.status_code, "at most 200 characters" in page.text) == (422, True)
+    assert f'<a class="button" href="{link}">' in page.text
+
+
 async def test_words_of_a_request_are_never_markup(house: House) -> None:
     client = await house.signed_in(Role.VIEWER)
     page = await client.get("/<img src=x>", headers={"accept": "text/html"})

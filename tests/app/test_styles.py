@@ -12,6 +12,8 @@ SYSTEM = re.compile(r"\b(Canvas|CanvasText|ButtonText|ButtonFace|Highlight|Highl
 WITHOUT_PAINT = {"--shadow"}
 WIDTHS = re.compile(r"^@media [^{]*\bwidth\b[^{]*\{.*?^\}", re.MULTILINE | re.DOTALL)
 PAINT = re.compile(r"^ *((?:[\w-]*color|background[\w-]*|opacity|filter|mix-blend-mode):.*)", re.MULTILINE)
+RULE = re.compile(r"^([^@{}\s][^{}]*) \{\n([^{}]*)\}", re.MULTILINE)
+"""A rule outside of others: its selector, and what it declares."""
 PANEL_REM = 80
 """The width of a panel, 1280 px."""
 
@@ -47,3 +49,21 @@ def test_no_style_of_a_window_wider_than_a_panel_changes_a_color() -> None:
     ]
     assert len(wider) >= 2
     assert [painted for block in wider for painted in PAINT.findall(block)] == []
+
+
+def test_no_style_swallows_the_next() -> None:
+    """A rule without its closing brace is valid: what follows is nested in it."""
+    sheets = {path.name: path.read_text(encoding="utf-8") for path in (static_dir() / "css").rglob("*.css")}
+    assert [name for name, css in sheets.items() if css.count("{") != css.count("}")] == []
+
+
+def test_a_sheet_looks_the_same_on_its_page_and_in_its_file() -> None:
+    """What both have in common is stated once, and each has it."""
+    folder = static_dir() / "css"
+    common, *own = (folder / name for name in ("sheet.css", "handover.css", "handover-document.css"))
+    rules = set(RULE.findall(common.read_text(encoding="utf-8")))
+    assert len(rules) >= 7
+    for path in own:
+        css = path.read_text(encoding="utf-8")
+        assert '@import "sheet.css";' in css
+        assert not rules & set(RULE.findall(css)), path

@@ -175,3 +175,16 @@ async def test_a_csv_for_people_has_one_row_a_time_with_names(house: House) -> N
     [head, *_] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
     assert head[0] == "Zeit"
     assert len(head) == 4
+
+
+async def test_a_name_in_a_csv_for_people_is_no_formula(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer = await house.program(Role.VIEWER)
+    monkeypatch.setattr(
+        "app.history.export.rows.Table.named", lambda *_: ['=HYPERLINK("x") actual', "Nip actual"]
+    )
+    query = {"series": [f"{BUS}/1/actual", f"{BUS}/2/actual"], "layout": "table"}
+    response = await viewer.get("/api/v1/history/export", params=query)
+    [head, *_] = csv.reader(io.StringIO(response.content.decode("utf-8-sig")))
+    assert head[2:] == ['\'=HYPERLINK("x") actual', "Nip actual"]

@@ -10,6 +10,7 @@ import pytest
 from pydantic import AwareDatetime, Field, TypeAdapter, ValidationError
 
 from app.web.shape import StrictBody
+from bus.text import OneLine
 from bus.validation import fault_message
 
 
@@ -32,6 +33,8 @@ _CASES: list[tuple[Any, Any, str]] = [
     (str, 1, "it must be a text"),
     (Annotated[str, Field(min_length=2)], "x", "it must have at least 2 characters"),
     (Annotated[str, Field(max_length=1)], "xx", "it must have at most 1 character"),
+    (Annotated[OneLine, Field(min_length=2)], "x", "it must have at least 2 characters"),
+    (Annotated[OneLine, Field(max_length=1)], "xx", "it must have at most 1 character"),
     (Annotated[str, Field(pattern="^a")], "b", "it must match the pattern '^a'"),
     (Literal["on", "off"], "x", "it must be one of 'on', 'off'"),
     (Annotated[list[int], Field(max_length=1)], [1, 2], "it must have at most 1 item"),

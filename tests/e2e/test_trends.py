@@ -322,7 +322,7 @@ def test_what_happened_is_listed_beside_the_picture(site: Site, shared_page: Ope
     site.set_speed(3, raw=raw + 10)
     page = opened(shared_page("viewer", viewport=OFFICE), "?s=line/3/actual&span=600")
     page.locator("#trend-events summary").click()
-    expect(page.locator("#trend-events-list li").filter(has_text="line/3").first).to_be_visible()
+    expect(page.locator("#trend-events-list li").filter(has_text="Coater").first).to_be_visible()
 
 
 def test_an_alarm_is_marked_in_the_picture_and_listed(site: Site, shared_page: OpensPages) -> None:

@@ -29,8 +29,9 @@ test("speeds, draw and the analog input are curves, everything else is a bit", (
 
 test("names stand at the ends of their lines, apart where they would touch, and in their span", () => {
   assert.deepEqual(apart([50, 10], 15, [0, 100]), [50, 10]);
-  assert.deepEqual(apart([50, 52, 49], 15, [0, 100]), [64, 79, 49]);
+  assert.deepEqual(apart([50, 52, 48], 15, [0, 100]), [50, 65, 35]);
   assert.deepEqual(apart([99, 98], 15, [0, 100]), [100, 85]);
+  assert.deepEqual(apart([2, 1, 80], 15, [0, 100]), [15, 0, 80]);
   assert.deepEqual(apart([], 15, [0, 100]), []);
 });
 

@@ -71,5 +71,5 @@ test("a length is in the largest unit that keeps it readable", () => {
 });
 
 test("a moment has its date and the wall clock of the site", () => {
-  assert.equal(formatTime(at("2026-01-01T10:00:00")), "1. Jan. 2026, 11:00:00");
+  assert.equal(formatTime(at("2026-01-01T10:00:00")), "01.01.2026, 11:00:00");
 });

@@ -24,6 +24,8 @@ FLEETING_S = 10.0
 """One that clears sooner, before a person could act, is fleeting."""
 STALE_S = 24 * 3600.0
 """One that stays active longer is stale."""
+MIN_FOR_TOP_TEN = 200
+"""Of fewer annunciated alarms, ten are more than 5 % in any case: their share has no value."""
 
 FigureCode = Literal[
     "annunciated",
@@ -125,7 +127,7 @@ def _measured(measured: AlarmCounts) -> dict[FigureCode, float | None]:
         "peak_10_minutes": max(measured.in_windows.values(), default=0),
         "windows_over_10": min(1.0, over / windows),
         "flood_share": min(1.0, sum(1 for _ in flooded(measured.in_windows)) / windows),
-        "top_ten_share": _share(measured.top_ten, total),
+        "top_ten_share": _share(measured.top_ten, total) if total >= MIN_FOR_TOP_TEN else None,
         "chattering": measured.chattering,
         "fleeting": measured.fleeting,
         **measured.now,

@@ -20,7 +20,7 @@ from app.history.series.runs import SECOND
 from app.history.service import History
 from app.history.store import tables
 from app.messages import Language
-from app.web.shape import csv_text
+from app.web.shape import csv_cell, csv_text
 from bus.messages import Message
 
 Format = Literal["csv", "parquet"]
@@ -87,7 +87,8 @@ async def stream_table(
     start, end = table.queries[0].start, table.queries[0].end
     together = Together(len(table.columns), step_of(start, end)) if table.fineness == "readings" else None
     # Spreadsheets take text for UTF-8 by this mark alone.
-    yield BYTE_ORDER_MARK + csv_text([[language.t("Time"), language.t("UTC offset"), *table.named(language)]])
+    names = map(csv_cell, table.named(language))
+    yield BYTE_ORDER_MARK + csv_text([[language.t("Time"), language.t("UTC offset"), *names]])
 
     def text(rows: Iterable[ExportRow]) -> str:
         return csv_text(_table_line(row, site) for row in rows)
