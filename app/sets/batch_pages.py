@@ -37,7 +37,7 @@ async def batch_page(
 @router.post("/batch/{bus}/review")
 async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
     """What would be written, row by row; nothing is."""
-    number, typed = await _typed(request)
+    number, typed = await typed_batch(request)
     parameter = _writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     danger = effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous
@@ -49,7 +49,7 @@ async def batch_write(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str
 ) -> Response:
     """Write what the review showed."""
-    number, typed = await _typed(request)
+    number, typed = await typed_batch(request)
     parameter = _writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     if any(row.fault for row in rows):
@@ -61,7 +61,8 @@ async def batch_write(
     return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)
 
 
-async def _typed(request: Request) -> tuple[int, dict[int, str]]:
+async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:
+    """The number of the parameter, and what was typed for each unit."""
     form = await request.form()
     return parse_integer(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
