@@ -70,9 +70,7 @@ async def review_tray(page: OfBus) -> Response:
     """Every change as it stands now, to be confirmed."""
     tray = OwnTray(page)
     try:
-        objection = page.guards.objection(page.person.account)
-        if objection is not None:
-            raise controlled(Message.of("nothing_sent", reason=objection), page.name)
+        _refuse_without_control(page)
         await tray.learn()
         return _review(page, tray)
     except Problem as problem:
@@ -110,6 +108,13 @@ def _review(page: BusPage, tray: OwnTray) -> Response:
     )
 
 
+def _refuse_without_control(page: BusPage) -> None:
+    """Raises Problem 409, beside which a page offers control."""
+    objection = page.guards.objection(page.person.account)
+    if objection is not None:
+        raise controlled(Message.of("nothing_sent", reason=objection), page.name)
+
+
 def _longest_s(page: BusPage, changes: Values) -> float:
     steps = steps_of(changes)
     return longest_change_s(page.bus, len(steps[0])) + len(steps) * timeout_s_for(page.bus) if steps else 0.0
@@ -128,6 +133,7 @@ async def send_tray(
     tray, left_out = OwnTray(page), left_out_of(await request.form())
     try:
         confirmed.refuse_lapsed()
+        _refuse_without_control(page)
         rows = _confirmed_rows(tray, _reviewed(row or []), left_out)
         if any(each.danger for each in rows) and typed.strip() != CONFIRMING_WORD:
             raise Problem(409, "dangerous", Message("word_not_typed"))
