@@ -145,7 +145,7 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
 
 
-async def test_units_are_left_out_by_name_and_the_event_says_so(scene: Scene) -> None:
+async def test_units_are_left_out_by_name_and_the_event_names_them(scene: Scene) -> None:
     responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 95000})
 

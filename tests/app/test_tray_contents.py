@@ -43,7 +43,7 @@ def test_setpoints_are_sent_together_and_the_rest_one_by_one_as_it_was_added() -
     assert steps_of({}) == []
 
 
-def test_a_tray_is_bounded_and_what_is_too_much_adds_nothing() -> None:
+def test_a_tray_is_bounded_and_too_much_adds_nothing() -> None:
     trays = Trays()
     full = {ValuePlace("parameter", unit, number): 0 for unit in range(1, 33) for number in range(1, 17)}
     assert len(full) == MAX_CHANGES

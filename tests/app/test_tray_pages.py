@@ -190,7 +190,7 @@ async def test_a_dangerous_parameter_needs_its_word(house: House) -> None:
     assert await house.events("command") == []
 
 
-async def test_what_is_gathered_stays_while_another_has_control(tmp_path: Path) -> None:
+async def test_the_tray_stays_while_another_has_control(tmp_path: Path) -> None:
     async with complete_app(tmp_path, control=True) as house:
         responding(house.services[LiveState])
         await house.signed_in(Role.ENGINEER)

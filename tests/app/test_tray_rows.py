@@ -89,7 +89,7 @@ def words(row: TrayRow) -> tuple[str, str, str, str, str, str]:
         ),
     ],
 )
-def test_a_row_says_what_changes_from_which_value_to_which(
+def test_a_row_has_what_changes_from_which_value_to_which(
     bus: BusLive, place: ValuePlace, raw: int, expected: tuple[str, ...]
 ) -> None:
     [row] = rows(bus, {place: raw})
@@ -98,7 +98,7 @@ def test_a_row_says_what_changes_from_which_value_to_which(
     assert row.refusal is None
 
 
-def test_what_is_not_known_is_empty(bus: BusLive) -> None:
+def test_an_unknown_value_is_empty(bus: BusLive) -> None:
     object.__setattr__(bus.units[2], "reading", None)
     unknown = {
         ValuePlace("output", 2, 1): 1,
@@ -110,7 +110,7 @@ def test_what_is_not_known_is_empty(bus: BusLive) -> None:
         assert row.reviewed.endswith(":")
 
 
-def test_a_ramp_that_is_not_known_and_a_follower_are_said_to_be_so(bus: BusLive) -> None:
+def test_an_unknown_ramp_and_a_follower_have_their_effect(bus: BusLive) -> None:
     bus.apply([ParameterValue(unit=1, number=6, at=1.0, raw=None, available=False)])
     bus.apply([ParameterValue(unit=2, number=8, at=1.0, raw=1)])
     first, second = rows(bus, {SPEED_1: 1500, SPEED_2: 5000})

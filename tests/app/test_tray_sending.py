@@ -98,9 +98,7 @@ async def test_each_unit_of_a_change_of_several_has_its_own_result(
     assert [result.is_done for result in results] == [True, False, False]
 
 
-async def test_what_is_refused_before_it_is_sent_stops_the_rest_too(
-    stage: Stage, worker: PlayedWorker
-) -> None:
+async def test_a_refusal_before_sending_stops_the_rest_too(stage: Stage, worker: PlayedWorker) -> None:
     playing(worker, verified)
     results = {result.place: result for result in await send(stage, {WINDOW: 30, ANALOG: 300}, BEN)}
     assert worker.commands == []
