@@ -9,6 +9,7 @@ from typing import Literal
 from app.audit.act import Act
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
+from app.commands.rules.objection import reason_of
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
@@ -129,13 +130,11 @@ class RecipeBook:
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
-        """Why this setpoint would be refused now, confirmed as it will be; None when it would not. That
-        nothing was sent is left to the one refusal of the recipe."""
+        """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
-            reason = problem.message.params.get("reason")
-            return reason if isinstance(reason, Message) else problem.message
+            return reason_of(problem)
         return None
 
     async def _record(

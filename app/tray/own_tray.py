@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from app.commands.forms.page_context import BusPage
+from app.commands.rules.objection import reason_of
 from app.commands.undo.changes import Values, action_for
 from app.errors import Problem
 from app.tray.contents import Trays
@@ -77,6 +78,5 @@ class OwnTray:
         try:
             self.page.check(action)
         except Problem as problem:
-            reason = problem.message.params.get("reason")
-            return reason if isinstance(reason, Message) else problem.message
+            return reason_of(problem)
         return None

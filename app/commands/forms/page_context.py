@@ -234,9 +234,10 @@ class BusPage(PageContext):
         return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
 
     def refuse_unable(self, units: Iterable[int]) -> None:
-        """Raises Problem 409 where one of these units cannot take a command now: all of a change, or none."""
+        """Raises Problem 409 where one of these units takes no command now: all of a change, or none. A block
+        is left to the command, whose refusal is recorded."""
         for unit in units:
-            if (reason := self.obstacle(unit)) is not None:
+            if (reason := obstacle_of(self.bus, self.bus.units[unit], unix_now())) is not None:
                 raise Problem(
                     409, "not_loadable", Message.of("unit_unable", name=self.name_of(unit), reason=reason)
                 )
