@@ -21,7 +21,7 @@ from app.errors import Problem
 from app.recipes.api import KnownRecipe
 from app.recipes.rules import why_not_setpoint
 from app.sets.batch import rows_of_batch
-from app.sets.batch_pages import typed_batch
+from app.sets.batch_pages import typed_batch, writable_or_404
 from app.sets.lookup import KnownRestore, Restores
 from app.sets.restore_pages import Ticks, ticked
 from app.tray.own_tray import OwnTray
@@ -109,6 +109,7 @@ async def add_recipe(page: Page, recipe: KnownRecipe) -> Response:
 async def add_batch(request: Request, _: ParameterWriter, page: OfBus) -> Response:
     """Every value of a batch edit that differs from that of its unit."""
     number, typed = await typed_batch(request)
+    writable_or_404(number)
     rows = rows_of_batch(page.bus, number, typed)
     try:
         for row in rows:
