@@ -46,6 +46,7 @@ from app.sets import feature as sets
 from app.settings import Settings
 from app.sites import feature as sites
 from app.swap import feature as swap
+from app.tray import feature as tray
 from app.web import feature as web
 from app.web import problems
 from app.web.anonymous import AnonymousLimiter
@@ -70,6 +71,7 @@ FEATURES = (
     sets.FEATURE,
     swap.FEATURE,
     recipes.FEATURE,
+    tray.FEATURE,
     alarms.FEATURE,
     notification.FEATURE,
     handover.FEATURE,

@@ -30,7 +30,7 @@ from app.web.access import Person, Viewer
 from app.web.api_route import ApiRoute
 from app.web.arrival import made_at
 from app.web.services import service
-from app.web.shape import StrictBody, iso, parse_integer
+from app.web.shape import StrictBody, UnitAddresses, iso, parse_integer
 from app.web.turns import SEARCH
 from bus.instants import UnixTime
 from bus.messages import Message
@@ -50,9 +50,11 @@ class SaveRecipeRequest(StrictBody):
 
 
 class LoadRecipeRequest(StrictBody):
-    """``confirm``: steps that an engineer wants reviewed have been reviewed."""
+    """``confirm``: steps that an engineer wants reviewed have been reviewed. ``leave_out``: units that keep
+    their present setpoint; without it all change or none."""
 
     confirm: bool = False
+    leave_out: Annotated[UnitAddresses, Field(default_factory=list)]
 
 
 class RecipeSetpointShown(TypedDict):
@@ -150,7 +152,9 @@ async def load_recipe(
 ) -> Response:
     """Stage every unit, broadcast once, read back each unit."""
     sent_at = made_at(request)
-    result = await book.load(person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key)
+    result = await book.load(
+        person, recipe, sent_at, confirm=wanted.confirm, command_id=idempotency_key, left_out=wanted.leave_out
+    )
     return command_response(request, bus_or_404(live, recipe.bus), result, frames=frames)
 
 

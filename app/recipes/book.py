@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import partial
+from typing import Literal
 
 from app.audit.act import Act
 from app.audit.log import EventLog
 from app.commands.catalogue import SET_LINE
+from app.commands.rules.objection import reason_of
 from app.commands.service.command_service import CommandService
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, LiveState
@@ -88,19 +90,28 @@ class RecipeBook:
         return rules.dry_run(recipe, self._bus(recipe), refusal, unix_now())
 
     async def load(
-        self, person: Person, recipe: Recipe, made_at: Monotonic, *, confirm: bool, command_id: str | None
+        self,
+        person: Person,
+        recipe: Recipe,
+        made_at: Monotonic,
+        *,
+        confirm: bool,
+        command_id: str | None,
+        left_out: Collection[int] = (),
     ) -> Result:
-        """Load it as one change: staged, broadcast, read back. Problem 409 where a unit cannot take it."""
-        run = self.try_out(person, recipe)
-        if not run.loadable:
-            why = [
-                Message.of("of_unit", name=step.name, reason=step.obstacle)
-                for step in run.steps
-                if step.obstacle
-            ]
+        """Load it as one change: staged, broadcast, read back. ``left_out``: the units that keep their
+        present setpoint. Raises Problem 409 where another cannot take it, 422 where all are left out."""
+        steps = self.try_out(person, recipe).steps
+        taking = [step for step in steps if step.unit not in left_out]
+        why = [
+            Message.of("of_unit", name=step.name, reason=step.obstacle) for step in taking if step.obstacle
+        ]
+        if why:
             message = Message.of("recipe_not_loadable", name=recipe.name, why=why)
             raise Problem(409, "not_loadable", message)
-        action = SetLine(setpoints={setpoint.unit: setpoint.raw for setpoint in recipe.setpoints})
+        if not taking:
+            raise Problem(422, "invalid", Message.of("recipe_all_left_out", name=recipe.name))
+        action = SetLine(setpoints={step.unit: step.raw for step in taking})
         result = await self._commands[recipe.bus].send(
             person,
             action,
@@ -112,22 +123,25 @@ class RecipeBook:
         if result.outcome == "verified":
             loaded = self._loaded[recipe.bus] = Loaded(recipe, person.name, unix_now())
             await self.store.mark_loaded(recipe.bus, recipe.id, loaded.who, loaded.at)
-            await self._record(LOAD, person, recipe)
+            names = [step.name for step in steps if step.unit in left_out]
+            await self._record(
+                LOAD, person, recipe, Message.of("recipe_left_out", names=names) if names else ""
+            )
         return result
 
     def _refusal(self, person: Person, bus: str, unit: int, raw: int) -> Message | None:
-        """Why this setpoint would be refused now, confirmed as it will be; None when it would not. That
-        nothing was sent is left to the one refusal of the recipe."""
+        """Why this setpoint would be refused now, confirmed as it will be; None when it would not."""
         try:
             self._commands[bus].check(person, SetSpeed(unit=unit, raw=raw), confirm=True)
         except Problem as problem:
-            reason = problem.message.params.get("reason")
-            return reason if isinstance(reason, Message) else problem.message
+            return reason_of(problem)
         return None
 
-    async def _record(self, act: Act, person: Person, recipe: Recipe) -> None:
+    async def _record(
+        self, act: Act, person: Person, recipe: Recipe, message: Message | Literal[""] = ""
+    ) -> None:
         performed = act.by(person, name=recipe.name, version=recipe.version)
-        await self._events.record(**performed, bus=recipe.bus)
+        await self._events.record(**performed, bus=recipe.bus, message=message)
 
     def _bus(self, recipe: Recipe) -> BusLive:
         bus = self._state.buses.get(recipe.bus)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Form, Request, Response
 from starlette.responses import RedirectResponse
 
 from app.commands.catalogue import SET_LINE, longest_change_s
-from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.line_change import followers_of, left_out_of, proven, reviewed
 from app.commands.forms.page_context import Confirmed, Page
 from app.commands.review import by_remark, present_setpoint
 from app.commands.rules.setpoint import setpoint_text
@@ -91,6 +91,7 @@ async def review(
     bus = of_bus.bus
     await of_bus.know_ramps([one.unit for one in recipe.setpoints if one.unit in bus.units])
     run = book.try_out(person, recipe)
+    able = [step for step in run.steps if step.obstacle is None]
     was = {number: present_setpoint(bus, unit) for number, unit in bus.units.items()}
     left_out, unchanged = of_bus.not_taking_part(step.unit for step in run.steps)
     return page.review(
@@ -99,8 +100,9 @@ async def review(
         run=run,
         was=was,
         followers=followers_of(bus),
-        draws=of_bus.draws({step.unit: step.raw for step in run.steps if step.unit in bus.units}),
-        risks=by_remark((str(step.name), risk) for step in run.steps for risk in step.risks),
+        able=len(able),
+        draws=of_bus.draws({step.unit: step.raw for step in able}),
+        risks=by_remark((str(step.name), risk) for step in able for risk in step.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
         longest_s=longest_change_s(bus, len(run.steps)),
@@ -121,12 +123,19 @@ async def load(
     try:
         confirmed.refuse_lapsed()
         setpoints = reviewed(of_bus.bus, form)
-        if setpoints != {one.unit: one.raw for one in recipe.setpoints if one.unit in of_bus.bus.units}:
+        left_out = left_out_of(form)
+        if setpoints != {
+            one.unit: one.raw
+            for one in recipe.setpoints
+            if one.unit in of_bus.bus.units and one.unit not in left_out
+        }:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
-        result = await book.load(person, recipe, page.made_at, confirm=True, command_id=confirmed.id)
+        result = await book.load(
+            person, recipe, page.made_at, confirm=True, command_id=confirmed.id, left_out=left_out
+        )
     except Problem as problem:
         return page.refused(problem, recipe.name)
-    return proven(of_bus, recipe.name, setpoints, result, confirmed.id)
+    return proven(of_bus, recipe.name, setpoints, result, confirmed.id, left_out)
 
 
 @router.post("/recipes/retire")

@@ -161,8 +161,14 @@ def _effect(setpoint: RecipeSetpoint, present: int | None, ramp_s: float | None)
 
 
 def _obstacle(setpoint: RecipeSetpoint, bus: BusLive, unit: UnitLive, now: UnixTime) -> Message | None:
-    if obstacle := obstacle_of(bus, unit, now):
-        return obstacle
+    return obstacle_of(bus, unit, now) or why_not_setpoint(setpoint, bus)
+
+
+def why_not_setpoint(setpoint: RecipeSetpoint, bus: BusLive) -> Message | None:
+    """Why it is no setpoint of a unit of the bus, whatever the unit takes now; None where it is one."""
+    unit = bus.units.get(setpoint.unit)
+    if unit is None:
+        return NOT_CONFIGURED
     kind = setpoint_kind(unit)
     if kind is None:
         return Message("recipe_mode_unread")

@@ -25,7 +25,7 @@ async def batch_page(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str, number: int = 6
 ) -> Response:
     """The present values of one parameter over all units; those never read are requested now."""
-    parameter = _writable_or_404(number)
+    parameter = writable_or_404(number)
     await learn(commands, person, bus_or_404(live, bus), number)
     rows = rows_of_batch(live.buses[bus], number, {})
     writable = [each for each in PARAMETERS.values() if not each.never_writable]
@@ -37,8 +37,8 @@ async def batch_page(
 @router.post("/batch/{bus}/review")
 async def batch_review(request: Request, _: ParameterWriter, live: Live, bus: str) -> Response:
     """What would be written, row by row; nothing is."""
-    number, typed = await _typed(request)
-    parameter = _writable_or_404(number)
+    number, typed = await typed_batch(request)
+    parameter = writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     danger = effect_message("setpoint") if number in OPERATING_VALUES else parameter.dangerous
     return render(request, "sets/_batch_review.html", bus=bus, parameter=parameter, rows=rows, danger=danger)
@@ -49,8 +49,8 @@ async def batch_write(
     request: Request, person: ParameterWriter, live: Live, commands: Commands, bus: str
 ) -> Response:
     """Write what the review showed."""
-    number, typed = await _typed(request)
-    parameter = _writable_or_404(number)
+    number, typed = await typed_batch(request)
+    parameter = writable_or_404(number)
     rows = rows_of_batch(bus_or_404(live, bus), number, typed)
     if any(row.fault for row in rows):
         raise Problem(422, "invalid", Message("value_not_writable"))
@@ -61,7 +61,8 @@ async def batch_write(
     return render(request, "sets/_batch_done.html", parameter=parameter, results=results, rows=rows)
 
 
-async def _typed(request: Request) -> tuple[int, dict[int, str]]:
+async def typed_batch(request: Request) -> tuple[int, dict[int, str]]:
+    """The number of the parameter, and what was typed for each unit."""
     form = await request.form()
     return parse_integer(str(form.get("number", ""))) or 0, _by_unit(form, "unit-")
 
@@ -75,7 +76,8 @@ def _by_unit(form: FormData, prefix: str) -> dict[int, str]:
     }
 
 
-def _writable_or_404(number: int) -> Parameter:
+def writable_or_404(number: int) -> Parameter:
+    """A parameter that can be written over the link. Raises Problem 404."""
     parameter = PARAMETERS.get(number)
     if parameter is None or parameter.never_writable:
         raise Problem(404, "unknown_parameter", Message.of("parameter_not_writable", number=number))

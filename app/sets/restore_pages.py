@@ -112,7 +112,7 @@ async def start(
     person: Annotated[Person, START.permitted], restores: Restores, restore: KnownRestore, row: Ticks = None
 ) -> Response:
     """Write the rows that are ticked."""
-    restores.select(person, restore, _ticked(restore, frozenset(row or ())))
+    restores.select(person, restore, ticked(restore, frozenset(row or ())))
     restores.start(person, restore)
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
@@ -126,8 +126,9 @@ async def cancel(
     return RedirectResponse(f"/restores/{restore.id}", 303)
 
 
-def _ticked(restore: Restore, rows: frozenset[int]) -> Selection:
-    """Raises Problem 422 for no row at all, and for one that was not in the review."""
+def ticked(restore: Restore, rows: frozenset[int]) -> Selection:
+    """The rows that a person has chosen in a review. Raises Problem 422 for no row at all, and for one that
+    was not in the review."""
     reviewed = frozenset(write.number for write in restore.plan.writes)
     reviewed |= frozenset(write.number for write, _ in restore.offered)
     if not rows:

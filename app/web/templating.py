@@ -21,6 +21,7 @@ from app.web.access import Person, Role, person_of
 from app.web.assets import Assets
 from app.web.formats import Formats
 from app.web.head_control import HeadControl
+from app.web.head_tray import HeadTray
 from app.web.navigation import ON_PHONE, pages_for
 from app.web.services import service_of
 
@@ -72,9 +73,9 @@ class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
     ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``; in a page or
     fragment of a request also ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``,
-    ``controls()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and ``may()``,
-    whether the person may send a command or perform an act, by its name. ``kept_in``: where they stay
-    compiled between two starts."""
+    ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and
+    ``may()``, whether the person may send a command or perform an act, by its name. ``kept_in``: where they
+    stay compiled between two starts."""
 
     def __init__(
         self,
@@ -181,6 +182,7 @@ def render(
         "home_server": lambda: service_of(request, PageFleet).server,
         "head_alarms": lambda: service_of(request, PageHead).alarms(language),
         "controls": lambda: service_of(request, HeadControl).of_buses(),
+        "trays": lambda: service_of(request, HeadTray).of(person) if person else (),
         "head_away": lambda: service_of(request, PageHead).away(language),
         **context,
     }

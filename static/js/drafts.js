@@ -141,6 +141,7 @@ export function start() {
     if (form.hasAttribute("hx-post")) reviewed = form;
     else if (!event.defaultPrevented) sessionStorage.setItem(SENT, keyOf(form));
   });
+  document.addEventListener("lineside:added", ({ detail: form }) => form && canKeep(form) && forget(form));
   document.addEventListener("lineside:done", ({ detail }) => {
     const form = reviewed;
     if (form && detail === "good") forget(form);

@@ -114,6 +114,8 @@ function follow(line) {
     fit(line);
   }).observe(line.querySelector(".line__buses") ?? line);
   addEventListener("resize", () => fit(line));
+  // The strip of the change tray takes room below.
+  document.addEventListener("lineside:changed", () => fit(line));
 }
 
 const shown = globalThis.document?.querySelector(".line");

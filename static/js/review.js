@@ -132,9 +132,8 @@ function outcome() {
   return content.querySelector("[data-ended]") ? "ended" : "";
 }
 
-function dismiss() {
+function dismiss(detail = outcome()) {
   close();
-  const detail = outcome();
   if (dialog.open) dialog.close();
   document.dispatchEvent(new CustomEvent("lineside:done", { detail }));
   content.replaceChildren();
@@ -161,6 +160,13 @@ function unanswered(form) {
   form.dataset.unanswered = "";
   for (const button of form.querySelectorAll("button")) button.disabled = false;
   end(form, word("outcomeUnknown"));
+}
+
+/** What was typed is in the change tray: it is no draft, and its review is over.
+ * @param {HTMLElement} source */
+function added(source) {
+  document.dispatchEvent(new CustomEvent("lineside:added", { detail: source.closest("form") }));
+  if (content.contains(source)) dismiss("good");
 }
 
 /** @param {HTMLElement | null} strip @param {string} reason */
@@ -273,6 +279,7 @@ export function start() {
     const target = typeof named === "string" ? document.querySelector(named) : named;
     if (target?.matches(PLACE)) opened(target);
     else if (source.matches("[data-review]")) dismiss();
+    if (target?.querySelector?.("[data-added]")) added(source);
     // A message beside a field may be outside the window: on a phone the button is a pad below it. Scroll only for
     // the person who clicked.
     if (target?.matches("[role=status]") && target.firstElementChild && !isAutomatic(source))

@@ -47,6 +47,7 @@ function followUnit(input) {
   };
   // What was typed stays until it is set, or until the person leaves its review.
   document.addEventListener("lineside:done", ({ detail }) => ["good", ""].includes(detail) && forget());
+  document.addEventListener("lineside:added", ({ detail }) => detail === input.form && forget());
   // A page that was just loaded may have been typed into; one that the browser kept is as it was left.
   addEventListener("pageshow", ({ persisted }) => persisted && forget());
 }
@@ -114,6 +115,9 @@ function forgetDone() {
   let reviewed = null;
   document.addEventListener("submit", ({ target }) => {
     if (target.matches("[data-setpoints]")) reviewed = target;
+  });
+  document.addEventListener("lineside:added", ({ detail: form }) => {
+    if (form?.matches("[data-setpoints]")) together(form, "clear");
   });
   document.addEventListener("lineside:done", ({ detail }) => {
     if (detail === "good" && reviewed) together(reviewed, "clear");

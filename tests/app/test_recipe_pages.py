@@ -37,6 +37,8 @@ async def load(client: httpx.AsyncClient, **changed: str) -> httpx.Response:
         ({"raw-1": "710"}, "differs from the review"),
         ({"raw-1": ""}, "differs from the review"),
         ({}, "cannot be loaded now"),
+        ({"leave-out": "x"}, "differs from the review"),
+        ({"leave-out": "1"}, "every unit of Board is left out"),
     ],
 )
 async def test_only_what_was_reviewed_is_loaded(house: House, changed: dict[str, str], expected: str) -> None:

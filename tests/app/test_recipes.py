@@ -145,6 +145,26 @@ async def test_loaded_as_one_change_and_what_departs_since(scene: Scene) -> None
     assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
 
 
+async def test_units_are_left_out_by_name_and_the_event_names_them(scene: Scene) -> None:
+    responding(scene.live)
+    recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 95000})
+
+    async def load(*left_out: int) -> None:
+        await scene.book.load(
+            ANNA, recipe, monotonic_now(), confirm=True, command_id="one", left_out=left_out
+        )
+
+    for refused, left_out in (("Nip", (1,)), ("every unit", (1, 2))):
+        with pytest.raises(Problem, match=refused):
+            await load(*left_out)
+    await load(2)
+    assert scene.commands.sent == [SetLine(setpoints={1: 1200})]
+    loaded = scene.events.events[-1]
+    assert (loaded["kind"], in_english(loaded["message"])) == ("recipe", "left out: Nip")
+    responding(scene.live, commanded=1200)
+    assert scene.book.loaded_words("dry-end") == ("Kraft 80", ["Nip"])
+
+
 async def test_after_a_restart_it_is_still_loaded_and_a_unit_that_is_gone_has_departed(scene: Scene) -> None:
     responding(scene.live)
     recipe = await scene.book.save(ANNA, "dry-end", "Kraft 80", "", {1: 1200, 2: 1210})

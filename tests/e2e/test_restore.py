@@ -164,7 +164,7 @@ def test_by_keyboard_alone_to_the_proof_which_prints(
     expect(page.locator("#source option:checked")).to_contain_text("as it was")
     tab_to(page, "Read the unit and show the differences")
     page.keyboard.press("Enter")
-    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
+    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("Nothing has been written")
     assert as_it_should_be(page, axe) == []
     tab_to(page, f"Write {len(NUMBERS)} rows to unit 2")
     page.keyboard.press("Enter")
@@ -194,7 +194,7 @@ def test_a_setpoint_is_left_out_until_it_is_ticked(site: Site, browser_page: Ope
     page.goto("/units/line/2/restore")
     expect(page.locator("#source option:checked")).to_contain_text("golden set · as it ought to be")
     page.get_by_role("button", name="Read the unit and show the differences").click()
-    expect(page.locator("#restore [role=status]")).to_contain_text("1 row would be written")
+    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("1 row would be written")
     expect(page.get_by_text("The unit runs: the marked rows change the speed of the machine")).to_be_visible()
     row = page.get_by_role("table", name="Setpoints").get_by_role("row", name="Speed Setpoint")
     expect(row).to_contain_text("Changes the machine's speed now")

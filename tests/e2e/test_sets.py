@@ -195,7 +195,7 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_
     before = len(writes(site, 0x86))
     page.goto(address)
     page.get_by_role("button", name="Review a restore").nth(1).click()
-    expect(page.locator("#restore [role=status]")).to_contain_text("Nothing has been written")
+    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("Nothing has been written")
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
     text = "The unit equals the set, verified by a full read."

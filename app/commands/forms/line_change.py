@@ -1,12 +1,13 @@
 """The change of several units of a bus: its review, and the result per unit.
 
 The form of such a review holds for each unit ``raw-N``, the new setpoint, and ``was-N``, the one that the
-person saw; both raw, the latter empty where it was not known.
+person saw; both raw, the latter empty where it was not known. ``leave-out`` are the units that the person
+leaves out by name, as they cannot take it now.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from starlette.datastructures import FormData
 from starlette.responses import Response
@@ -17,16 +18,26 @@ from app.commands.review import present_setpoint
 from app.commands.values import setpoint_message
 from app.errors import Problem
 from app.live.state.bus_live import BusLive, follower
+from app.web.shape import parse_integer
 from bus.contract import Result
 from bus.messages import Message, joined
 
 
+def left_out_of(form: FormData) -> set[int]:
+    """The units that the person leaves out. Raises Problem 422 for what is no address."""
+    units = {parse_integer(str(text)) for text in form.getlist("leave-out")}
+    if None in units:
+        raise Problem(422, "invalid", Message("not_what_was_reviewed"))
+    return {unit for unit in units if unit is not None}
+
+
 def reviewed(live: BusLive, form: FormData) -> dict[int, int]:
-    """The new setpoints, raw, by address. Raises Problem 409 where one has moved since the review."""
-    setpoints = {}
+    """The new setpoints, raw, by address, of the units that are not left out. Raises Problem 409 where one
+    has moved since the review."""
+    setpoints, left_out = {}, left_out_of(form)
     for number, unit in live.units.items():
         text = str(form.get(f"raw-{number}", ""))
-        if not text:
+        if not text or number in left_out:
             continue
         if not text.isdecimal() or len(text) > 6:
             raise Problem(422, "invalid", Message("not_what_was_reviewed"))
@@ -42,10 +53,18 @@ def followers_of(live: BusLive) -> set[int]:
     return {number for number, unit in live.units.items() if follower(unit)}
 
 
-def proven(page: BusPage, title: str, setpoints: Mapping[int, int], result: Result, id: str) -> Response:
-    """The outcome of each unit in floor order, and the undo of the change with this id."""
+def proven(
+    page: BusPage,
+    title: str,
+    setpoints: Mapping[int, int],
+    result: Result,
+    id: str,
+    left_out: Collection[int],
+) -> Response:
+    """The outcome of each unit in floor order, then those that were left out, and the undo of the change with
+    this id."""
     by_unit, units = {outcome.unit: outcome for outcome in result.units}, page.bus.units
-    proofs = [
+    proofs: list[tuple[str | Message, str | Message, OutcomeText]] = [
         (
             units[number].settings.name,
             setpoint_message(raw, units[number]),
@@ -53,6 +72,7 @@ def proven(page: BusPage, title: str, setpoints: Mapping[int, int], result: Resu
         )
         for number, raw in setpoints.items()
     ]
+    proofs += [(page.name_of(unit), "", page.outcome_left_out(unit)) for unit in sorted(left_out)]
     return page.render(
         "setpoints/_done.html",
         title=title,

@@ -233,6 +233,28 @@ class BusPage(PageContext):
         block = self.guards.block_reason(unit)
         return obstacle_of(self.bus, self.bus.units[unit], unix_now(), block=block)
 
+    def refuse_unable(self, units: Iterable[int]) -> None:
+        """Raises Problem 409 where one of these units takes no command now: all of a change, or none. A block
+        is left to the command, whose refusal is recorded."""
+        for unit in units:
+            if (reason := obstacle_of(self.bus, self.bus.units[unit], unix_now())) is not None:
+                raise Problem(
+                    409, "not_loadable", Message.of("unit_unable", name=self.name_of(unit), reason=reason)
+                )
+
+    def name_of(self, unit: int) -> str | Message:
+        """The name of a unit, its address where it is not configured."""
+        live = self.bus.units.get(unit)
+        return Message.of("unit_address", unit=unit) if live is None else live.settings.name
+
+    def outcome_left_out(self, unit: int) -> OutcomeText:
+        """What became of a unit that a person has left out of a change: why, as far as that still holds."""
+        reason = self.obstacle(unit) if unit in self.bus.units else None
+        left_out = Message("result_left_out_by_choice")
+        return OutcomeText(
+            "unknown", left_out if reason is None else Message.of("result_left_out", reason=reason)
+        )
+
     def not_taking_part(self, taking_part: Iterable[int]) -> tuple[list[tuple[str, Message]], list[str]]:
         """The units that are not part of a change: those that could take no setpoint now, each with the
         reason, and the names of the rest."""

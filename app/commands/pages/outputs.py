@@ -68,7 +68,7 @@ async def set_output(
 async def review_analog(page: OfUnit, value: Annotated[str, Form(max_length=10)] = "") -> Response:
     """A value of the analog output, in volts too, to be confirmed."""
     try:
-        return review_analog_value(page, _integer(value))
+        return review_analog_value(page, typed_analog(value))
     except (CallerError, Problem) as error:
         return page.explain(error, "#analog-error")
 
@@ -95,7 +95,8 @@ async def set_analog(page: OfUnit, raw: Annotated[int, Form(ge=0)], confirmed: C
     return page.result(outcome_text(result), undo=page.undo(confirmed.id))
 
 
-def _integer(text: str) -> int:
+def typed_analog(text: str) -> int:
+    """The value of an analog output that was typed. Raises CallerError."""
     if not text.strip().isdecimal() or len(text.strip()) > 6:
         raise CallerError(Message("whole_number_needed"))
     return int(text)

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.commands.catalogue import SET_LINE, longest_change_s
-from app.commands.forms.line_change import followers_of, proven, reviewed
+from app.commands.forms.line_change import followers_of, left_out_of, proven, reviewed
 from app.commands.forms.page_context import BusPage, Confirmed, Page
 from app.commands.review import by_remark
 from app.commands.rules.setpoint_range import setpoint_range
@@ -53,24 +53,27 @@ async def review_setpoints(request: Request, page: Page) -> Response:
     form = await request.form()
     of_bus = page.of_bus(str(form.get("bus", "")))
     try:
-        return await review_change(of_bus, await _typed_setpoints(of_bus, form))
+        return await review_change(of_bus, await typed_setpoints(of_bus, form))
     except (CallerError, Problem) as error:
         return page.explain(error, f"#setpoints-error-{of_bus.name}")
 
 
 async def review_change(of_bus: BusPage, setpoints: Mapping[int, int]) -> Response:
     """The new setpoint of several units, raw, to be confirmed. Raises Problem for what would not be sent."""
-    await of_bus.judge(SetLine(setpoints=dict(setpoints)), of_bus.deadline(len(setpoints)))
-    await of_bus.know_ramps(setpoints)
+    able = {unit: raw for unit, raw in setpoints.items() if of_bus.obstacle(unit) is None}
+    if able:
+        await of_bus.judge(SetLine(setpoints=able), of_bus.deadline(len(able)))
+    await of_bus.know_ramps(able)
     changes = [of_bus.change(unit, raw) for unit, raw in setpoints.items()]
+    able = {change.unit: change.new_raw for change in changes if change.obstacle is None}
     left_out, unchanged = of_bus.not_taking_part(setpoints)
     return of_bus.review(
         "setpoints/_review.html",
         bus=of_bus.name,
         changes=changes,
-        obstacles=by_remark((each.name, each.obstacle) for each in changes if each.obstacle),
-        draws=of_bus.draws(setpoints),
-        risks=by_remark((each.name, risk) for each in changes for risk in each.risks),
+        able=len(able),
+        draws=of_bus.draws(able),
+        risks=by_remark((each.name, risk) for each in changes if each.unit in able for risk in each.risks),
         left_out=by_remark(left_out),
         unchanged=unchanged,
         followers=followers_of(of_bus.bus),
@@ -78,7 +81,7 @@ async def review_change(of_bus: BusPage, setpoints: Mapping[int, int]) -> Respon
     )
 
 
-async def _typed_setpoints(page: BusPage, form: FormData) -> dict[int, int]:
+async def typed_setpoints(page: BusPage, form: FormData) -> dict[int, int]:
     """Raw setpoint by unit. Raises CallerError and Problem for an invalid setpoint."""
     fields = {unit: str(form.get(f"new-{unit}", "")).strip() for unit in page.bus.units}
     typed = {unit: text for unit, text in fields.items() if text}
@@ -102,7 +105,8 @@ async def set_setpoints(
     of_bus, form, title = page.of_bus(bus), await request.form(), page.translator.t(TITLE)
     try:
         setpoints = reviewed(of_bus.bus, form)
+        of_bus.refuse_unable(setpoints)
         result = await of_bus.carry_out(SetLine(setpoints=setpoints), confirmed)
     except Problem as problem:
         return page.refused(problem, title)
-    return proven(of_bus, title, setpoints, result, confirmed.id)
+    return proven(of_bus, title, setpoints, result, confirmed.id, left_out_of(form))

@@ -39,7 +39,7 @@ async def review_speed(
         raw = await page.typed(page.id).setpoint(value)
         return await review_setpoint(page, raw, execute=how == "now")
     except (CallerError, Problem) as error:
-        return _explain(page, error)
+        return explain_setpoint(page, error)
 
 
 async def review_setpoint(page: UnitPage, raw: int, *, execute: bool = True) -> Response:
@@ -56,7 +56,8 @@ async def review_setpoint(page: UnitPage, raw: int, *, execute: bool = True) -> 
     )
 
 
-def _explain(page: UnitPage, error: CallerError | Problem) -> Response:
+def explain_setpoint(page: UnitPage, error: CallerError | Problem) -> Response:
+    """Why there is no review, beside the field; a press on the nearest value enters it."""
     nearest = error.extra.get("nearest") if isinstance(error, Problem) else None
     status = error.status if isinstance(error, Problem) else 422
     return page.explain(error, ERROR_PLACE, nearest=page.setpoint(nearest), status=status)
@@ -113,7 +114,7 @@ async def nudge(
             return await review_setpoint(page, raw, execute=True)
         result = await page.send(SetSpeed(unit=page.id, raw=raw), id)
     except Problem as problem:
-        return _explain(page, problem)
+        return explain_setpoint(page, problem)
     response = _done(page, raw, result, id)
     response.headers["HX-Retarget"] = ERROR_PLACE
     return response
@@ -134,7 +135,7 @@ async def review_execute(page: OfUnit) -> Response:
         await page.judge(ExecuteSpeed(unit=page.id))
         await page.know_ramps([page.id])
     except Problem as problem:
-        return _explain(page, problem)
+        return explain_setpoint(page, problem)
     change, draws = page.change(page.id, staged), page.draws({page.id: staged})
     return page.review("unit/_review_execute.html", unit=page.on_line, change=change, draws=draws)
 

@@ -22,6 +22,13 @@ def objection(code: Code, reason: Message, *, unit: int | None = None, nearest: 
     return Problem(_STATUS[code], code, message, outcome=code, unit=unit, **offered)
 
 
+def reason_of(problem: Problem) -> Message:
+    """Why a command would be refused, where it is one of several: that nothing was sent is left to the one
+    refusal of all."""
+    reason = problem.message.params.get("reason")
+    return reason if isinstance(reason, Message) else problem.message
+
+
 @dataclass(frozen=True, slots=True)
 class RuleContext:
     """What the rules look at. ``moved``: how far a unit's setpoint was moved within the last minute."""

@@ -13,7 +13,7 @@ from app.web.arrival import Deadline
 from bus.contract import Action, Result, UnitOutcome
 from bus.messages import Message
 
-CommandOrigin = Literal["api", "batch edit", "page", "restore", "unit swap"]
+CommandOrigin = Literal["api", "batch edit", "change tray", "page", "restore", "unit swap"]
 """Which way a command came; a recipe is named by a message."""
 SECRET_DIFFERS = Message("secret_differs")
 
@@ -35,8 +35,9 @@ class CommandRequest:
 
     @property
     def can_be_undone(self) -> bool:
-        """Whether a person has sent it from a page, as a command or by a recipe."""
-        return self.person.via != "token" and (self.origin == "page" or isinstance(self.origin, Message))
+        """Whether a person has sent it from a page, as a command, in a change tray or by a recipe."""
+        from_page = self.origin in ("page", "change tray") or isinstance(self.origin, Message)
+        return self.person.via != "token" and from_page
 
 
 def without_secret(action: Action, result: Result) -> Result:

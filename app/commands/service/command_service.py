@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -149,6 +149,19 @@ class CommandService:
         """
         action = ReadParameters(unit=unit, numbers=list(numbers))
         return read_values(unit, numbers, await self.send(person, action, deadline=deadline))
+
+    async def check_for_later(self, person: Person, action: Action, deadline: Deadline) -> None:
+        """The checks of a command that is gathered now and sent later: its role, ranges and choices. What
+        cannot be read of a unit now is not judged. Raises Problem as :meth:`send` does."""
+        for unit in action.units:
+            unit_of_bus_or_404(self._live, unit)
+        refuse_without(kind_of_command(action).role, person)
+        with suppress(Problem):
+            await self.read_ranges(person, action, deadline)
+        anytime = RuleContext(
+            self._live, self._guards.limits.of, block=lambda _: None, moved=lambda _: 0, confirm=True
+        )
+        check(action, anytime)
 
     def check(self, person: Person, action: Action, *, confirm: bool = False) -> None:
         """The checks of :meth:`send` alone, for a review. Raises the same Problems."""

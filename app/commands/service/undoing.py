@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -95,13 +95,18 @@ class Undoing:
         until = unix_now() + LASTS_S - (self._clock() - sent.at)
         return UndoOffer(self._bus.settings.name, sent.id, action_for(sent.before), until)
 
-    def _now(self, places: Values) -> dict[ValuePlace, int]:
-        """What these are now; empty where one of them is not known."""
+    def values_now(self, places: Iterable[ValuePlace]) -> dict[ValuePlace, int | None]:
+        """What these are as last read, and as last acknowledged where nothing can be read; None where that is
+        not known."""
         analog = {
             unit: raw
             for unit, (raw, at) in self._analog.items()
             if self._bus.units[unit].link.link == "online" and self._bus.units[unit].link.at < at
         }
-        found = {place: value_now(place, self._bus, analog) for place in places}
+        return {place: value_now(place, self._bus, analog) for place in places}
+
+    def _now(self, places: Values) -> dict[ValuePlace, int]:
+        """What these are now; empty where one of them is not known."""
+        found = self.values_now(places)
         known = {place: raw for place, raw in found.items() if raw is not None}
         return known if len(known) == len(found) else {}

@@ -24,11 +24,13 @@ from bus.contract import (
     WriteParameter,
 )
 
+PlaceKind = Literal["setpoint", "output", "analog", "parameter"]
+
 
 class ValuePlace(NamedTuple):
     """``number``: of the output or parameter; 0 of a setpoint and of the analog output."""
 
-    kind: Literal["setpoint", "output", "analog", "parameter"]
+    kind: PlaceKind
     unit: int
     number: int = 0
 

@@ -1,0 +1,34 @@
+"""The change tray: what a person gathers for each bus, and sends as one change."""
+
+from __future__ import annotations
+
+from app.feature import Feature, Services
+from app.find.finders import Finders, FixedPlace
+from app.live.state.bus_live import LiveState
+from app.tray import adding, pages
+from app.tray.contents import Trays
+from app.web.access import Person
+from app.web.head_tray import HeadTray, TrayCount
+from bus.instants import monotonic_now
+from bus.messages import Message
+
+
+def make(services: Services) -> None:
+    for bus in services.buses.values():
+        bus.add(Trays())
+    here, trays_of = services[LiveState], services.of_buses(Trays)
+
+    def counted(person: Person) -> list[TrayCount]:
+        now = monotonic_now()
+        held = {name: trays_of[name].of(person.sender, now) for name in here.here}
+        return [
+            TrayCount(name, len(changes), len({place.unit for place in changes}))
+            for name, changes in held.items()
+            if changes
+        ]
+
+    services.add(HeadTray(counted))
+    services[Finders].add_links("find_actions", [FixedPlace(Message("find_tray"), "/tray", "SetLine")])
+
+
+FEATURE = Feature(make, (pages.router, adding.router))

@@ -1,0 +1,306 @@
+"""The change tray as a person uses it: gathered on several pages, reviewed and sent as one change."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from itertools import groupby
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.limits import PAGE_MS, UNIT_MS
+from tests.e2e.site import AT_REST, Site, eventually
+
+PANEL = {"width": 1280, "height": 800}
+PHONE = {"width": 360, "height": 740}
+UNITS = 12
+WRITES = (0x82, 0x83, 0x84, 0x86, 0x87, 0x88)
+
+
+@pytest.fixture(scope="module")
+def site(line_server: Callable[..., Site]) -> Site:
+    """Twelve units that only the test operates."""
+    return line_server(UNITS, line_options=AT_REST)
+
+
+@pytest.fixture
+def page(browser_page: OpensPages) -> Page:
+    """The setpoints of the line, of an engineer with an empty tray."""
+    opened = browser_page("engineer", viewport=PANEL)
+    goto(opened, "/tray")
+    empty = opened.get_by_role("button", name="Empty the tray")
+    if empty.count():
+        empty.click()
+        expect(opened.get_by_text("The change tray is empty")).to_be_visible()
+    return opened
+
+
+def goto(page: Page, path: str) -> None:
+    page.goto(path)
+    expect(page.locator("body[data-link=live]")).to_be_attached()
+
+
+def writes(site: Site) -> list[int]:
+    """The function code of every request that writes; each unit receives a broadcast."""
+    entries: list[dict[str, Any]] = site.line.remote.do("record", kinds=["received"])
+    frames = [frame for entry in entries if (frame := bytes.fromhex(entry["hex"]))[1] in WRITES]
+    return [frame[1] for frame, _ in groupby(frames)]
+
+
+def strip(page: Page) -> Locator:
+    return page.locator("#tray")
+
+
+def add_setpoint(page: Page, unit: int, value: str) -> None:
+    goto(page, f"/units/line/{unit}")
+    page.locator("#setpoint").fill(value)
+    rest(page)
+    page.locator(".setter").get_by_role("button", name="Add to tray").click()
+    expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
+
+
+def edges(part: Locator) -> tuple[float, float]:
+    """Top and bottom in the window."""
+    box = part.bounding_box()
+    assert box is not None
+    return box["y"], box["y"] + box["height"]
+
+
+def review(page: Page) -> None:
+    rest(page)
+    strip(page).get_by_role("link", name="Review the tray").click()
+    expect(page.locator("[data-review-act]")).to_be_visible(timeout=UNIT_MS)
+
+
+def send(page: Page) -> None:
+    rest(page)
+    page.locator("[data-review-act]").click()
+    expect(page.locator("[data-review-done]")).to_be_visible(timeout=UNIT_MS)
+
+
+@pytest.fixture
+def local(site: Site) -> Iterator[Callable[[int], None]]:
+    """Set a unit to LOCAL at its keypad, until the end of the test."""
+    units: list[int] = []
+
+    def set_mode(unit: int, mode: str) -> None:
+        site.line.remote.do("mode", unit=unit, to=mode)
+        eventually(lambda: site.unit(unit)["mode"] == mode.upper(), f"{mode} is seen")
+
+    def set_local(unit: int) -> None:
+        units.append(unit)
+        set_mode(unit, "local")
+
+    yield set_local
+    for unit in units:
+        set_mode(unit, "remote")
+
+
+def test_gathered_on_three_pages_one_unit_left_out_sent_proven_and_undone(
+    site: Site, page: Page, local: Callable[[int], None]
+) -> None:
+    before = {unit: site.unit(unit)["commanded"] for unit in (3, 4)}
+    add_setpoint(page, 3, "90.0")
+    expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
+    page.get_by_role("button", name="Switch output 3").click()
+    rest(page)
+    page.locator("#outputs-review").get_by_role("button", name="Add to tray").click()
+    expect(page.locator("#outputs-result [data-added]")).to_be_visible()
+    expect(page.locator("[data-review]")).to_have_count(0)
+
+    goto(page, "/units/line/4/parameters")
+    page.locator("#parameter-12 input[name=value]").fill("1.5")
+    page.locator("#parameter-12").get_by_role("button", name="Write").click()
+    rest(page)
+    page.locator("#review").get_by_role("button", name="Add to tray").click()
+    expect(page.locator("#parameter-12-error [data-added]")).to_be_visible()
+    expect(page.locator("#review")).to_be_hidden()
+
+    goto(page, "/setpoints")
+    page.locator('[name="new-4"]').fill("91.0")
+    page.locator('[name="new-5"]').fill("92.0")
+    page.get_by_role("button", name="Add to tray").click()
+    expect(strip(page)).to_contain_text(re.compile(r"5 changes\W+3 units"))
+    expect(page.locator('[name="new-4"]')).to_have_value("")
+
+    local(5)
+    sent = len(writes(site))
+    review(page)
+    act = page.locator("[data-review-act]")
+    expect(act).to_have_text("Send 4 changes")
+    expect(page.locator("#review")).to_contain_text("Dryer 2 not possible: not in REMOTE")
+    act.click()
+    expect(page.locator("[data-review]:not([data-pending])")).to_be_visible()
+    assert len(writes(site)) == sent, "all of them or none"
+    page.get_by_label("Leave out Dryer 2").check()
+    send(page)
+    expect(page.locator("[data-review-done=good]")).to_contain_text("4 changes made")
+    expect(page.locator("#review")).to_contain_text("left out: not in REMOTE")
+    assert writes(site)[sent:] == [0x82, 0x82, 0x83, 0x87, 0x86]
+    assert [site.unit(unit)["commanded"] for unit in (3, 4)] == ["90.0", "91.0"]
+    expect(strip(page)).to_contain_text(re.compile(r"1 change\W+1 unit"))
+
+    rest(page)
+    page.get_by_role("button", name="Undo: set the former setpoints").click()
+    rest(page)
+    page.get_by_role("button", name="Set 2 units now").click()
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
+    assert {unit: site.unit(unit)["commanded"] for unit in before} == before
+    with site.api() as client:
+        events = client.get("/events", params={"limit": 20, "kind": "command"}).json()["events"]
+    assert sum(event.get("origin") == "change tray" for event in events) == 5
+
+
+def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) -> None:
+    goto(page, "/")
+    presses = 0
+
+    def press(target: Locator) -> None:
+        nonlocal presses
+        rest(page)
+        target.click()
+        presses += 1
+
+    press(page.get_by_role("link", name="Setpoints"))
+    press(page.get_by_role("button", name="Select all"))
+    press(page.get_by_label("One value for all", exact=True))
+    page.keyboard.type("80.0")
+    press(page.get_by_role("button", name="Enter values: One value for all"))
+    press(page.get_by_role("button", name="Review the change"))
+    press(page.get_by_role("button", name=f"Set {UNITS} units now"))
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
+    assert presses <= 6
+    assert {site.unit(unit)["commanded"] for unit in range(1, UNITS + 1)} == {"80.0"}
+
+
+def test_a_change_of_several_leaves_a_unit_out_by_name(
+    site: Site, page: Page, local: Callable[[int], None]
+) -> None:
+    was = site.unit(2)["commanded"]
+    goto(page, "/setpoints")
+    for unit in (1, 2):
+        page.locator(f'[name="new-{unit}"]').fill("70.0")
+    local(2)
+    page.get_by_role("button", name="Review the change").click()
+    page.get_by_label("Leave out Infeed nip").check()
+    page.get_by_role("button", name="Set 1 unit now").click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text(
+        "left out: not in REMOTE", timeout=UNIT_MS
+    )
+    assert [site.unit(unit)["commanded"] for unit in (1, 2)] == ["70.0", was]
+
+
+def test_a_value_that_moves_during_the_review_ends_it(site: Site, page: Page) -> None:
+    site.set_speed(6, value="60.0")
+    add_setpoint(page, 6, "61.0")
+    review(page)
+    sent = len(writes(site))
+    site.set_speed(6, value="62.0")
+    expect(page.locator("[data-review-end]")).to_contain_text("Nothing was sent")
+    assert len(writes(site)) == sent + 1
+    assert site.unit(6)["commanded"] == "62.0"
+
+
+def test_a_double_tap_sends_once(site: Site, page: Page) -> None:
+    add_setpoint(page, 7, "71.0")
+    review(page)
+    sent = len(writes(site))
+    rest(page)
+    page.locator("[data-review-act]").dblclick()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=UNIT_MS)
+    assert writes(site)[sent:] == [0x84]
+    expect(strip(page).locator("a")).to_have_count(0)
+
+
+def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
+    line_server: Callable[..., Site], browser_page: OpensPages
+) -> None:
+    site = line_server(2, line_options=AT_REST, toml="[site]\ncontrol = true\n")
+    page, other = (browser_page(role, site, viewport=PANEL) for role in ("operator", "engineer"))
+    goto(other, "/")
+    add_setpoint(page, 1, "71.0")
+    head = page.locator("[data-head-control]")
+    head.get_by_role("button", name="Take control").click()
+    expect(head).to_contain_text("You have control")
+    review(page)
+    sent = len(writes(site))
+    with site.api("admin") as admin:
+        admin.post("/buses/line/control/hand-over", json={"to": "engineer"}).raise_for_status()
+    send(page)
+    expect(page.locator("[data-review-done=bad]")).to_contain_text("Control: engineer")
+    assert len(writes(site)) == sent
+    expect(strip(page)).to_contain_text("1 change")
+
+
+def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: OpensPages) -> None:
+    add_setpoint(page, 8, "81.0")
+    other = browser_page("engineer", viewport=PANEL)
+    goto(other, "/alarms")
+    expect(strip(other)).to_contain_text(re.compile(r"1 change\W+1 unit"))
+    add_setpoint(page, 9, "82.0")
+    other.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+    expect(strip(other)).to_contain_text(re.compile(r"2 changes\W+2 units"))
+
+
+def test_a_restore_and_a_recipe_go_to_the_tray(site: Site, page: Page) -> None:
+    with site.api("engineer") as client:
+        saved = client.post("/buses/line/recipes", json={"name": "Board", "setpoints": {"1": 700, "2": 710}})
+        stored = client.post("/buses/line/sets", json={"units": [2]}).json()
+        client.put("/buses/line/units/2/parameters/12", json={"raw": 33}).raise_for_status()
+        planned = client.post("/buses/line/units/2/restores", json={"set": stored["id"]}).json()
+    goto(page, f"/recipes/{saved.json()['id']}?bus=line")
+    page.get_by_role("button", name="Add to tray").click()
+    expect(strip(page)).to_contain_text("2 changes")
+    goto(page, f"/restores/{planned['id']}")
+    page.get_by_role("button", name="Add to tray").click()
+    expect(strip(page)).to_contain_text("3 changes")
+    goto(page, "/tray")
+    expect(page.locator("main")).to_contain_text("#12 Up to Speed Tolerance")
+    page.get_by_role("button", name="Remove Setpoint of Unwind from the tray").click()
+    expect(strip(page)).to_contain_text("2 changes")
+
+
+@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+def test_the_tray_is_accessible_and_covers_nothing_for_good(
+    page: Page,
+    browser_page: OpensPages,
+    flaws: Callable[..., list[str]],
+    local: Callable[[int], None],
+    locale: str,
+) -> None:
+    for unit in (1, 2, 3):
+        add_setpoint(page, unit, f"{60 + unit}.0")
+    local(2)
+    shown = browser_page("engineer", viewport=PHONE, locale=locale)
+    goto(shown, "/tray")
+    assert flaws(shown, locale) == []
+    shown.set_viewport_size(PHONE)
+    shown.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
+    last = shown.locator("main button").last
+    expect(last).to_be_in_viewport(ratio=1)
+    above, below = edges(last), edges(strip(shown))
+    assert above[1] <= below[0]
+    assert below[1] <= edges(shown.locator(".rail"))[0] + 1
+    rest(shown)
+    strip(shown).locator("a.button").click()
+    expect(shown.locator("[data-review-act]")).to_be_visible(timeout=UNIT_MS)
+    shown.evaluate("document.querySelector('[data-lapse]').getAnimations().forEach(each => each.pause())")
+    assert flaws(shown, locale) == []
+
+
+@pytest.mark.parametrize("locale", [ENGLISH])
+def test_without_scripts_the_tray_is_a_page_whose_forms_work(
+    site: Site, page: Page, browser_page: OpensPages, locale: str
+) -> None:
+    add_setpoint(page, 10, "77.0")
+    add_setpoint(page, 11, "78.0")
+    plain = browser_page("engineer", viewport=PANEL, java_script_enabled=False, locale=locale)
+    plain.goto("/tray")
+    plain.get_by_role("button", name="Remove Setpoint of").last.click()
+    plain.get_by_role("link", name="Review the changes").click()
+    plain.get_by_role("button", name="Send 1 change").click()
+    expect(plain.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=PAGE_MS)
+    assert site.unit(10)["commanded"] == "77.0"
