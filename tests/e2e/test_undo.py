@@ -101,7 +101,8 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Sit
         send(page, "Set line to zero")
         # Asked again, as an offer that lapses would be gone in time, too.
         offered = page.request.get(f"{site.url}/bus/line/undo?unit={UNIT}")
-        assert offered.ok and "<button" not in offered.text()
+        assert offered.ok
+        assert "<button" not in offered.text()
         expect(undo(page)).to_have_count(0)
     finally:
         for number, value in enumerate(before, 1):
