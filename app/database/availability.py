@@ -127,6 +127,8 @@ class Availability:
 
 async def in_time(work: asyncio.Future[T], limit_s: float = MAX_WAIT_S) -> T:
     """The result of ``work``, which a thread does. Raises StoreUnavailableError where it takes too long."""
+    # Where the caller is canceled the thread goes on, and that it fails then is no error of the program.
+    work.add_done_callback(lambda done: done.cancelled() or done.exception())
     await asyncio.wait({work}, timeout=limit_s)
     if not work.done():
         work.cancel()
