@@ -126,9 +126,8 @@ def test_a_change_names_who_would_not_take_part_and_forgets_its_draft_when_it_is
     rest(page)
     page.get_by_role("button", name="Review the change").click()
     page.locator("[data-review-act]").click()
-    expect(page.locator(".proofs")).to_contain_text("nothing was sent to it")
-    assert judged(page, axe) == []
-    page.get_by_role("button", name="Close").click()
+    expect(page.locator("[data-review]:not([data-pending])")).to_have_count(1)
+    page.get_by_role("button", name="Cancel").click()
     expect(page.locator(".setpoints__new[name=new-1]")).to_have_value("50")
     page.evaluate("document.querySelector('[name=new-3]').value = ''")
     page.locator("[name=new-2]").fill("52")

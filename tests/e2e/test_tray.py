@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
+from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, focus, rest
 from tests.e2e.limits import PAGE_MS, UNIT_MS
 from tests.e2e.site import AT_REST, Site, eventually
 
@@ -213,6 +213,22 @@ def test_a_double_tap_sends_once(site: Site, page: Page) -> None:
     expect(page.locator("[data-review-done=good]")).to_contain_text("1 change made", timeout=UNIT_MS)
     assert writes(site)[sent:] == [0x84]
     expect(strip(page).locator("a")).to_have_count(0)
+
+
+def test_the_keyboard_alone_gathers_reviews_and_sends(site: Site, page: Page) -> None:
+    goto(page, "/units/line/9")
+    focus(page.locator("#setpoint"))
+    page.keyboard.type("73.0")
+    page.locator(".setter").get_by_role("button", name="Add to tray").press("Enter")
+    expect(page.locator("#setpoint-error [data-added]")).to_be_visible()
+    rest(page)
+    strip(page).get_by_role("link", name="Review the tray").press("Enter")
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    rest(page)
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    expect(page.locator("[data-review-done=good]")).to_be_visible(timeout=UNIT_MS)
+    assert site.unit(9)["commanded"] == "73.0"
 
 
 def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
