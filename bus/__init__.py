@@ -1,10 +1,8 @@
 """The wire: one process per serial port polls, schedules, retries, verifies, stages and broadcasts."""
 
 import sys
+from types import ModuleType
+from typing import cast
 
-if "rich" not in sys.modules:
-    # structlog imports it where it is installed, for tracebacks in color: 4 MiB of every process.
-    sys.modules["rich"] = None  # type: ignore[assignment]
-    import structlog as structlog
-
-    del sys.modules["rich"]
+# structlog imports it where it is installed, for tracebacks in color: 4 MiB of every process.
+sys.modules.setdefault("rich", cast(ModuleType, None))

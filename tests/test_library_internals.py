@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import uvicorn
+from babel import core, localedata
 from fastapi import FastAPI
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.routing import APIRoute, iter_route_contexts
@@ -20,7 +21,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from uvicorn.server import ServerState
 
 ROOT = Path(__file__).resolve().parents[1]
-BOUNDED = ("uvicorn", "httptools", "websockets", "fastapi", "serialx")
+BOUNDED = ("babel", "uvicorn", "httptools", "websockets", "fastapi", "serialx")
 HOW = "app/server overrides it: read what replaced it, then docs/decisions/0008-uvicorn-internals.md"
 
 METHODS: dict[type, str] = {
@@ -74,6 +75,12 @@ def test_used_members_of_fastapi_exist() -> None:
     assert callable(route.app)
     assert route.max_body_size is None
     assert [context.path for context in iter_route_contexts([route])] == ["/units/{unit}"]
+
+
+def test_dropped_members_of_babel_exist() -> None:
+    """Dropped by app.messages.locales, and read again by who wants them."""
+    assert hasattr(core, "_global_data")
+    assert isinstance(localedata._cache, dict)
 
 
 def test_overridden_members_of_serialx_exist() -> None:

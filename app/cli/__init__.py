@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Annotated, Any, cast
 
 import typer
@@ -122,4 +122,7 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # FastAPI would load the former version of Pydantic, 2 MiB, to refuse its models; there are none.
     sys.modules.setdefault("pydantic.v1", cast(ModuleType, None))
+    # Uvicorn would load its command line, click and multiprocessing, 1.5 MiB; this server is started without.
+    uvicorn_main = SimpleNamespace(Server=None, main=None, run=None)
+    sys.modules.setdefault("uvicorn.main", cast(ModuleType, uvicorn_main))
     cli(prog_name="lineside")

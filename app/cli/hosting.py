@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import uvloop
+from pydantic import BaseModel
 
 from app.cli import loading
 from app.cli.ending import report
@@ -24,6 +25,8 @@ from app.cli.listening import listen, url_of
 from app.cli.workers import WorkerProcesses
 from app.database.private import make_folder
 from app.errors import system_error
+from app.messages.languages import catalogs
+from app.messages.locales import locale_of
 from app.settings import Settings
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -125,9 +128,18 @@ def with_port(settings: Settings, port: int) -> Settings:
 async def _server_module(stopping: asyncio.Task[Any]) -> Any:
     """The dashboard's code; None where ``stopping`` came first. Beside many workers that start too,
     importing it takes a minute on a small machine: they must not go on for so long."""
-    reading = asyncio.create_task(asyncio.to_thread(import_module, "app.cli.server"))
+    reading = asyncio.create_task(asyncio.to_thread(_import_server))
     await asyncio.wait({reading, stopping}, return_when=asyncio.FIRST_COMPLETED)
     return None if stopping.done() else await reading
+
+
+def _import_server() -> Any:
+    # FastAPI describes OpenAPI by 82 models, 1.2 MiB: they are built for who reads the description.
+    BaseModel.model_config["defer_build"] = True
+    # First, so that what is imported fills the 3 MiB that Babel reads and `locale_of` leaves out.
+    for path in catalogs().values():
+        locale_of(path.stem)
+    return import_module("app.cli.server")
 
 
 def _stop_requested() -> asyncio.Task[Any]:

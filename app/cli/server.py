@@ -9,8 +9,9 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from typing import Any, cast
 
-import uvicorn
+import uvicorn.server
 from starlette.types import ASGIApp
+from uvicorn.config import Config
 
 from app.auth.first_admin import FirstAdmin
 from app.feature import Services
@@ -36,7 +37,7 @@ TICK_S = 1.0
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024
 
 
-class Server(uvicorn.Server):
+class Server(uvicorn.server.Server):
     """Leaves the signals to the host, and reports when it serves."""
 
     def __init__(
@@ -128,7 +129,7 @@ class Server(uvicorn.Server):
         await asyncio.gather(*self._accepting, return_exceptions=True)
         await super().shutdown(sockets)
 
-    def _make_protocol(self, config: uvicorn.Config) -> StampingProtocol:
+    def _make_protocol(self, config: Config) -> StampingProtocol:
         """Make the protocol of a connection, as uvicorn does for a server of asyncio's."""
         if not config.loaded:
             config.load()
@@ -136,11 +137,11 @@ class Server(uvicorn.Server):
         return make(config=config, server_state=self.server_state, app_state=self.lifespan.state)
 
 
-def _config(app: Any, **shared: Any) -> uvicorn.Config:
+def _config(app: Any, **shared: Any) -> Config:
     """No deflate on WebSockets: at ten messages a second it costs a quarter of a core, and every page would
     need separate frames. ``shared``: what the protocol of every connection gets."""
     protocol = partial(StampingProtocol, **shared)
-    return uvicorn.Config(
+    return Config(
         app,
         loop="none",
         http=cast(type[asyncio.Protocol], protocol),

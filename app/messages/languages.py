@@ -10,9 +10,9 @@ from functools import cache, cached_property
 from io import BytesIO
 from pathlib import Path
 
-from babel import Locale
 from babel.numbers import get_decimal_symbol
 
+from app.messages.locales import locale_of
 from bus.messages import TEXTS, Message, Plural
 
 
@@ -64,13 +64,12 @@ class Language:
     @cached_property
     def name(self) -> str:
         """What the language calls itself."""
-        locale = Locale.parse(self.locale)
-        return Locale(locale.language).get_display_name(locale) or self.tag
+        return str(locale_of(self.locale).languages.get(self.tag, self.tag))
 
     @cached_property
     def point(self) -> str:
         """The decimal sign."""
-        return get_decimal_symbol(Locale.parse(self.locale))
+        return get_decimal_symbol(locale_of(self.locale))
 
     @cached_property
     def catalog(self) -> gettext.GNUTranslations:

@@ -7,10 +7,10 @@ from datetime import datetime
 from decimal import Decimal
 from zoneinfo import ZoneInfo
 
-from babel import Locale
 from babel.dates import format_date, format_datetime, format_skeleton, format_time
 from babel.numbers import get_decimal_symbol
 
+from app.messages.locales import locale_of
 from app.time_zone import UTC
 from bus.instants import UnixTime
 
@@ -23,7 +23,7 @@ class Formats:
     """Formatting for one locale and one time zone."""
 
     def __init__(self, locale: str, time_zone: str = UTC) -> None:
-        self.locale = Locale.parse(locale, sep="-" if "-" in locale else "_")
+        self.locale = locale_of(locale)
         self.decimal_sign = get_decimal_symbol(self.locale)
         self._zone = ZoneInfo(time_zone)
 

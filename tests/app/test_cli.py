@@ -59,6 +59,9 @@ def test_every_command_is_there_and_explains_itself() -> None:
         assert "Usage:" in result.stdout
 
 
+PRINT_LOADED = "print(*(name for name, module in sys.modules.items() if module is not None))"
+
+
 def test_it_prints_its_version() -> None:
     result = CliRunner().invoke(cli, ["--version"])
     assert (result.exit_code, result.stdout) == (0, f"lineside {version('lineside')}\n")
@@ -81,9 +84,23 @@ def test_help_reads_nothing_heavy() -> None:
 
 def test_workers_begin_before_the_dashboard_is_imported() -> None:
     """Each takes a quarter of a second of the start, and rich 4 MiB of every process."""
-    code = "import sys; import app.cli.serve, app.cli.hosting, structlog; print(*sys.modules)"
+    code = f"import sys; import app.cli.serve, app.cli.hosting, structlog; {PRINT_LOADED}"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert {"fastapi", "rich"} & set(run.stdout.split()) == set()
+
+
+def test_the_dashboard_leaves_out_what_it_never_uses() -> None:
+    """The command line of uvicorn, click and multiprocessing, and the models that describe OpenAPI."""
+    code = f"""import sys; from contextlib import suppress; from app.cli import main
+sys.argv = ["lineside", "--help"]
+with suppress(SystemExit): main()
+from app.cli.hosting import _import_server; print(_import_server().__name__)
+from fastapi.openapi.models import Info; print(Info.__pydantic_complete__, Info(title="", version="").title)
+{PRINT_LOADED}"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *_, server, complete, loaded = run.stdout.splitlines()
+    assert (server, complete) == ("app.cli.server", "False ")
+    assert {"click", "multiprocessing", "pydantic.v1", "rich", "httpx"} & set(loaded.split()) == set()
 
 
 @pytest.mark.parametrize(

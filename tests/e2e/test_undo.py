@@ -99,7 +99,7 @@ def test_setting_the_line_to_zero_ends_the_undo_before_it_and_has_none(site: Sit
     before = [site.unit(number)["commanded"] for number in range(1, UNIT + 1)]
     try:
         send(page, "Set line to zero")
-        # Asked again, as an offer that lapses would be gone in time, too.
+        # Requested apart, as an offer that lapses would be gone in time, too.
         offered = page.request.get(f"{site.url}/bus/line/undo?unit={UNIT}")
         assert offered.ok
         assert "<button" not in offered.text()
