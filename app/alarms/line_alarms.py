@@ -22,6 +22,7 @@ from app.alarms.transaction import ActTransaction
 from app.audit.log import EventLog
 from app.conditions.priority import PRIORITIES
 from app.errors import Problem, StoreError
+from app.live.screen.fields import name_on_site
 from app.web.access import Person
 from bus.instants import Clock, UnixTime, unix_now
 from bus.messages import Message
@@ -166,11 +167,14 @@ class LineAlarms:
         return sorted((alarm for alarm in of_unit.values() if alarm.is_annunciated), key=rank)
 
     def place(self, bus: str | None, unit: int | None) -> str:
-        """The name of a unit or bus, which may be configured no longer; empty for the site."""
+        """The name of a bus, or of a unit as on the pages of the site, which may be configured no longer;
+        empty for the site."""
         if bus is None:
             return ""
         names = self.buses[bus].unit_names() if bus in self.buses else {}
-        return bus if unit is None else names.get(unit, f"{bus}/{unit}")
+        if unit is None or unit not in names:
+            return bus if unit is None else f"{bus}/{unit}"
+        return name_on_site(bus, names[unit], self.buses)
 
     def find(self, alarm_id: str) -> FoundAlarm:
         """The alarm of an id. Raises Problem 404, or 409 where the id names an earlier occurrence."""

@@ -17,6 +17,8 @@ from bus.messages import Message
 
 SHOWN = 3
 """Events that are listed; the page of events has the others."""
+MAX_SEARCHED = 10_000
+"""A key press searches so many entries of the log: in a long one a word that is in none takes seconds."""
 LAST = 100
 """Their rank: they come after everything that has the name."""
 
@@ -43,7 +45,8 @@ class EventFinder:
     async def __call__(self, search: Search) -> Iterable[FoundPlace]:
         """A way to the page of events with this search, and the newest of them."""
         typed = search.formats.typed_number(search.typed)
-        wanted = Filter(search=typed, named=units_named(self._settings, search.typed), folded=True)
+        named = units_named(self._settings, search.typed)
+        wanted = Filter(search=typed, named=named, folded=True, newest=MAX_SEARCHED)
         try:
             events, _ = await self._events.page(wanted, SHOWN)
         except StoreError:

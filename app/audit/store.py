@@ -42,6 +42,7 @@ class Filter:
     """The events of a query; None or empty does not filter. Times in seconds since the epoch. ``code`` and
     ``number`` are those of the message in ``what``, which older events do not have.
     ``named``: units that ``search`` names; what is about them is found too.
+    ``newest``: among so many entries of the log, the newest ones; it bounds what a search costs.
     ``folded`` leaves out the parts of a change that is in the result, ``parts_of`` all but the parts of
     these."""
 
@@ -61,6 +62,7 @@ class Filter:
     folded: bool = False
     parts_of: tuple[int, ...] | None = None
     after: int | None = None
+    newest: int | None = None
 
     def conditions(self, event: str = "e", conclusion: str = "f") -> tuple[str, list[Any]]:
         """SQL to append to a query, with the aliases of the events and their conclusions, and its values."""
@@ -69,6 +71,7 @@ class Filter:
         given = {
             f"{event}.id < ?": self.before,
             f"{event}.id > ?": self.after,
+            f"{event}.id > (SELECT max(id) FROM events) - ?": self.newest,
             f"{event}.kind = ?": self.kind,
             f"{event}.bus = ?": self.bus,
             f"{event}.unit = ?": self.unit,

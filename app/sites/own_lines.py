@@ -98,5 +98,5 @@ class OwnLines:
         for alarm in self.alarms.annunciated():
             definition = alarm.definition
             if definition.bus == bus:
-                place = self.alarms.place(bus, definition.unit)
+                place = self.alarms.buses[bus].place(definition.unit)
                 yield alarm, Message.of("line_alarm_at", place=place, name=definition.name)

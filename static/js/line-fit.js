@@ -3,7 +3,7 @@
 
 /** Width and height in px below which a cell cannot be read or pressed; the strip above it, and the gap. */
 const SIZES = {
-  tiles: { width: 186, height: 108, strip: 22, gap: 8 },
+  tiles: { width: 186, height: 112, strip: 22, gap: 8 },
   matrix: { width: 74, height: 48, strip: 16, gap: 3 },
 };
 /** A cell is as good as the smaller of its width and so many times its height. */

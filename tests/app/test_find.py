@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.audit.log import EventLog
+from app.audit.store import Filter
 from app.find.matching import missing, rank, words_of
 from app.live.state.bus_live import LiveState
 from app.recipes.book import RecipeBook
@@ -88,3 +89,15 @@ async def test_typed_text_is_bounded(tmp_path: Path, query: dict[str, str]) -> N
     async with complete_app(tmp_path) as house:
         client = await house.signed_in(Role.VIEWER)
         assert (await client.get("/find", params=query)).status_code == 422
+
+
+@both_engines
+async def test_a_key_press_searches_the_newest_entries_of_a_long_log(tmp_path: Path) -> None:
+    async with complete_app(tmp_path) as house:
+        events = house.services[EventLog]
+        for _ in range(3):
+            await events.record(kind="note", what=Message("event_server_started"), bus="dry-end", unit=2)
+        every, _ = await events.page(Filter(search="server started"), 10)
+        newest, _ = await events.page(Filter(search="server started", newest=2), 10)
+        assert len(every) >= 3
+        assert [event["id"] for event in newest] == [event["id"] for event in every[:2]]

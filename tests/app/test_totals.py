@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from app.live.screen.fields import name_on_site
 from app.live.screen.totals import holders
 from tests.app.screens import translator
 
@@ -28,3 +29,8 @@ def test_the_holder_of_control_is_shown_with_the_bus(
 ) -> None:
     texts = [holders(held_by, translator(tag)).replace("\u00a0", " ") for tag in ("en", "de")]
     assert texts == [english, german]
+
+
+def test_a_unit_is_named_with_its_bus_where_there_are_several() -> None:
+    assert name_on_site("wet", "Nip", ["wet"]) == "Nip"
+    assert name_on_site("wet", "Nip", ["wet", "dry"]) == "wet · Nip"

@@ -131,6 +131,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     page.get_by_role("button", name="Set line to zero").click()
     expect(page.locator("#review")).to_contain_text("left out: admin-program (token) has control")
     expect(page.locator("[data-review-act]")).to_have_count(0)
+    expect(page.locator("#review").get_by_role("button", name="Request control")).to_be_visible()
     zero = page.request.post(
         "/line/zero", form={"id": "z" * 32, "reviewed_at": "9999999999"}, headers={"Origin": site.url}
     )
@@ -139,6 +140,22 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
         response = client.post("/buses/line/units/1/speed", json={"raw": 550})
     assert (response.status_code, response.json()["code"]) == (409, "controlled")
     assert received_writes(site) == before
+
+
+def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
+    page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
+    page.get_by_role("button", name="Set line to zero").click()
+    rest(page)
+    page.locator("#review").get_by_role("button", name="Take control and continue").click()
+    act = page.locator("[data-review-act]")
+    expect(act).to_have_text(re.compile("Set . units? to speed 0"))
+    rest(page)
+    act.click()
+    expect(page.locator("[data-review-done=good]")).to_contain_text("accepted speed 0")
+    page.keyboard.press("Escape")
+    rest(page)
+    page.get_by_role("button", name="Release control").click()
+    expect(page.locator("[data-head-control]")).to_contain_text("Control is free")
 
 
 def test_control_is_requested_in_the_head_and_a_refused_setpoint_goes_on(

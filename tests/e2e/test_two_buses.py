@@ -56,6 +56,27 @@ def opened(page: Page, path: str) -> Page:
     return page
 
 
+def test_an_abnormal_unit_is_named_with_its_bus(site: Site, shared_page: OpensPages) -> None:
+    """Both buses have a unit of that name."""
+    wet(site).remote.do("input", unit=2, input="estop", on=True)
+    try:
+        page = opened(shared_page(viewport=PANEL), "/")
+        expect(page.locator("h1")).to_contain_text("wet · Infeed nip · Stopped: emergency stop active")
+        expect(page.locator(".top__alarm")).to_contain_text("wet · Infeed nip")
+        page.locator('[data-unit="wet/2"] [data-faceplate]').click()
+        expect(page.locator("#faceplate-name")).to_have_text(re.compile(r"wet ·\s+Infeed nip"))
+        overlap = """tile => {
+          const box = part => tile.querySelector(part).getBoundingClientRect();
+          return box(".value__number").bottom - box(".status").top;
+        }"""
+        assert page.locator('[data-unit="wet/2"]').first.evaluate(overlap) <= 0
+        opened(page, "/units/wet/2")
+        expect(page.locator("h1")).to_have_text(re.compile(r"wet · 2\s+Infeed nip"))
+    finally:
+        wet(site).remote.do("input", unit=2, input="estop", on=False)
+    expect(page.locator(".cause")).to_contain_text("At speed")
+
+
 def test_each_unit_shows_the_values_of_its_bus(site: Site, shared_page: OpensPages) -> None:
     site.set_speed(1, value="61.0")
     site.set_speed(1, bus="wet", value="62.0")

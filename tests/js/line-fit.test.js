@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { fitOf, fitWith, sizeOf } from "../../static/js/line-fit.js";
 
-const TILES = { width: 186, height: 108, strip: 22, gap: 8 };
+const TILES = { width: 186, height: 112, strip: 22, gap: 8 };
 const MATRIX = { width: 74, height: 48, strip: 16, gap: 3 };
 /** The room for the line in a window of 1280 × 800 and of 1920 × 1080. */
 const [PANEL, WALL] = [

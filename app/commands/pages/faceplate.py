@@ -24,6 +24,7 @@ async def faceplate(_: Viewer, page: OfUnit) -> Response:
         "line/_faceplate.html",
         fields=page.fields(),
         unit=page.on_line,
+        bus=page.name,
         alarms=[a for a in alarms if (a.definition.bus, a.definition.unit) == (page.name, page.id)],
         present=page.setpoint(page.present),
         lowest=page.setpoint(allowed.lowest),

@@ -14,6 +14,7 @@ from app.commands.review import ZeroPlan, by_remark, plan_zero
 from app.commands.service.writer import permitted
 from app.commands.values import setpoint_message
 from app.errors import Problem
+from app.live.screen.fields import name_on_site
 from app.live.state.bus_live import BusLive
 from app.web.access import Viewer
 from app.web.arrival import Deadline
@@ -120,8 +121,7 @@ async def _sent(page: BusPage, action: SetLine | SetSpeed, id: str, deadline: De
 
 
 def _on_site(page: BusPage, name: str) -> str:
-    """Two buses may each have a unit of that name."""
-    return f"{page.name} · {name}" if len(page.live.buses) > 1 else name
+    return name_on_site(page.name, name, page.live.buses)
 
 
 def _in_all(proofs: list[ResultRow]) -> OutcomeText:

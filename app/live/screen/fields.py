@@ -7,6 +7,7 @@ for all browsers, or a list of typed values. Positions are fractions as text; bi
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,6 +57,12 @@ class Translator:
 
 def unit_key(bus: str, unit: int) -> str:
     return f"{bus}/{unit}"
+
+
+def name_on_site(bus: str, name: str, buses: Collection[str]) -> str:
+    """The name of a unit on the pages of a site: where it has several buses, two may each have a unit of that
+    name, and the bus comes first."""
+    return f"{bus} · {name}" if len(buses) > 1 else name
 
 
 def unit_fields(bus: BusLive, unit: UnitLive, link: UnitLinkState, translator: Translator) -> Fields:

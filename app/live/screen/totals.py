@@ -10,7 +10,7 @@ from app.conditions.priority import PRIORITIES
 from app.live.diagnosis.abnormal import UnitView, all_offline, state_counts
 from app.live.diagnosis.cause import Cause, Level, bus_cause
 from app.live.screen.cause_text import cause_texts
-from app.live.screen.fields import Fields, Translator, scan_text, unit_key
+from app.live.screen.fields import Fields, Translator, name_on_site, scan_text, unit_key
 from app.live.state.age import figures_now
 from app.live.state.bus_live import BusLive
 from app.web.formats import UNKNOWN
@@ -56,7 +56,7 @@ def entries_of(
             found.append((name, name, cause))
         else:
             found += [
-                (key, view.unit.settings.name, view.cause)
+                (key, name_on_site(name, view.unit.settings.name, buses), view.cause)
                 for key, view in of_bus
                 if view.cause and view.level
             ]
