@@ -47,6 +47,7 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
 ) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     address = take_set(page)
+    page.locator("summary", has_text="Parameters of Unwind").click()
     expect(page.get_by_role("row", name=re.compile("Acceleration Ramp Rate")).first).to_contain_text("20.0 s")
     page.get_by_role("button", name="Mark as golden set").first.click()
     expect(page.get_by_text("Golden set: the unit should equal this set.")).to_have_count(1)
@@ -57,6 +58,21 @@ def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     page.get_by_role("link", name="Compare with the current values").first.click()
     expect(page.get_by_role("heading", level=1)).to_have_text("1 row differs")
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
+    page.get_by_role("button", name="Restore Unwind to this set").click()
+    expect(page.locator("#restore [role=status]")).to_contain_text("1 row would be written")
+
+
+def test_golden_sets_of_the_line_are_saved_by_one_press(site: Site, shared_page: OpensPages) -> None:
+    assert site.units == 3
+    page = shared_page("engineer", viewport=PHONE)
+    page.goto("/sets")
+    page.get_by_role("button", name="Save golden sets of 3 units").click()
+    rows = page.get_by_role("table").locator("tbody tr")
+    expect(rows).to_have_count(3)
+    expect(rows.filter(has_text="golden set")).to_have_count(3, timeout=PROCEDURE_MS)
+    expect(page.get_by_text("120 of 120 values read")).to_be_visible()
+    page.get_by_role("link", name="Open the set").click()
+    expect(page.get_by_text("Golden set: the unit should equal this set.")).to_have_count(3)
 
 
 @pytest.mark.soak
