@@ -43,10 +43,6 @@ class Taking:
     set_id: int | None = None
     cause: Message | None = None
 
-    @property
-    def done(self) -> int:
-        return len(self.read) + len(self.missing)
-
     def values_read(self, keeper: SetKeeper) -> dict[int, int]:
         """How many values of each unit have been read so far; all of a unit that will not be read further."""
         ended = self.missing.keys() | {rows.unit for rows in self.read}
