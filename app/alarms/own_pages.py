@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, NamedTuple, get_args
 
 from fastapi import APIRouter, Form, Query
 from pydantic import BaseModel, Field
@@ -12,7 +12,7 @@ from starlette.responses import RedirectResponse, Response
 
 from app.alarms.acts import ADD_OWN, REMOVE_OWN
 from app.alarms.line_alarms import LineAlarms
-from app.alarms.own_api import OwnBook, SimulatorOf
+from app.alarms.own_api import OwnBook, SimulatorOf, WrittenText
 from app.alarms.own_book import OwnAlarmBook
 from app.alarms.pages import SEE_OTHER, TypedReason, given_reason
 from app.alarms.rules.performance import DAY_S
@@ -22,6 +22,8 @@ from app.alarms.simulation.proposal import proposed
 from app.alarms.summary import places_of
 from app.errors import Problem
 from app.history.api.spans import HistoryOf
+from app.history.series import values
+from app.history.series.values import VALUES
 from app.routing.at_home import at_home_of
 from app.settings import Settings
 from app.web.access import Engineer, Person
@@ -29,15 +31,25 @@ from app.web.services import service, service_of
 from app.web.shape import parse_integer
 from app.web.templating import render, templates_of
 from bus.instants import unix_now
+from bus.settings import UnitSettings
 
 router = APIRouter(include_in_schema=False)
 
 SPANS = (1, 7, 31)
 _NUMBERS = ("above", "below", "deadband", "change_per_s")
 _DELAYS = ("on_delay_s", "off_delay_s")
-_WITHOUT_FIELD = {"realarm_s", "latch", "cause", "consequence", "response"}
+_TEXTS = ("cause", "consequence", "response")
+_WITHOUT_FIELD = {"realarm_s", "latch"}
 SettingsOf = Annotated[Settings, service(Settings)]
 WrittenField = Annotated[str, Field(max_length=80)]
+
+
+class OwnValueWords(NamedTuple):
+    """The name of a value in a reader's language, by the label of the unit where it has one, and its unit of
+    measure, empty where none is configured."""
+
+    name: str
+    measure: str
 
 
 class WrittenAlarm(BaseModel):
@@ -55,6 +67,9 @@ class WrittenAlarm(BaseModel):
     on_delay_s: WrittenField = ""
     off_delay_s: WrittenField = ""
     priority: WrittenField = "medium"
+    cause: WrittenText = ""
+    consequence: WrittenText = ""
+    response: WrittenText = ""
     days: WrittenField = "7"
     change: Annotated[str, Field(max_length=200)] = ""
     version: WrittenField = ""
@@ -81,6 +96,15 @@ async def own_alarms_page(
     start = end - int(written["days"]) * DAY_S
     found = await simulator.run(bus, settings, start, end, person.account)
     return _page(request, written, found=found)
+
+
+@router.get("/alarms/own/values")
+async def values_of_unit(request: Request, _: Engineer, query: Annotated[WrittenAlarm, Query()]) -> Response:
+    """The choice of values, by the labels of the unit that was chosen."""
+    written = _written(query)
+    return render(
+        request, "alarms/_own_values.html", written=written, values=_values(request, written["place"])
+    )
 
 
 @router.post("/alarms/own")
@@ -132,7 +156,8 @@ def _page(
         configured=[(each, alarms.place(each.bus, each.unit), added) for each, added in own.every()],
         left_aside=list(own.left_aside.values()),
         places=[place for place in places_of(alarms) if "/" in place[0]],
-        values=get_args(OwnValue),
+        values=_values(request, written["place"]),
+        values_of={place: _values(request, place) for place in _places_of(own)},
         spans=SPANS,
         written=written,
         fault=None if fault is None else fault.message,
@@ -144,6 +169,34 @@ def _page(
 def _written(form: WrittenAlarm) -> dict[str, str]:
     written: dict[str, str] = form.model_dump()
     return written | ({} if written["days"] in map(str, SPANS) else {"days": "7"})
+
+
+def _places_of(own: OwnAlarmBook) -> set[str]:
+    return {f"{each.bus}/{each.unit}" for each, _ in own.every()}
+
+
+def _values(request: Request, place: str) -> dict[str, OwnValueWords]:
+    """The name and the unit of measure of each value of a unit; without labels where it is not configured."""
+    bus, _, number = place.partition("/")
+    units = (
+        unit
+        for each in service_of(request, Settings).bus
+        if each.name == bus
+        for unit in each.unit
+        if str(unit.id) == number
+    )
+    unit = next(units, None)
+    translate = templates_of(request).language_of(request).t
+    return {name: _words(unit, name, translate) for name in get_args(OwnValue)}
+
+
+def _words(unit: UnitSettings | None, name: str, translate: Callable[..., str]) -> OwnValueWords:
+    value = VALUES["actual" if name == "deviation" else name]
+    words = values.text(value, translate)
+    wired = values.label(unit, value) if unit else ""
+    return OwnValueWords(
+        f"{wired} ({words})" if wired else words, values.measure(unit, value) if unit else ""
+    )
 
 
 def _name(written: Mapping[str, str], otherwise: str) -> dict[str, str]:
@@ -167,6 +220,7 @@ def _keys(request: Request, written: dict[str, str]) -> dict[str, Any]:
         "priority": written["priority"],
     }
     keys |= {key: formats.typed_number(written[key]) for key in _NUMBERS if written[key].strip()}
+    keys |= {key: written[key].strip() for key in _TEXTS}
     keys |= {key: _delay(formats.typed_number(written[key])) for key in _DELAYS if written[key].strip()}
     return keys | ({"state": written["state"]} if written["state"] else {})
 

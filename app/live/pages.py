@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter
 from pydantic import BeforeValidator
@@ -13,10 +13,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.live.browsers.hub import Hub
+from app.live.first_steps import next_step
+from app.live.lookup import bus_or_404
 from app.live.screen.fields import unit_key
 from app.live.screen.totals import strip_of
 from app.live.state.bus_live import BusLive, UnitLive
-from app.web.access import Viewer
+from app.web.access import Engineer, Viewer
 from app.web.services import service_of
 from app.web.templating import render, templates_of
 from bus.catalogue.numbers import DECIMALS, MAX_DISPLAY
@@ -87,6 +89,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
         "line/page.html",
         fields=screen.flat(),
         entries=strip_of(screen.entries),
+        first_steps=[guide for bus in hub.live.here.values() if (guide := _first_steps(bus))["step"]],
         buses=buses,
         unit_count=count,
         view=view_for(count) if chosen == "auto" else chosen,
@@ -95,6 +98,19 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
     if view is not None:
         response.set_cookie(VIEW_COOKIE, view, max_age=YEAR_S, samesite="lax", httponly=True)
     return response
+
+
+@router.get("/first-steps/{bus}")
+async def first_steps(request: Request, _: Engineer, bus: str) -> Response:
+    """What to do until the first unit of a bus responds; then the line."""
+    guide = _first_steps(bus_or_404(service_of(request, Hub).live, bus))
+    if guide["step"] is None:
+        return Response(headers={"HX-Redirect": "/"})
+    return render(request, "line/_first_steps.html", **guide)
+
+
+def _first_steps(bus: BusLive) -> dict[str, Any]:
+    return {"bus": bus.settings, "baud": bus.baud, "step": next_step(bus)}
 
 
 def view_for(units: int) -> View:

@@ -190,7 +190,7 @@ async def mark_golden_set(
     mark: GoldenSetRequest,
 ) -> GoldenSet:
     """Make this set the golden set of the unit."""
-    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, mark.unit)
+    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [mark.unit])
     return {"set": stored.id, "unit": mark.unit, "golden": True}
 
 

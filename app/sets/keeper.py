@@ -57,15 +57,18 @@ class SetKeeper:
         rows = [await self.reader.read_unit(person, unit) for unit in units]
         return await self.keep(person, rows, name, comment, origin)
 
-    async def mark_golden(self, person: Person, stored: ParameterSet, unit: int) -> None:
-        """Make this set the golden set of the unit. Raises Problem 404 where it does not hold it."""
+    async def mark_golden(self, person: Person, stored: ParameterSet, units: Sequence[int]) -> None:
+        """Make this set the golden set of the units. Raises Problem 404 where it does not hold one of them;
+        none is marked then."""
         MARK_GOLDEN.check(person)
-        if stored.unit(unit) is None:
-            raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
-        await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
+        for unit in units:
+            if stored.unit(unit) is None:
+                raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
+        for unit in units:
+            await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
+            performed = MARK_GOLDEN.by(person, set=stored.id, unit=unit)
+            await self._events.record(**performed, bus=self.bus, unit=unit)
         await self._drift.load()
-        performed = MARK_GOLDEN.by(person, set=stored.id, unit=unit)
-        await self._events.record(**performed, bus=self.bus, unit=unit)
 
     async def learn_marked(self, person: Person) -> None:
         """Run indefinitely: read completely, in the gaps of the scan, the units whose golden set could not be

@@ -71,22 +71,32 @@ async def take(
     unit: Annotated[UnitAddresses | None, Form()] = None,
     name: Annotated[OneLine, Form(max_length=80)] = "",
     comment: Annotated[Lines, Form(max_length=1000)] = "",
+    golden: Annotated[bool, Form()] = False,
 ) -> Response:
-    """Begin to read the units."""
+    """Begin to read the units, all of the bus when none is named."""
     at_home_of(request, bus)
     units = unit or list(bus_or_404(live, bus).units)
     for number in units:
         unit_or_404(live, bus, number)
-    taking = readings.begin(person, bus_service_of(request, bus, SetKeeper), units, name, comment)
+    keeper = bus_service_of(request, bus, SetKeeper)
+    taking = readings.begin(person, keeper, units, name, comment, golden=golden)
     return RedirectResponse(f"/sets/taking/{taking.id}", 303)
 
 
 @router.get("/sets/taking/{taking_id}")
-async def taking_page(request: Request, _: Viewer, readings: Readings, taking_id: str) -> Response:
-    """How far a reading is."""
+async def taking_page(
+    request: Request, _: Viewer, readings: Readings, live: Live, taking_id: str
+) -> Response:
+    """How far a reading is, by values, and the result of each unit."""
     taking = or_404(readings.get(taking_id), "unknown_taking", Message("no_such_taking"))
-    template = "sets/_taking.html" if request.headers.get("hx-request") else "sets/taking.html"
-    return render(request, template, taking=taking)
+    return render(
+        request,
+        "sets/_taking.html" if request.headers.get("hx-request") else "sets/taking.html",
+        taking=taking,
+        values_read=taking.values_read(bus_service_of(request, taking.bus, SetKeeper)),
+        units=live.buses[taking.bus].units,
+        PARAMETERS=PARAMETERS,
+    )
 
 
 @router.post("/sets/schedule")
@@ -158,7 +168,7 @@ async def golden(
     unit: Annotated[int, Form()],
 ) -> Response:
     """Mark it as what the unit ought to be."""
-    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, unit)
+    await bus_service_of(request, stored.bus, SetKeeper).mark_golden(person, stored, [unit])
     return RedirectResponse(f"/sets/{stored.id}", 303)
 
 

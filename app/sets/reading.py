@@ -13,6 +13,7 @@ from app.web.access import Person
 from bus.catalogue.parameters import PARAMETERS
 from bus.catalogue.status import StatusBits, status_bits
 from bus.contract import ParameterValue, ReadParameters
+from bus.instants import UnixTime
 from bus.messages import Message
 
 READ_TIMEOUT_S = 300.0
@@ -50,6 +51,10 @@ class ParameterReader:
         """The Run input and REMOTE of a unit as last read; None for one that does not respond."""
         status = status_of(self._live, self._live.units[unit])
         return (None, None) if status is None else (status.run, status.remote)
+
+    def values_since(self, unit: int, since: UnixTime) -> int:
+        """How many parameters of a unit were read at or after ``since``."""
+        return sum(value.at >= since for value in self._live.units[unit].parameters.values())
 
     async def read_unit(self, person: Person, unit: int, *, urgent: bool = False) -> UnitRows:
         """All 40 parameters as the unit reports them now.

@@ -55,7 +55,7 @@ async def plan_page(
     unit_or_404(live, bus, unit)
     rows = await chosen.uploaded(unit)
     if rows is None:
-        if not chosen.text.startswith("set:"):
+        if not chosen.text.startswith(("set:", "golden:")):
             raise Problem(422, "invalid", Message("set_or_file_missing"))
         rows = (await side(chosen.text, sets, live)).rows
     restore = await restores.plan(person, bus, unit, rows)

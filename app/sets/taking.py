@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from app.errors import Problem, StoreError
-from app.sets.acts import SAVE
+from app.sets.acts import MARK_GOLDEN, SAVE
 from app.sets.background import Background
 from app.sets.keeper import SetKeeper
 from app.sets.model import UnitRows
 from app.web.access import Person
+from bus.catalogue.parameters import PARAMETERS
+from bus.instants import UnixTime, unix_now
 from bus.messages import Message
 
 MAX_TAKINGS = 20
@@ -24,23 +26,30 @@ MAX_AT_ONCE = 4
 
 @dataclass(slots=True)
 class Taking:
-    """A set being read. ``set_id`` once it is saved; ``missing``: the units that did not respond, with the
-    reason; ``cause``: why nothing was saved although units responded."""
+    """A set being read since ``began``, to be the ``golden`` set of its units or not. ``set_id`` once it is
+    saved; ``missing``: the units that did not respond, with the reason; ``cause``: why it was not saved, or
+    not marked, although units responded."""
 
     id: str
     bus: str
     units: tuple[int, ...]
     name: str
     comment: str
+    golden: bool
+    began: UnixTime
     state: Literal["reading", "kept", "failed"] = "reading"
     read: list[UnitRows] = field(default_factory=list)
     missing: dict[int, Message] = field(default_factory=dict)
     set_id: int | None = None
     cause: Message | None = None
 
-    @property
-    def done(self) -> int:
-        return len(self.read) + len(self.missing)
+    def values_read(self, keeper: SetKeeper) -> dict[int, int]:
+        """How many values of each unit have been read so far; all of a unit that will not be read further."""
+        ended = self.missing.keys() | {rows.unit for rows in self.read}
+        return {
+            unit: len(PARAMETERS) if unit in ended else keeper.reader.values_since(unit, self.began)
+            for unit in self.units
+        }
 
 
 class Takings:
@@ -55,11 +64,21 @@ class Takings:
         return self._takings.get(taking_id)
 
     def begin(
-        self, person: Person, keeper: SetKeeper, units: Sequence[int], name: str, comment: str
+        self,
+        person: Person,
+        keeper: SetKeeper,
+        units: Sequence[int],
+        name: str,
+        comment: str,
+        *,
+        golden: bool = False,
     ) -> Taking:
-        """Read the units one after another and save their values as one set."""
+        """Read the units one after another and save their values as one set; ``golden``: and mark it as the
+        golden set of each unit that was read."""
         SAVE.check(person)
-        taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment)
+        if golden:
+            MARK_GOLDEN.check(person)
+        taking = Taking(secrets.token_hex(8), keeper.bus, tuple(units), name, comment, golden, unix_now())
         self._takings[taking.id] = taking
         for old in list(self._takings)[:-MAX_TAKINGS]:
             del self._takings[old]
@@ -73,10 +92,13 @@ class Takings:
             return
         try:
             kept = await keeper.keep(person, taking.read, taking.name, taking.comment, "by hand")
+            taking.set_id = kept.id
+            if taking.golden:
+                await keeper.mark_golden(person, kept, [rows.unit for rows in taking.read])
         except (Problem, StoreError) as error:
             taking.state, taking.cause = "failed", error.message
             return
-        taking.set_id, taking.state = kept.id, "kept"
+        taking.state = "kept"
 
 
 async def read_together(

@@ -44,9 +44,10 @@ REMOTE, HEALTHY, RUN = 0b0100_0000, 0b0000_0010, 0b0000_0001
 
 @dataclass
 class PlayedCommands:
-    """``memory``: unit → number → raw. ``timeout_after``: writes after which no unit responds;
-    ``hangs_after``: writes after which the next one gets no result; ``objects``: by parameter the Problem
-    with which a write of it is not sent; ``before_write``: called as each write arrives.
+    """``memory``: unit → number → raw. ``timeout_after``: writes after which no unit responds; ``dead``:
+    units whose parameters cannot be read; ``hangs_after``: writes after which the next one gets no result;
+    ``objects``: by parameter the Problem with which a write of it is not sent; ``before_write``: called as
+    each write arrives.
     """
 
     live: LiveState
@@ -56,6 +57,7 @@ class PlayedCommands:
     before_write: Callable[[WriteParameter], None] = lambda _: None
     lacks: frozenset[int] = frozenset()
     timeout_after: int | None = None
+    dead: set[int] = field(default_factory=set)
     hangs_after: int | None = None
     hanging: asyncio.Event = field(default_factory=asyncio.Event)
     written: list[tuple[int, int, int]] = field(default_factory=list)
@@ -95,7 +97,7 @@ class PlayedCommands:
         return self.timeout_after is not None and len(self.written) >= self.timeout_after
 
     def _read(self, action: ReadParameters) -> Result:
-        if self._timed_out:
+        if self._timed_out or action.unit in self.dead:
             return Result(id="r", at=time.time(), outcome="unverified", message=term("no response"))
         values = [self._value(action.unit, number) for number in action.numbers]
         return Result(id="r", at=time.time(), outcome="verified", values=values)
@@ -185,7 +187,7 @@ class SetScene:
         self.drift = BusDrift(bus, self.store, self.events)  # type: ignore[arg-type]
         self.keeper = SetKeeper(bus, reader, self.drift, self.store, self.events, self.rights)  # type: ignore[arg-type]
 
-    def report(self, unit: int, *numbers: int, raw: int = 30) -> None:
+    def report(self, unit: int, *numbers: int, raw: int = 30, at: float = 1.0) -> None:
         """Report ``raw`` for these parameters of a unit."""
-        values = [ParameterValue(unit=unit, number=number, at=1.0, raw=raw) for number in numbers]
+        values = [ParameterValue(unit=unit, number=number, at=at, raw=raw) for number in numbers]
         self.live.buses["dry-end"].apply(values)

@@ -20,10 +20,12 @@ from app.audit.log import EventLog
 from app.database import Database
 from app.errors import Problem, StoreError
 from app.live.state.bus_live import LiveState
+from app.settings import Settings
 from app.web.access import Person, Role
 from bus.contract import BusLink, ParameterValue, Reading, UnitLink
 from bus.instants import UnixTime
 from bus.messages import Message
+from bus.settings import UnitLabels
 from tests.app.complete_app import House, complete_app
 from tests.stores import both_engines
 
@@ -272,10 +274,33 @@ async def test_the_page_adds_changes_and_removes_without_script(house: House) ->
 async def test_a_change_on_the_page_keeps_what_the_form_has_no_field_for(house: House) -> None:
     program, engineer = await house.program(Role.ENGINEER), await house.signed_in(Role.ENGINEER)
     own = await added(program, latch=True, response="Slow down.")
-    change = {**FORM, "change": own["id"], "version": str(own["version"]), "above": "110"}
+    page = (await engineer.get("/alarms/own")).text
+    assert 'name="response" value="Slow down."' in page
+    assert "actual speed is above 105.0" in page
+    texts = {"cause": "A worn felt.", "consequence": "The web breaks.", "response": "Slow down now."}
+    change = {**FORM, **texts, "change": own["id"], "version": str(own["version"]), "above": "110"}
     assert (await engineer.post("/alarms/own", data=change)).status_code == 303
     (after,) = (await program.get(PATH)).json()["alarms"]
-    assert (after["above"], after["latch"], after["response"]) == ("110", True, "Slow down.")
+    assert (after["above"], after["latch"]) == ("110", True)
+    assert {name: after[name] for name in texts} == texts
+
+
+async def test_the_values_of_the_form_have_the_labels_of_the_chosen_unit(house: House) -> None:
+    labels = UnitLabels(input={"run": "Web break"}, analog="Felt tension", analog_unit="bar")
+    bus = next(bus for bus in house.services[Settings].bus if bus.name == BUS)
+    bus.unit[0].__dict__["labels"] = labels
+    engineer, operator = await house.signed_in(Role.ENGINEER), await house.signed_in(Role.OPERATOR)
+    program = await house.program(Role.ENGINEER)
+    await added(program, name="Loose", value="analog", above=None, below="1.5", on_delay_s=5)
+    await added(program, name="Broke", value="run", above=None, state="off")
+    page = (await engineer.get("/alarms/own")).text
+    assert "Felt tension (analog input) is below 1.5 bar for longer than 5 s" in page
+    assert "Web break (run) is off" in page
+    place = {"place": f"{BUS}/1"}
+    assert "Web break (run)" in (await engineer.get("/alarms/own/values", params=place)).text
+    other = (await engineer.get("/alarms/own/values", params={"place": f"{BUS}/2"})).text
+    assert ("Web break" in other, "run" in other) == (False, True)
+    assert (await operator.get("/alarms/own/values", params=place)).status_code == 403
 
 
 async def test_the_page_states_why_an_alarm_is_refused(house: House) -> None:

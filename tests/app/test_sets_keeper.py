@@ -75,6 +75,33 @@ async def test_a_reading_that_cannot_be_stored_ends_as_failed_with_its_reason(
     assert {str(reason) for reason in reasons} == {"the disk is full"}
 
 
+async def test_golden_sets_of_all_units_are_those_of_the_units_that_responded(scene: Scene) -> None:
+    scene.commands.dead.add(2)
+    takings = Takings()
+    taking = takings.begin(ANNA, scene.keeper, [1, 2], "", "", golden=True)
+    assert taking.values_read(scene.keeper) == {1: 0, 2: 0}
+    scene.report(1, 6, raw=0, at=taking.began)
+    scene.report(1, 7, raw=0, at=taking.began - 1)
+    assert taking.values_read(scene.keeper) == {1: 1, 2: 0}
+    await takings.background.settled()
+    assert (taking.state, list(taking.missing)) == ("kept", [2])
+    assert taking.values_read(scene.keeper) == {1: 40, 2: 40}
+    assert [summary.golden_for for summary in await scene.store.summaries()] == [(1,)]
+
+
+async def test_a_set_that_was_saved_and_not_marked_keeps_its_number(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: object) -> None:
+        raise StoreError(Message.of("system_error", error="the disk is full"))
+
+    monkeypatch.setattr(scene.store, "mark_golden", full)
+    takings = Takings()
+    taking = takings.begin(ANNA, scene.keeper, [1], "", "", golden=True)
+    await takings.background.settled()
+    assert (taking.state, taking.set_id, str(taking.cause)) == ("failed", 1, "the disk is full")
+
+
 @pytest.mark.parametrize("role", [Role.VIEWER, Role.OPERATOR, Role.WORKER])
 async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: Role) -> None:
     kept, person, takings = (
@@ -86,7 +113,7 @@ async def test_a_caller_without_a_route_needs_the_role_too(scene: Scene, role: R
     with pytest.raises(Problem, match="role engineer"):
         await scene.keeper.take(person, [1])
     with pytest.raises(Problem, match="role engineer"):
-        await scene.keeper.mark_golden(person, kept, 1)
+        await scene.keeper.mark_golden(person, kept, [1])
     with pytest.raises(Problem, match="role engineer"):
         takings.begin(person, scene.keeper, [1], "", "")
     assert len(scene.commands.sent) == read
@@ -104,7 +131,7 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     kept = await scene.keeper.take(ANNA, [1], "", "")
     drift = scene.drift
     assert not drift.has_golden(1)
-    await scene.keeper.mark_golden(ANNA, kept, 1)
+    await scene.keeper.mark_golden(ANNA, kept, [1])
     scene.report(1, 6, raw=0)
     assert drift.of(1) == []
     assert drift.unread(1) == 39
@@ -116,4 +143,4 @@ async def test_drift_is_what_departs_from_the_golden_set(scene: Scene) -> None:
     scene.report(1, 6, raw=0)
     assert (drift.of(1), scene.line_reports(1)) == ([], "")
     with pytest.raises(Problem):
-        await scene.keeper.mark_golden(ANNA, kept, 2)
+        await scene.keeper.mark_golden(ANNA, kept, [2])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
@@ -42,21 +42,31 @@ def take_set(page: Page) -> str:
     return page.url
 
 
+def of_unit(page: Page, name: str) -> Locator:
+    """The part of a unit on the page of a set, opened."""
+    part = page.locator("details.card", has_text=name)
+    part.locator("summary").first.click()
+    return part
+
+
 def test_a_set_is_taken_marked_golden_and_compared_with_the_unit_now(
     site: Site, shared_page: OpensPages
 ) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     address = take_set(page)
-    expect(page.get_by_role("row", name=re.compile("Acceleration Ramp Rate")).first).to_contain_text("20.0 s")
-    page.get_by_role("button", name="Mark as golden set").first.click()
-    expect(page.get_by_text("Golden set: the unit should equal this set.")).to_have_count(1)
+    part = of_unit(page, "Unwind")
+    expect(part.get_by_role("row", name=re.compile("Acceleration Ramp Rate"))).to_contain_text("20.0 s")
+    part.get_by_role("button", name="Mark as golden set").click()
+    expect(page.locator("summary", has_text="golden set")).to_have_count(1)
     with site.api("engineer") as client:
         response = client.put("/buses/line/units/1/parameters/6", json={"raw": 77})
         assert response.json()["outcome"] == "verified"
     page.goto(address)
-    page.get_by_role("link", name="Compare with the current values").first.click()
+    of_unit(page, "Unwind").get_by_role("link", name="Compare with the current values").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("1 row differs")
     expect(page.get_by_text("accelerates in 7.7 s instead of 20.0 s")).to_be_visible()
+    page.get_by_role("button", name="Restore Unwind to this set").click()
+    expect(page.locator("#restore .outcome[role=status]")).to_contain_text("1 row would be written")
 
 
 @pytest.mark.soak
@@ -67,8 +77,8 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     ramp = site.line.remote.do("parameter", unit=3, number=7)
     page = browser_page("engineer", viewport=OFFICE)
     take_set(page)
-    page.locator("section", has_text="Coater").get_by_role("button", name="Mark as golden set").click()
-    expect(page.get_by_text("Golden set: the unit should equal this set.")).to_be_visible()
+    of_unit(page, "Coater").get_by_role("button", name="Mark as golden set").click()
+    expect(page.locator("summary", has_text="golden set")).to_be_visible()
     with site.api("engineer") as client:
         assert client.put("/buses/line/units/3/parameters/12", json={"raw": 21}).status_code == 200
         page.goto("/")
@@ -121,7 +131,7 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     other.goto("/units/line/2")
     expect(other.locator("#drift")).to_contain_text("This unit has no golden set.")
     rest(page)
-    page.locator("section", has_text="Infeed nip").get_by_role("button", name="Mark as golden set").click()
+    of_unit(page, "Infeed nip").get_by_role("button", name="Mark as golden set").click()
     expect(other.locator("#drift")).to_contain_text("The unit equals the golden set, as last read.")
     restore = other.get_by_role("link", name="Restore parameters")
     restore.focus()
@@ -194,7 +204,7 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_
             )
     before = len(writes(site, 0x86))
     page.goto(address)
-    page.get_by_role("button", name="Review a restore").nth(1).click()
+    of_unit(page, "Infeed nip").get_by_role("button", name="Review a restore").click()
     expect(page.locator("#restore .outcome[role=status]")).to_contain_text("Nothing has been written")
     assert len(writes(site, 0x86)) == before
     page.get_by_role("button", name=re.compile("Write 2 rows to unit 2")).click()
@@ -340,3 +350,16 @@ def test_accessible_and_as_wide_as_the_screen(
     page.goto(path)
     expect(page.get_by_role("heading", level=1)).to_be_visible()
     assert flaws(page, locale) == []
+
+
+def test_golden_sets_of_the_line_are_saved_by_one_press(site: Site, shared_page: OpensPages) -> None:
+    assert site.units == 3
+    page = shared_page("engineer", viewport=PHONE)
+    page.goto("/sets")
+    page.get_by_role("button", name="Save golden sets of 3 units").click()
+    rows = page.get_by_role("table").locator("tbody tr")
+    expect(rows).to_have_count(3)
+    expect(rows.filter(has_text="golden set")).to_have_count(3, timeout=PROCEDURE_MS)
+    expect(page.get_by_text("120 of 120 values read")).to_be_visible()
+    page.get_by_role("link", name="Open the set").click()
+    expect(page.locator("summary", has_text="golden set")).to_have_count(3)
