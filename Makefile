@@ -40,11 +40,11 @@ test: development
 	$(MAKE) --no-print-directory --jobs=3 --keep-going --output-sync=target browser-tests other-tests check
 
 browser-tests: development
-	$(BIN)/pytest -n 2 --dist loadfile tests/e2e
+	$(BIN)/pytest -n 3 --dist loadfile tests/e2e
 
 other-tests: development
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest -n 5 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
 soak: development
@@ -52,7 +52,7 @@ soak: development
 
 # The browser tests N times: how often each failed.
 flaky: development
-	$(BIN)/python -m tests.flaky $(N) -n 2 --dist loadfile tests/e2e
+	$(BIN)/python -m tests.flaky $(N) -n 3 --dist loadfile tests/e2e
 
 # Every line and branch of the pure modules, each by its own tests, and 90 % of all the rest.
 coverage: development

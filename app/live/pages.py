@@ -100,7 +100,7 @@ async def line(request: Request, _: Viewer, view: ViewSize | None = None) -> Res
     return response
 
 
-@router.get("/first-steps/{bus}")
+@router.get("/bus/{bus}/first-steps")
 async def first_steps(request: Request, _: Engineer, bus: str) -> Response:
     """What to do until the first unit of a bus responds; then the line."""
     guide = _first_steps(bus_or_404(service_of(request, Hub).live, bus))

@@ -45,11 +45,11 @@ async def test_an_engineer_is_guided_and_others_are_not(tmp_path: Path, link: st
         page = (await engineer.get("/")).text
         assert f'data-first-step="{link}"' in page
         assert "First steps" not in (await operator.get("/")).text
-        assert (await operator.get("/first-steps/dry-end")).status_code == 403
-        fragment = await engineer.get("/first-steps/dry-end")
+        assert (await operator.get("/bus/dry-end/first-steps")).status_code == 403
+        fragment = await engineer.get("/bus/dry-end/first-steps")
         assert ("No unit has responded yet" in fragment.text, "HX-Redirect" in fragment.headers) == (
             True,
             False,
         )
         responding(live)
-        assert (await engineer.get("/first-steps/dry-end")).headers["HX-Redirect"] == "/"
+        assert (await engineer.get("/bus/dry-end/first-steps")).headers["HX-Redirect"] == "/"

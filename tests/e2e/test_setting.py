@@ -173,6 +173,7 @@ def test_out_of_range_is_refused_with_the_nearest(site: Site, shared_page: Opens
     page.get_by_role("button", name="Use 200.0").click()
     expect(page.locator("#setpoint")).to_have_value("200.0")
     page.locator("#setpoint").fill("")
+    rest(page)
     page.get_by_role("button", name="Set now").click()
     expect(page.locator("#setpoint-error")).to_contain_text("empty is not zero")
     page.locator("#setpoint").fill("1")
