@@ -23,7 +23,7 @@ def test_the_example_of_the_documentation_is_read(tmp_path: Path) -> None:
     [
         ('value = "actual"\nbelow = "80"\non_delay_s = -1\n', 13, "on_delay_s = -1"),
         ('value = "speed"\nbelow = "80"\n', 11, "commanded"),
-        ('value = "actual"\n', 7, "write one condition: above, below or both, or change_per_s"),
+        ('value = "actual"\n', 7, "above, below or both, or a change per second (change_per_s)"),
         ('value = "run"\n', 7, 'write state = "on" or "off"'),
         ('value = "run"\nabove = "1"\n', 7, "run is on or off"),
         ('value = "actual"\nstate = "on"\n', 7, "actual is a number"),
