@@ -44,7 +44,7 @@ browser-tests: development
 
 other-tests: development
 	node --test tests/js/*.test.js
-	nice -n 5 $(BIN)/pytest -n 6 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
+	nice -n 5 $(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder --ignore tests/e2e tests/path tests
 
 # What takes long, alone on the machine: it measures. Then each property with many random examples. 40 minutes.
 soak: development
