@@ -64,8 +64,8 @@ class SetKeeper:
         for unit in units:
             if stored.unit(unit) is None:
                 raise Problem(404, "unknown_set", Message.of("set_lacks_unit", set=stored.id, unit=unit))
+        await self.store.mark_golden(self.bus, units, stored.id, person.name, unix_now())
         for unit in units:
-            await self.store.mark_golden(self.bus, unit, stored.id, person.name, unix_now())
             performed = MARK_GOLDEN.by(person, set=stored.id, unit=unit)
             await self._events.record(**performed, bus=self.bus, unit=unit)
         await self._drift.load()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from app.database import StoreConnection
@@ -84,13 +85,20 @@ class SetStore(Tables):
 
     @writing
     def mark_golden(
-        self, connection: StoreConnection, bus: str, unit: int, set_id: int, who: str, now: UnixTime
+        self,
+        connection: StoreConnection,
+        bus: str,
+        units: Iterable[int],
+        set_id: int,
+        who: str,
+        now: UnixTime,
     ) -> None:
-        """From now on this set is what the unit ought to be. ``now``: seconds since the epoch."""
-        connection.execute(
-            upsert("golden_set", ("bus", "unit"), ("set_id", "marked_by", "marked_at")),
-            (bus, unit, set_id, who, now),
-        )
+        """From now on this set is what each of the units ought to be. ``now``: seconds since the epoch."""
+        for unit in units:
+            connection.execute(
+                upsert("golden_set", ("bus", "unit"), ("set_id", "marked_by", "marked_at")),
+                (bus, unit, set_id, who, now),
+            )
 
     @reading
     def golden(self, connection: StoreConnection, bus: str) -> dict[int, UnitRows]:

@@ -38,7 +38,7 @@ class Scene:
         rows = {number: ParameterRow(number, 0, read_at=GOLDEN_READ) for number in PARAMETERS}
         unit = UnitRows(1, "Unwind", rows)
         kept = await self.store.save(ParameterSet("dry-end", GOLDEN_READ, "anna", "by hand", (unit,)))
-        await self.store.mark_golden("dry-end", 1, kept.id, "anna", GOLDEN_READ)
+        await self.store.mark_golden("dry-end", [1], kept.id, "anna", GOLDEN_READ)
         await self.drift.load()
 
     def reads(self, number: int, raw: int) -> None:

@@ -198,3 +198,21 @@ def test_the_head_never_shows_an_alarm_that_is_over_as_active(site: Site, browse
             )
         acknowledge_all(site)
     expect(head).to_be_hidden()
+
+
+IS_CUT = "part => part.scrollWidth > part.clientWidth || part.scrollHeight > part.clientHeight + 1"
+
+
+@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.usefixtures("stopped")
+def test_the_head_of_a_phone_names_unit_and_alarm(site: Site, browser_page: OpensPages, locale: str) -> None:
+    """Where the name of the unit is a long one, that gives way to the alarm."""
+    page = opened(browser_page(viewport=PHONE, locale=locale), site, "/events")
+    place = page.locator("[data-live='alarms_present.place']")
+    text = page.locator("[data-live='alarms_present.text']")
+    expect(place).not_to_be_empty()
+    assert not place.evaluate(IS_CUT)
+    assert not text.evaluate(IS_CUT)
+    place.evaluate("place => (place.textContent = 'Glättwerkzylinder-Oberwalzenantrieb Nord')")
+    assert place.evaluate(IS_CUT)
+    assert not text.evaluate(IS_CUT)

@@ -171,8 +171,9 @@ class _Records:
         units = [each.unit for each in rows]
         saved = set_acts.SAVE.by(ENGINEER, set=kept.id, units=[*units], origin=term(kept.origin))
         await self._events.record(**saved, bus=self._bus)
-        for unit in units[:MAX_GOLDEN]:
-            await self._sets.mark_golden(self._bus, unit, kept.id, ENGINEER.name, self._now)
+        golden = units[:MAX_GOLDEN]
+        await self._sets.mark_golden(self._bus, golden, kept.id, ENGINEER.name, self._now)
+        for unit in golden:
             await self._events.record(
                 **set_acts.MARK_GOLDEN.by(ENGINEER, set=kept.id, unit=unit), bus=self._bus, unit=unit
             )
