@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer.main
 from fastapi.routing import iter_route_contexts
 from pydantic import BaseModel
 
@@ -18,7 +17,7 @@ from app.main import create_app
 from app.settings import Settings
 from tests.test_architecture import ROOT, text_of
 
-COMMAND: Any = typer.main.get_command(cli)
+COMMAND: Any = cli
 
 
 def keys(model: type[BaseModel]) -> Iterator[str]:

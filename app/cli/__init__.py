@@ -9,11 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
-from typing import Annotated, Any, cast
+from typing import Any, cast
 
-import typer
-from typer.core import TyperGroup
-from typer.main import get_group
+import click
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "init": ("init", "Write a commented lineside.toml to start from."),
@@ -38,7 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "restore-store": ("restore_store", "Replace the current stores with a backup."),
 }
 """Name → module in this package, and its line in the help. The module has a function of that name, or a
-``typer.Typer`` for a command with subcommands."""
+``CommandGroup`` for a command with subcommands."""
 
 
 @contextmanager
@@ -53,62 +51,59 @@ def loading() -> Iterator[None]:
         gc.enable()
 
 
-class Lazy(TyperGroup):
+class Lazy(click.Group):
     """Knows every command by name and imports none before it is called. The errors of a command end in one
     line and an exit code here."""
 
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+    def list_commands(self, ctx: click.Context | None) -> list[str]:  # noqa: ARG002
         return list(COMMANDS)
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+    def get_command(self, ctx: click.Context | None, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         """Import the module of a command; None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
+        from app.cli.options import command_of
+
         with loading():
             module = import_module(f"app.cli.{COMMANDS[cmd_name][0]}")
         named = getattr(module, cmd_name.replace("-", "_"))
-        cli = typer.Typer()
-        if isinstance(named, typer.Typer):
-            cli.add_typer(named, name=cmd_name)
-        else:
-            cli.command(cmd_name)(named)
-        return get_group(cli).commands[cmd_name]
+        return named if isinstance(named, click.Command) else command_of(named, cmd_name)
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, and end in words."""
         from app.cli.ending import ending  # not for --help and --version, which take no command
 
         with ending():
             return super().invoke(ctx)
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List every command without its module."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, words) for name, (_, words) in COMMANDS.items()])
 
 
-cli = typer.Typer(
-    cls=Lazy,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-)
-
-
-def _print_version(requested: bool) -> None:
+def _print_version(ctx: click.Context, _: click.Parameter, requested: bool) -> None:
     if requested:
         from importlib.metadata import version
 
-        typer.echo(f"lineside {version('lineside')}")
-        raise typer.Exit
+        click.echo(f"lineside {version('lineside')}")
+        ctx.exit()
 
 
-@cli.callback()
-def lineside(
-    _: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
-    ] = False,
-) -> None:
-    """Monitor and command a line of DIGIMAX IV drives. Exit codes: 0 done, 1 failed, 2 wrong use."""
+cli = Lazy(
+    help="Monitor and command a line of DIGIMAX IV drives. Exit codes: 0 done, 1 failed, 2 wrong use.",
+    params=[
+        click.Option(
+            ["--version"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=_print_version,
+            help="Show the version.",
+        )
+    ],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 
 
 def main() -> None:
@@ -122,7 +117,7 @@ def main() -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # FastAPI would load the former version of Pydantic, 2 MiB, to refuse its models; there are none.
     sys.modules.setdefault("pydantic.v1", cast(ModuleType, None))
-    # Uvicorn would load its command line, click and multiprocessing, 1.5 MiB; this server is started without.
+    # Uvicorn would load its command line and multiprocessing; this server is started without.
     uvicorn_main = SimpleNamespace(Server=None, main=None, run=None)
     sys.modules.setdefault("uvicorn.main", cast(ModuleType, uvicorn_main))
     cli(prog_name="lineside")

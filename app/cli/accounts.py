@@ -8,9 +8,10 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import typer
+import click
 
 from app.auth.accounts import Accounts
+from app.cli.options import Argument, CommandGroup, Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.site_log import console, site_log
 from app.settings import load
@@ -20,12 +21,12 @@ from bus.messages import Message
 T = TypeVar("T")
 LONGEST_LINE = 10_000
 
-user = typer.Typer(help="Manage users.", no_args_is_help=True)
-token = typer.Typer(help="Manage tokens of programs.", no_args_is_help=True)
+user = CommandGroup(help="Manage users.")
+token = CommandGroup(help="Manage tokens of programs.")
 
-UserName = Annotated[str, typer.Argument(help="The name to log in with.")]
-FromInput = Annotated[bool, typer.Option("--password-stdin", help="Read the password from standard input.")]
-TokenName = Annotated[str, typer.Argument(help="Name of the token; unique.")]
+UserName = Annotated[str, Argument(help="The name to log in with.")]
+FromInput = Annotated[bool, Option("--password-stdin", help="Read the password from standard input.")]
+TokenName = Annotated[str, Argument(help="Name of the token; unique.")]
 
 
 def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T]]) -> T:
@@ -36,10 +37,10 @@ def with_accounts(config: Path, work: Callable[[Accounts], Coroutine[Any, Any, T
         return asyncio.run(work(Accounts(database, events, buses=buses, site=settings.site.name)))
 
 
-@user.command(name="add")
+@user.add("add")
 def add_user(
     name: UserName,
-    role: Annotated[str, typer.Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
+    role: Annotated[str, Option(help=f"One of {', '.join(PEOPLE_ROLES)}.")],
     password_stdin: FromInput = False,
     config: Config = LINESIDE_TOML,
 ) -> None:
@@ -48,34 +49,34 @@ def add_user(
     with_accounts(config, lambda accounts: accounts.add_user(name, chosen, password, by=console()))
 
 
-@user.command(name="list")
+@user.add("list")
 def list_users(config: Config = LINESIDE_TOML) -> None:
     """List every user: name, role, and whether it is a panel or disabled."""
     for each in with_accounts(config, lambda accounts: accounts.users()):
         states = (("user_is_panel", each.panel), ("user_is_disabled", each.disabled))
         marks = [str(Message(code)) for code, is_so in states if is_so]
-        typer.echo("\t".join([each.name, each.role, *marks]))
+        click.echo("\t".join([each.name, each.role, *marks]))
 
 
-@user.command(name="password")
+@user.add("password")
 def set_password(name: UserName, password_stdin: FromInput = False, config: Config = LINESIDE_TOML) -> None:
     """Set a new password of a user; every session of that user ends."""
     new = _password(password_stdin)
     with_accounts(config, lambda accounts: accounts.set_password(name, new, by=console()))
 
 
-@user.command(name="remove")
+@user.add("remove")
 def remove_user(name: UserName, config: Config = LINESIDE_TOML) -> None:
     """Remove a user; the events of that user are kept."""
     with_accounts(config, lambda accounts: accounts.remove_user(name, by=console()))
 
 
-@user.command(name="break-glass")
+@user.add("break-glass")
 def break_glass(
     name: UserName,
-    role: Annotated[str, typer.Option(help="operator or engineer.")] = Role.OPERATOR,
+    role: Annotated[str, Option(help="operator or engineer.")] = Role.OPERATOR,
     password_stdin: FromInput = False,
-    remove: Annotated[bool, typer.Option("--remove", help="Remove the account.")] = False,
+    remove: Annotated[bool, Option("--remove", help="Remove the account.")] = False,
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Make an account that can sign in only while the database is away, or give it another password."""
@@ -94,18 +95,18 @@ def _password(from_input: bool) -> str:
     any case: it must not wait without a prompt."""
     if from_input and not sys.stdin.isatty():
         return sys.stdin.readline(LONGEST_LINE).rstrip("\r\n")
-    typed: str = typer.prompt("Password", hide_input=True, confirmation_prompt=True)
+    typed: str = click.prompt("Password", hide_input=True, confirmation_prompt=True)
     return typed
 
 
-@token.command(name="create")
+@token.add("create")
 def create_token(
     name: TokenName,
-    role: Annotated[str, typer.Option(help=f"One of {', '.join(Role)}.")],
-    bus: Annotated[str, typer.Option(help="Bus of a token with the role worker.")] = "",
+    role: Annotated[str, Option(help=f"One of {', '.join(Role)}.")],
+    bus: Annotated[str, Option(help="Bus of a token with the role worker.")] = "",
     expires: Annotated[
         int | None,
-        typer.Option(metavar="DAYS", help="Days until it expires; without it, the token does not expire."),
+        Option(metavar="DAYS", help="Days until it expires; without it, the token does not expire."),
     ] = None,
     config: Config = LINESIDE_TOML,
 ) -> None:
@@ -115,19 +116,19 @@ def create_token(
         config,
         lambda accounts: accounts.create_token(name, chosen, bus=bus, expires_days=expires, by=console()),
     )
-    typer.echo(secret)
+    click.echo(secret)
 
 
-@token.command(name="list")
+@token.add("list")
 def list_tokens(config: Config = LINESIDE_TOML) -> None:
     """List every token: name, role, creator, bus of a worker, day on which it expires."""
     for each in with_accounts(config, lambda accounts: accounts.tokens()):
         expires = str(Message.of("token_expires", day=each.last_day)) if each.last_day else ""
         columns = (each.name, each.role, each.created_by, each.bus or "", expires)
-        typer.echo("\t".join(columns).rstrip())
+        click.echo("\t".join(columns).rstrip())
 
 
-@token.command(name="revoke")
+@token.add("revoke")
 def revoke_token(name: TokenName, config: Config = LINESIDE_TOML) -> None:
     """Revoke a token."""
     with_accounts(config, lambda accounts: accounts.revoke_token(name, by=console()))

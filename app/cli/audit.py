@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.audit.anchor import Anchors, joined_heads, read_anchor_file, read_key_anchor, refuse_forged
 from app.audit.chain import ROTATED, Head, newest_of, origin_of
 from app.audit.keyring import KeyRing
@@ -15,6 +13,7 @@ from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import heads_of, prove
 from app.audit.walk import AuditVerification, ChainVerification
 from app.cli.ending import report
+from app.cli.options import CommandGroup, Option
 from app.cli.serve import LINESIDE_TOML, Config, check_store
 from app.cli.site_log import record, site_log
 from app.database.opening import examining_main, main_presence
@@ -23,13 +22,13 @@ from app.handover.signatures import missing_signatures
 from app.settings import Settings, load
 from bus.messages import Message, in_english, joined
 
-audit = typer.Typer(help="Verify the event log, or begin a new key.", no_args_is_help=True)
+audit = CommandGroup(help="Verify the event log, or begin a new key.")
 AnchorFile = Annotated[
-    Path | None, typer.Option(help="The file with its anchors; without it, the one of the configuration.")
+    Path | None, Option(help="The file with its anchors; without it, the one of the configuration.")
 ]
 
 
-@audit.command()
+@audit.add("verify")
 def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
     """Verify every chain of the log, its seals and anchors, and that the store has the signatures of shifts
     that the log names. Exit 0 when all is intact, 1 with the first altered entry of each chain."""
@@ -37,7 +36,7 @@ def verify(config: Config = LINESIDE_TOML, anchor: AnchorFile = None) -> None:
         report(line)
 
 
-@audit.command(name="rotate-key")
+@audit.add("rotate-key")
 def rotate_key(config: Config = LINESIDE_TOML) -> None:
     """Seal new entries with a new key, also while the dashboard runs. The older keys stay in the file: they
     verify the entries that they sealed."""

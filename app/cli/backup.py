@@ -9,11 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import report
+from app.cli.options import Option
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
@@ -25,18 +26,18 @@ from bus.messages import Message
 MAX_AT_ONCE = 4
 """Reads of several units take turns on the wire, which saves the fence between two reads of one."""
 
-Url = Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
-Bus = Annotated[str, typer.Option(help="Name of the bus.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable result on standard output.")]
+Url = Annotated[str, Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
+Bus = Annotated[str, Option(help="Name of the bus.")]
+AsJson = Annotated[bool, Option("--json", help="Machine-readable result on standard output.")]
 
 
 def backup(
     url: Url,
     bus: Bus,
-    out: Annotated[Path, typer.Option(help="The TOML file to write.")],
+    out: Annotated[Path, Option(help="The TOML file to write.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    unit: Annotated[int | None, typer.Option(help="One unit; without it, every unit of the bus.")] = None,
+    unit: Annotated[int | None, Option(help="One unit; without it, every unit of the bus.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Read all parameters from the units and write them to a file (#21 is masked)."""
@@ -48,7 +49,7 @@ def backup(
             write_file(out, write_document(_set(bus, read, missing)).encode())
         _report(out, read, missing, as_json)
         if missing:
-            raise typer.Exit(1)
+            raise click.exceptions.Exit(1)
 
 
 def _check_place(out: Path) -> None:
@@ -88,6 +89,6 @@ def _report(out: Path, read: list[UnitRows], missing: dict[int, Message], as_jso
         why = {unit: str(reason) for unit, reason in missing.items()}
         whys = {unit: message_shown(reason) for unit, reason in missing.items()}
         done = {"file": str(out) if read else None, "units": units}
-        typer.echo(json.dumps({**done, "missing": why, "missing_messages": whys}))
+        click.echo(json.dumps({**done, "missing": why, "missing_messages": whys}))
     elif read:
         report(Message.of("units_backed_up", n=len(read), file=str(out)))

@@ -15,10 +15,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.cli.backup_archive import MANIFEST, STORES
 from app.cli.ending import report
+from app.cli.options import Argument
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.opening import require_files
@@ -31,7 +30,7 @@ from bus.messages import Message
 
 
 def backup_store(
-    file: Annotated[Path, typer.Argument(help="The file to write; it must not exist yet.")],
+    file: Annotated[Path, Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Copy every store (events, users, sets, history) of this configuration into one file while it runs."""

@@ -8,10 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.cli.authority import AUTHORITY_DAYS, DAYS, CertificateAuthority
 from app.cli.ending import report, wrong_option
+from app.cli.options import CommandGroup, Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import HostName, ServerSettings, Settings, host_name, load
 from bus.messages import Message
@@ -21,20 +20,15 @@ ELSEWHERE = ("192.0.2.1", "2001:db8::1")
 """Addresses of documentation (RFC 5737, RFC 3849): the system names the address that it would send from."""
 EVERY_ADDRESS = ("0.0.0.0", "::", "[::]")
 
-certificate = typer.Typer(help="Create and renew certificates.", no_args_is_help=True)
+certificate = CommandGroup(help="Create and renew certificates.")
 
 
-@certificate.callback()
-def _certificate() -> None:
-    """Create and renew certificates."""
-
-
-@certificate.command()
+@certificate.add("create")
 def create(
     config: Config = LINESIDE_TOML,
     name: Annotated[
         list[str] | None,
-        typer.Option(help="A further name or address under which the dashboard is opened; may be repeated."),
+        Option(help="A further name or address under which the dashboard is opened; may be repeated."),
     ] = None,
 ) -> None:
     """Create an authority of the site, a certificate of the server and one of each bus worker, or renew them.

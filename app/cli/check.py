@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import typer
+import click
 
 from app.cli.ending import complain, report
 from app.cli.findings import findings
@@ -24,6 +24,6 @@ def check(config: Config = LINESIDE_TOML) -> None:
         if finding.is_fault:
             complain(finding.message)
         else:
-            typer.echo(f"  {finding.message}")
+            click.echo(f"  {finding.message}")
     if faults:
-        raise typer.Exit(1)
+        raise click.exceptions.Exit(1)

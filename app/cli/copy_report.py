@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
-import typer
+import click
 
 from app.cli.ending import report
 from app.database.copying.site import CopyStep
@@ -89,7 +89,7 @@ class TextReport(CopyReport):
             self._table_began, self._at = now, source.size
         elif self._is_terminal and now - self._shown >= SHOW_EVERY_S:
             self._shown = now
-            typer.echo(f"\r\x1b[K{self._progress(step, now)}", err=True, nl=False)
+            click.echo(f"\r\x1b[K{self._progress(step, now)}", err=True, nl=False)
 
     def _progress(self, step: CopyStep, now: Monotonic) -> Message:
         source, elapsed = step.progress.source, max(now - self._table_began, 0.001)
@@ -107,7 +107,7 @@ class TextReport(CopyReport):
 
     def _table(self, step: CopyStep) -> None:
         if self._is_terminal:
-            typer.echo("\r\x1b[K", err=True, nl=False)
+            click.echo("\r\x1b[K", err=True, nl=False)
         source, target = step.progress.source, step.progress.target
         code = "copy_table" if step.progress.holds else "copy_table_differs"
         if not step.is_verified:
@@ -164,7 +164,7 @@ class JsonReport(CopyReport):
         _require_log(fault)
 
     def _print(self, document: dict[str, Any]) -> None:
-        typer.echo(json.dumps(document))
+        click.echo(json.dumps(document))
 
 
 def _name(step: CopyStep) -> str:

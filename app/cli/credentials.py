@@ -11,9 +11,8 @@ import stat
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.cli.ending import complain
+from app.cli.options import Option
 from app.errors import system_error
 from bus.errors import CallerError
 from bus.messages import Message
@@ -23,13 +22,13 @@ MAX_BYTES = 4096
 
 TokenOption = Annotated[
     str,
-    typer.Option(
+    Option(
         "--token",
         help=f"A bearer token. Other users of this machine can see it: use --token-file or {TOKEN_VARIABLE}.",
     ),
 ]
 TokenFile = Annotated[
-    Path | None, typer.Option("--token-file", help="A file whose first line is the bearer token.")
+    Path | None, Option("--token-file", help="A file whose first line is the bearer token.")
 ]
 
 

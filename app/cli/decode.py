@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from app.cli.ending import complain
+from app.cli.options import Argument, Option
 from app.commands.api.trace_file import is_trace_line, parse_trace_line
 from bus.contract import Frame
 from bus.errors import CallerError
@@ -26,22 +27,22 @@ _STANDARD_INPUT = "-"
 
 def decode(
     hex_bytes: Annotated[
-        list[str] | None, typer.Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")
+        list[str] | None, Argument(metavar="HEX…", help="Bytes as hex; - reads standard input.")
     ] = None,
-    file: Annotated[Path | None, typer.Option(help="A trace file, or a file of hex.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="A list of frames as JSON.")] = False,
+    file: Annotated[Path | None, Option(help="A trace file, or a file of hex.")] = None,
+    as_json: Annotated[bool, Option("--json", help="A list of frames as JSON.")] = False,
 ) -> None:
     """Decode frames. Exit 0, 1 when no frame is valid, 2 when the bytes are not hex."""
     found = decode_text(_given_text(hex_bytes or [], file))
     frames = [item for item in found if isinstance(item, Described)]
     if as_json:
-        typer.echo(json.dumps([frame.as_json() for frame in frames]))
+        click.echo(json.dumps([frame.as_json() for frame in frames]))
     else:
         for item in found:
-            typer.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
+            click.echo(f"{item.wire.hex(' ').upper()}\n    {item.meaning}")
     if not any(frame.checksum_ok for frame in frames):
         complain(Message("no_valid_frame"))
-        raise typer.Exit(1)
+        raise click.exceptions.Exit(1)
 
 
 def decode_text(text: str) -> list[Described | DescribedNoise]:

@@ -11,9 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from app.cli.listening import listen
+from app.cli.options import Option
 from app.errors import StoreError
 from app.settings import load
 from bus.messages import Message
@@ -24,10 +23,8 @@ CHOOSE = Message("choose_port_demo")
 
 
 def demo(
-    units: Annotated[int, typer.Option(min=1, max=255, help="Number of units.")] = 8,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")
-    ] = 8000,
+    units: Annotated[int, Option(min=1, max=255, help="Number of units.")] = 8,
+    port: Annotated[int, Option(min=0, max=65535, help="Port of the dashboard; 0 takes a free port.")] = 8000,
 ) -> None:
     """Run a simulated line with a past and its dashboard until Ctrl-C. Its data is deleted afterwards."""
     with (

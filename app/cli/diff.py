@@ -6,11 +6,12 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+import click
 
 from app.cli.backup import AsJson
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
+from app.cli.options import Argument, Option
 from app.errors import system_error
 from app.sets.compare import ParameterDifference, differences
 from app.sets.document import MAX_DOCUMENT, read_document
@@ -24,23 +25,23 @@ Pair = tuple[UnitRows, UnitRows]
 
 def diff(
     files: Annotated[
-        list[Path], typer.Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")
+        list[Path], Argument(help="One file and a live unit, or two files.", metavar="FILE [FILE]")
     ],
-    url: Annotated[str, typer.Option(help="Address of the dashboard.", envvar="LINESIDE_URL")] = "",
+    url: Annotated[str, Option(help="Address of the dashboard.", envvar="LINESIDE_URL")] = "",
     token: TokenOption = "",
     token_file: TokenFile = None,
-    bus: Annotated[str, typer.Option(help="Name of the bus.")] = "",
-    unit: Annotated[int | None, typer.Option(help="The unit to compare with.")] = None,
-    tolerance: Annotated[int, typer.Option(min=0, help="Difference in raw counts that counts as equal.")] = 0,
+    bus: Annotated[str, Option(help="Name of the bus.")] = "",
+    unit: Annotated[int | None, Option(help="The unit to compare with.")] = None,
+    tolerance: Annotated[int, Option(min=0, help="Difference in raw counts that counts as equal.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Show the rows that differ. Exit 0 when equal, 1 when different, 2 on wrong use."""
     live = len(files) != 2
     pairs = [_with_live(files, url, (token, token_file), bus, unit)] if live else _two_files(files)
     found = [(right.unit, row) for left, right in pairs for row in differences(left, right, tolerance)]
-    typer.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
+    click.echo(json.dumps([_as_json(*each) for each in found]) if as_json else _table(found))
     if found:
-        raise typer.Exit(1)
+        raise click.exceptions.Exit(1)
 
 
 def load(path: Path) -> ParameterSet:

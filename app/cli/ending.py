@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import typer
+import click
 
 from bus.errors import CallerError, LinesideError
 from bus.messages import Message, ParamValue
@@ -18,25 +18,25 @@ def ending() -> Iterator[None]:
         yield
     except CallerError as error:
         complain(error.message)
-        raise typer.Exit(2) from error
+        raise click.exceptions.Exit(2) from error
     except LinesideError as error:
         complain(error.message)
-        raise typer.Exit(1) from error
+        raise click.exceptions.Exit(1) from error
     except BrokenPipeError:
         raise  # the reader of the output has left: click ends without a message
     except OSError as error:
         complain(Message.of("system_error", error=str(error)))
-        raise typer.Exit(1) from error
+        raise click.exceptions.Exit(1) from error
 
 
-def wrong_option(option: str, code: str, **params: ParamValue) -> typer.BadParameter:
+def wrong_option(option: str, code: str, **params: ParamValue) -> click.BadParameter:
     """A value of ``option`` that cannot be, by the code of its message: exit code 2."""
-    return typer.BadParameter(str(Message(code, params)), param_hint=option)
+    return click.BadParameter(str(Message(code, params)), param_hint=option)
 
 
 def report(message: Message, *, err: bool = False) -> None:
     """A line of standard output, or of standard error."""
-    typer.echo(str(message), err=err)
+    click.echo(str(message), err=err)
 
 
 def complain(reason: Message) -> None:

@@ -9,9 +9,10 @@ from contextlib import closing
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-import typer
+import click
 
 from app.cli.ending import report
+from app.cli.options import Argument, CommandGroup, Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
 from app.database.opening import open_database
@@ -26,40 +27,33 @@ MAX_TAKE_S = 20.0
 """A lease lapses within 6 s, its holder gives it up within 4, and the taker looks every second."""
 LOOK_S = 0.2
 
-home = typer.Typer(
-    help="Show which server is the home of each bus; take one to this server: take.",
-    invoke_without_command=True,
-    add_completion=False,
-)
-
 
 class HomeNotTakenError(LinesideError):
     """The home of a bus was not taken by this server."""
 
 
-@home.callback()
 def show(
-    context: typer.Context,
     config: Config = LINESIDE_TOML,
-    as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
 ) -> None:
     """Show which server is the home of each bus, its epoch, and until when."""
-    if context.invoked_subcommand is not None:
-        return
     settings = load(config)
     beat = _known(settings)
     found = [_shown(bus.name, beat, is_shared=bool(settings.store.url)) for bus in settings.bus]
     if as_json:
-        typer.echo(json.dumps({"homes": found}))
+        click.echo(json.dumps({"homes": found}))
         return
     for each in found:
         report(_line(each))
 
 
-@home.command()
+home = CommandGroup("Show which server is the home of each bus; take one to this server: take.", alone=show)
+
+
+@home.add("take")
 def take(
-    bus: Annotated[str, typer.Argument(help="Name of the bus.")],
-    reason: Annotated[str, typer.Option(help="Why; it is in the event.")],
+    bus: Annotated[str, Argument(help="Name of the bus.")],
+    reason: Annotated[str, Option(help="Why; it is in the event.")],
     config: Config = LINESIDE_TOML,
 ) -> None:
     """Make this server the home of a bus. A holder that runs gives it up; where the bus has a local port,

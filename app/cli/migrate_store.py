@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
-import typer
 from pydantic import ValidationError
 
 from app.audit.keys import find_key_file
@@ -17,6 +16,7 @@ from app.cli.copy_report import MB, CopyReport, JsonReport, TextReport
 from app.cli.ending import wrong_option
 from app.cli.findings import existing_part
 from app.cli.hosting import DATA_IN_USE, HostingError, only_one
+from app.cli.options import Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.database.copying.places import Folder, PostgresqlPlace, StorePart, StorePlace
 from app.database.copying.site import RUNNING, SiteCopy, require_own_version, state_of
@@ -44,16 +44,14 @@ PARTS = (
 def migrate_store(
     to: Annotated[
         str,
-        typer.Option(
-            help="postgresql://…, or 'sqlite' for the data folder of the configuration, or a folder."
-        ),
+        Option(help="postgresql://…, or 'sqlite' for the data folder of the configuration, or a folder."),
     ],
     config: Config = LINESIDE_TOML,
     password_file: Annotated[
-        Path | None, typer.Option(help="A file whose first line is the password of the database.")
+        Path | None, Option(help="A file whose first line is the password of the database.")
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object for each table, and one at the end.")
+        bool, Option("--json", help="One JSON object for each table, and one at the end.")
     ] = False,
 ) -> None:
     """Copy every store of this configuration to another place. Nothing of the source is changed.
@@ -90,7 +88,7 @@ def _source(settings: Settings) -> StorePlace:
 
 
 def _target(to: str, password_file: Path | None, settings: Settings) -> StorePlace:
-    """Raises typer.BadParameter for what is neither a URL nor a folder."""
+    """Raises click.BadParameter for what is neither a URL nor a folder."""
     try:
         parts = urlsplit(to)
         if parts.scheme in SCHEMES:

@@ -7,13 +7,14 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+import click
 
 from app.cli.backup import AsJson, Bus, Url
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, dashboard
 from app.cli.diff import load, rows_for
 from app.cli.ending import complain, report
+from app.cli.options import Argument, Option
 from app.sets.document import write_document
 from app.sets.model import ParameterSet
 from bus.messages import Message, ParamValue
@@ -23,21 +24,19 @@ _LOOK_AGAIN_S = 0.2
 
 
 def restore(
-    file: Annotated[Path, typer.Argument(help="A file of lineside backup.", metavar="FILE")],
+    file: Annotated[Path, Argument(help="A file of lineside backup.", metavar="FILE")],
     url: Url,
     bus: Bus,
-    unit: Annotated[int, typer.Option(min=1, max=255, help="The unit to write to.")],
+    unit: Annotated[int, Option(min=1, max=255, help="The unit to write to.")],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
+    yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
     include: Annotated[
         list[int] | None,
-        typer.Option(help="A setpoint (20 or 37) to write too: the machine changes its speed. Repeatable."),
+        Option(help="A setpoint (20 or 37) to write too: the machine changes its speed. Repeatable."),
     ] = None,
-    exclude: Annotated[list[int] | None, typer.Option(help="A parameter to leave out. Repeatable.")] = None,
-    tick: Annotated[
-        list[int] | None, typer.Option(help="A dangerous parameter to write too. Repeatable.")
-    ] = None,
+    exclude: Annotated[list[int] | None, Option(help="A parameter to leave out. Repeatable.")] = None,
+    tick: Annotated[list[int] | None, Option(help="A dangerous parameter to write too. Repeatable.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Show the differences, confirm, write the rows that differ, verify each row, read all parameters back.
@@ -47,15 +46,15 @@ def restore(
     with dashboard(url, bearer_token(token, token_file)) as there:
         chosen = {"include": include or [], "exclude": exclude or [], "ticked": tick or []}
         planned = _plan(there, bus, unit, file, chosen)
-        typer.echo(_plan_text(planned), err=as_json)
+        click.echo(_plan_text(planned), err=as_json)
         if _selected(planned) and not yes and not _agreed(unit):
             report(Message("nothing_written"), err=True)
-            raise typer.Exit(1)
+            raise click.exceptions.Exit(1)
         ended = _run(there, planned, quiet=as_json)
-        typer.echo(json.dumps(_results(ended)) if as_json else _ending_text(ended))
+        click.echo(json.dumps(_results(ended)) if as_json else _ending_text(ended))
         if ended["state"] != "equal":
             complain(Message.of("unit_not_equal", unit=unit, file=str(file), reason=_why(ended)))
-            raise typer.Exit(1)
+            raise click.exceptions.Exit(1)
 
 
 def _plan(there: Dashboard, bus: str, unit: int, file: Path, chosen: dict[str, list[int]]) -> Any:
@@ -74,8 +73,8 @@ def _selected(planned: Any) -> list[Any]:
 
 def _agreed(unit: int) -> bool:
     try:
-        return typer.confirm(str(Message.of("write_rows", unit=unit)), err=True)
-    except typer.Abort:
+        return click.confirm(str(Message.of("write_rows", unit=unit)), err=True)
+    except click.Abort:
         return False
 
 
@@ -88,7 +87,7 @@ def _run(there: Dashboard, planned: Any, *, quiet: bool) -> Any:
         shown += len(fresh)
         if not quiet:
             for row in fresh:
-                typer.echo(_row_text(row))
+                click.echo(_row_text(row))
         if now["state"] in _ENDED:
             return now
         time.sleep(_LOOK_AGAIN_S)

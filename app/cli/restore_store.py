@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
+import click
 
 from app.audit.anchor import key_anchor_of, put_aside
 from app.audit.chain import Head, newest_of
@@ -22,6 +22,7 @@ from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.backup_archive import STORES, open_archive
 from app.cli.backup_store import fault_of
 from app.cli.ending import report
+from app.cli.options import Argument, Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.site_log import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
@@ -40,9 +41,9 @@ ASIDE = ".before-restore"
 
 
 def restore_store(
-    file: Annotated[Path, typer.Argument(help="A file of backup-store.")],
+    file: Annotated[Path, Argument(help="A file of backup-store.")],
     config: Config = LINESIDE_TOML,
-    yes: Annotated[bool, typer.Option("--yes", help="Skip the confirmation.")] = False,
+    yes: Annotated[bool, Option("--yes", help="Skip the confirmation.")] = False,
 ) -> None:
     """Replace the current stores with those of a backup; the current ones are kept beside them. The dashboard
     must not run. Every session ends. Tokens and users revoked or disabled since the backup stay so."""
@@ -50,7 +51,7 @@ def restore_store(
     require_files(settings.store, "pg_restore")
     server = settings.server
     if not yes:
-        typer.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
+        click.confirm(str(Message.of("stores_replace", folder=str(server.data), file=str(file))), abort=True)
     anchor = settings.audit.anchor
     done = read_backup(file, server.data, settings.key_files, None if anchor else settings.anchor_file)
     report(Message.of("stores_restored", folder=str(server.data), names=done.names, suffix=ASIDE))

@@ -8,9 +8,10 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import typer
+import click
 
 from app.cli.ending import complain, ending, report, wrong_option
+from app.cli.options import Option
 from app.web.shape import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
@@ -27,20 +28,20 @@ _KINDS = {"digimax": "found_digimax", "garbled": "found_kind_garbled", "foreign"
 
 
 def scan(
-    port: Annotated[str, typer.Option(help="A device path, socket://host:port or rfc2217://host:port.")],
+    port: Annotated[str, Option(help="A device path, socket://host:port or rfc2217://host:port.")],
     baud: Annotated[
         int | None,
-        typer.Option(help="Only this baud rate; else all six, fastest first, until a unit responds."),
+        Option(help="Only this baud rate; else all six, fastest first, until a unit responds."),
     ] = None,
-    first: Annotated[int, typer.Option(min=1, max=255, help="The first address to poll.")] = 1,
-    last: Annotated[int, typer.Option(min=1, max=255, help="The last address to poll.")] = 255,
+    first: Annotated[int, Option(min=1, max=255, help="The first address to poll.")] = 1,
+    last: Annotated[int, Option(min=1, max=255, help="The last address to poll.")] = 255,
     turnaround_ms: Annotated[
-        float, typer.Option(min=0, max=5000, help="Milliseconds that a unit may take to start its response.")
+        float, Option(min=0, max=5000, help="Milliseconds that a unit may take to start its response.")
     ] = 50.0,
     every_baud: Annotated[
-        bool, typer.Option("--every-baud", help="Scan at all six baud rates, even after a response.")
+        bool, Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
 ) -> None:
     """Poll every address, twice without a response; nothing is written to any unit.
 
@@ -63,7 +64,7 @@ def scan(
     try:
         with ending():
             asyncio.run(_scan(scans, port, bauds, addresses, turnaround_ms / 1000, every_baud))
-    except typer.Exit:
+    except click.exceptions.Exit:
         if not any(done.found for done in scans):
             raise
         failure, code = Message("scan_port_lost"), 1
@@ -72,10 +73,10 @@ def scan(
     _report(port, scans, as_json, turnaround_ms, complete=failure is None)
     if failure is not None:
         complain(failure)
-        raise typer.Exit(code)
+        raise click.exceptions.Exit(code)
     if not any(done.found for done in scans):
         complain(Message.of("scan_no_response", bauds=[done.baud for done in scans]))
-        raise typer.Exit(1)
+        raise click.exceptions.Exit(1)
 
 
 def bauds_to_try(port: str, baud: int | None) -> tuple[int, ...]:
@@ -121,7 +122,7 @@ async def _scan(
     for baud in bauds:
         scans.append(BaudScan(baud, turnaround_s))
         length = PASSES * len(addresses)
-        with typer.progressbar(length=length, label=f"{baud:>5} baud", file=sys.stderr) as bar:
+        with click.progressbar(length=length, label=f"{baud:>5} baud", file=sys.stderr) as bar:
             await scan_baud(scans[-1], port, addresses, bar.update)
         if scans[-1].found and not every_baud:
             break
@@ -146,12 +147,12 @@ def _report(
             "settings": {**settings_seen(found), "turnaround_ms": allowed_ms},
             "complete": complete,
         }
-        typer.echo(json.dumps(document))
+        click.echo(json.dumps(document))
         return
     for one in found:
         report(_line(one))
         for remark in one.remarks:
-            typer.echo(f"    {remark}")
+            click.echo(f"    {remark}")
     for remark in remarks:
         report(remark)
 

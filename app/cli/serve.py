@@ -5,24 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.audit.keys import find_key_file
 from app.cli.listening import listen
+from app.cli.options import Option
 from app.database.opening import main_presence
 from app.database.presence import refusal_to_start
 from app.errors import StoreError
 from app.settings import Settings, load
 from bus.messages import Message
 
-Config = Annotated[Path, typer.Option(help="The configuration, lineside.toml.")]
+Config = Annotated[Path, Option(help="The configuration, lineside.toml.")]
 LINESIDE_TOML = Path("lineside.toml")
 
 
 def serve(
     config: Config = LINESIDE_TOML,
     new: Annotated[
-        bool, typer.Option("--new", help="Begin a new site where the store is missing, empty or damaged.")
+        bool, Option("--new", help="Begin a new site where the store is missing, empty or damaged.")
     ] = False,
 ) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""

@@ -7,10 +7,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, get_args
 
-import typer
+import click
 from pydantic import ValidationError
 
 from app.cli.ending import wrong_option
+from app.cli.options import Option
 from bus.catalogue import numbers
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -26,41 +27,41 @@ from bus.validation import fault_message
 
 
 def simulate(
-    units: Annotated[int, typer.Option(min=1, max=255, help="Number of units, at addresses 1, 2, …")] = 8,
-    baud: Annotated[int, typer.Option(help="Baud rate (#18): 300 to 9600.")] = 9600,
+    units: Annotated[int, Option(min=1, max=255, help="Number of units, at addresses 1, 2, …")] = 8,
+    baud: Annotated[int, Option(help="Baud rate (#18): 300 to 9600.")] = 9600,
     tcp: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Serve a TCP port instead; 0 takes a free one.")
+        int | None, Option(min=0, max=65535, help="Serve a TCP port instead; 0 takes a free one.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same line.")] = 1,
-    link: Annotated[Path | None, typer.Option(help="A symbolic link to the pseudo-terminal.")] = None,
+    seed: Annotated[int, Option(help="The same seed gives the same line.")] = 1,
+    link: Annotated[Path | None, Option(help="A symbolic link to the pseudo-terminal.")] = None,
     turnaround_ms: Annotated[
-        float, typer.Option(min=0, max=5000, help="Milliseconds until a unit starts its response.")
+        float, Option(min=0, max=5000, help="Milliseconds until a unit starts its response.")
     ] = 0.0,
     checksum_10h: Annotated[
-        str, typer.Option("--checksum-10h", help="How a checksum of 10h is sent and accepted: once or twice.")
+        str, Option("--checksum-10h", help="How a checksum of 10h is sent and accepted: once or twice.")
     ] = "once",
     parameter_reply_bytes: Annotated[
         int,
-        typer.Option(help="Bytes of a response to 85h: 1, 2 or 4; 0 uses the width of the parameter's type."),
+        Option(help="Bytes of a response to 85h: 1, 2 or 4; 0 uses the width of the parameter's type."),
     ] = 0,
     parameter_numbers: Annotated[
-        str, typer.Option(help="Parameter numbers on the wire: binary or bcd.")
+        str, Option(help="Parameter numbers on the wire: binary or bcd.")
     ] = "binary",
     estop_healthy: Annotated[
-        int, typer.Option(help="The e-stop bit while no emergency stop is active: 0 or 1.")
+        int, Option(help="The e-stop bit while no emergency stop is active: 0 or 1.")
     ] = 1,
     last_parameter: Annotated[
-        int, typer.Option(min=1, max=40, help="Last parameter of the firmware: 20 in the older list.")
+        int, Option(min=1, max=40, help="Last parameter of the firmware: 20 in the older list.")
     ] = 40,
     speedup: Annotated[
-        float, typer.Option(min=1, max=1000, help="Factor by which byte times and turnarounds are shortened.")
+        float, Option(min=1, max=1000, help="Factor by which byte times and turnarounds are shortened.")
     ] = 1.0,
     script: Annotated[
-        bool, typer.Option(help="Operate run, preset, jog and emergency stop from time to time.")
+        bool, Option(help="Operate run, preset, jog and emergency stop from time to time.")
     ] = True,
     control: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Accept control requests as JSON lines at this TCP port."),
+        Option(min=0, max=65535, help="Accept control requests as JSON lines at this TCP port."),
     ] = None,
 ) -> None:
     """Run simulated units only. The first line printed is the port to open. Ends with Ctrl-C or SIGTERM."""
@@ -82,9 +83,9 @@ def simulate(
         unit.power_up()
     line = SimulatedLine(plant, Faults(seed), baud, speedup)
     with LineServer(line, _open(tcp, link, baud)) as server, ExitStack() as opened:
-        typer.echo(server.port.name)
+        click.echo(server.port.name)
         if control is not None:
-            typer.echo(f"control 127.0.0.1:{opened.enter_context(control_port(server, control))}")
+            click.echo(f"control 127.0.0.1:{opened.enter_context(control_port(server, control))}")
         signal.sigwait(_ENDINGS)
 
 
@@ -95,7 +96,7 @@ def _dialect(**options: str | int) -> Dialect:
     except ValidationError as error:
         first = error.errors()[0]
         option = "--" + str(first["loc"][0]).replace("_", "-")
-        raise typer.BadParameter(str(fault_message(first)), param_hint=option) from error
+        raise click.BadParameter(str(fault_message(first)), param_hint=option) from error
 
 
 _ENDINGS = {signal.SIGINT, signal.SIGTERM}

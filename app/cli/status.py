@@ -6,13 +6,14 @@ import json
 import ssl
 from typing import Annotated, Any
 
+import click
 import httpx
-import typer
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import report
 from app.cli.listening import url_of
+from app.cli.options import Option
 from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import Settings, load
 from bus.errors import LinesideError
@@ -27,7 +28,7 @@ def status(
     config: Config = LINESIDE_TOML,
     token: TokenOption = "",
     token_file: TokenFile = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The result as JSON.")] = False,
+    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
 ) -> None:
     """Show whether the dashboard serves and, with a token of any role but worker, the state of each bus and
     what is degraded of the server: history, audit log, disk, notification, clock, certificates.
@@ -41,7 +42,7 @@ def status(
     buses, degraded = _state(url, bearer, own) if serves and bearer else (None, None)
     if as_json:
         shown = {"serving": serves, "url": url, "store": settings.store_name, "buses": buses}
-        typer.echo(json.dumps({**shown, "degraded": degraded}))
+        click.echo(json.dumps({**shown, "degraded": degraded}))
     elif serves:
         report(Message.of("dashboard_serves", site=settings.site.name, url=url))
         report(Message.of("dashboard_store", path=settings.store_name))

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import click
 
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
+from app.cli.options import Option
 from bus.configuration import load_bus
 from bus.errors import CallerError
 from bus.messages import Message
@@ -20,23 +21,23 @@ WORKER_TOKEN_VARIABLE = "LINESIDE_WORKER_TOKEN"
 
 
 def worker(
-    bus: Annotated[str, typer.Option(help="Name of the bus in the configuration.")],
+    bus: Annotated[str, Option(help="Name of the bus in the configuration.")],
     app: Annotated[
         list[str],
-        typer.Option(
+        Option(
             help="Address of a dashboard that may be the home of the bus, http://host:port; may be repeated."
         ),
     ],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    config: Annotated[Path, typer.Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
+    config: Annotated[Path, Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
     ca: Annotated[
-        Path | None, typer.Option(help="Certificate of the dashboard's authority, by default this machine's.")
+        Path | None, Option(help="Certificate of the dashboard's authority, by default this machine's.")
     ] = None,
     certificate: Annotated[
-        Path | None, typer.Option(help="The worker's certificate, where the dashboard demands one.")
+        Path | None, Option(help="The worker's certificate, where the dashboard demands one.")
     ] = None,
-    key: Annotated[Path | None, typer.Option(help="Its private key.")] = None,
+    key: Annotated[Path | None, Option(help="Its private key.")] = None,
 ) -> None:
     """Run one bus worker for a dashboard elsewhere, until Ctrl-C or SIGTERM; reconnects indefinitely."""
     for url in app:
@@ -47,7 +48,7 @@ def worker(
     tls = _tls(app, ca, certificate, key)
     from bus.worker.process import run
 
-    raise typer.Exit(run(settings, app, bearer, tls=tls))
+    raise click.exceptions.Exit(run(settings, app, bearer, tls=tls))
 
 
 def _tls(

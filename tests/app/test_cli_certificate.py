@@ -9,7 +9,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.cli import authority, certificate, cli
 from app.cli.certificate import own_addresses, server_names

@@ -10,19 +10,18 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.audit.keyring import KeyOrigin
 from app.audit.keys import make_key_file
 from app.cli import check, findings
+from app.cli.options import command_of
 from app.database import SqliteDatabase
 from app.database.unfinished import LEDGER
 from app.history.intake.opening import MIGRATIONS
 from tests.mounted import mounted
 
-cli = typer.Typer()
-cli.command()(check.check)
+cli = command_of(check.check)
 
 UNIT = '[[bus.unit]]\nid = 1\nname = "Unwind"\n'
 

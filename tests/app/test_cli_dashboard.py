@@ -17,7 +17,7 @@ from typing import Any
 
 import certifi
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.cli import cli
 from app.cli.dashboard import trusted_authorities

@@ -9,17 +9,16 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from app.cli import scan
+from app.cli.options import command_of
 from tests import fork_server
 
 PATIENCE_MS = 400
 """On a busy machine the simulated unit may have to wait its turn."""
 
-cli = typer.Typer()
-cli.command()(scan.scan)
+cli = command_of(scan.scan)
 
 
 @contextmanager

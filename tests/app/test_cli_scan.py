@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 import serial
-import typer
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.cli import scan
+from app.cli.options import command_of
 from app.cli.scan import announcement, bauds_to_try
 from bus.catalogue import numbers
 from bus.errors import WireError
@@ -35,8 +35,7 @@ GONE = Message.of("port_gone", port="it")
 without a unit costs this at every probe, so there are few of those.
 """
 
-cli = typer.Typer()
-cli.command()(scan.scan)
+cli = command_of(scan.scan)
 
 
 def unit(address: int, baud: int = 9600, **traits: Any) -> Unit:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.cli import check
+from app.cli.options import command_of
 from app.notification import mail, webhook
 from app.settings import load
 from tests.app.configured import faults_of
@@ -23,8 +23,7 @@ from tests.app.notification_servers import mail_server, receiver
 BUS = '[[bus]]\nname = "dry-end"\nport = "/dev/null"\n'
 SMTP = '[notify.smtp]\nhost = "mail"\nsender = "lineside@plant"\n'
 GROUP = '[[notify.group]]\nname = "duty"\n'
-cli = typer.Typer()
-cli.command()(check.check)
+cli = command_of(check.check)
 
 
 def test_the_example_of_the_contract_is_read(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from app.audit.anchoring import Anchoring
 from app.audit.chain import END_ALTERED, ROTATED, SITE, sealed_entry, sealed_head

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from app.audit.anchoring import Anchoring
 from app.audit.chain import END_ALTERED, OTHER_KEY, SEALED_FROM_HERE, SITE, entry_hash, sealed_head

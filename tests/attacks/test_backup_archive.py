@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from app.cli import backup_archive, cli
 from app.cli.backup_archive import MAX_ARCHIVE_BYTES

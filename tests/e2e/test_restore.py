@@ -13,9 +13,8 @@ from typing import Any
 
 import httpx
 import pytest
-from click.testing import Result
+from click.testing import CliRunner, Result
 from playwright.sync_api import Locator, Page, expect
-from typer.testing import CliRunner
 
 from app.cli import cli
 from tests.e2e.conftest import OpensPages, rest

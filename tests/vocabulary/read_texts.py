@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import typer.main
-
 from app.cli import cli
 from app.main import create_app
 from app.messages.languages import DEFAULT, catalogs
@@ -44,7 +42,7 @@ def translations(tag: str) -> Iterator[tuple[str, str]]:
 
 def command_line() -> Iterator[tuple[str, str]]:
     """The help of each command and of each of its options."""
-    yield from _helps("lineside", typer.main.get_command(cli))
+    yield from _helps("lineside", cli)
 
 
 def _helps(path: str, command: Any) -> Iterator[tuple[str, str]]:
