@@ -59,6 +59,7 @@ def simulate(
     script: Annotated[
         bool, Option(help="Operate run, preset, jog and emergency stop from time to time.")
     ] = True,
+    unrest: Annotated[bool, Option(help="Let speeds and tensions move a little, as on a machine.")] = True,
     control: Annotated[
         int | None,
         Option(min=0, max=65535, help="Accept control requests as JSON lines at this TCP port."),
@@ -77,7 +78,7 @@ def simulate(
         estop_healthy=estop_healthy,
     )
     traits = Traits(dialect, last_parameter, turnaround_s=turnaround_ms / 1000)
-    plant = demo_line(units, seed=seed, traits=traits, script=script).plant
+    plant = demo_line(units, seed=seed, traits=traits, script=script, unrest=unrest).plant
     for unit in plant.units:
         unit.memory[numbers.BAUD_RATE] = baud // 100
         unit.power_up()

@@ -43,14 +43,22 @@ class DemoLine(NamedTuple):
     plant: Plant
 
 
-def demo_line(units: int = 8, *, seed: int = 1, traits: Traits = ORDINARY, script: bool = True) -> DemoLine:
+def demo_line(
+    units: int = 8,
+    *,
+    seed: int = 1,
+    traits: Traits = ORDINARY,
+    script: bool = True,
+    unrest: bool = True,
+) -> DemoLine:
     """``units`` (1-255) sections in floor order at addresses 1, 2, …; same seed, same line.
+    ``unrest``: speeds and tensions move a little, as on a machine.
 
     The first eight are set in m/min. In a longer line the machines repeat, and from the second eight on
     the last of each eight follows the master by ratio.
     """
     addresses = range(1, units + 1)
-    sections = [_section(address, units, seed, traits) for address in addresses]
+    sections = [_section(address, units, seed, traits, unrest) for address in addresses]
     operator = Script([section.unit for section in sections], seed=seed) if script else None
     plant = Plant(sections, operator)
     plant.settle()
@@ -71,7 +79,7 @@ def _settings(address: int) -> UnitSettings:
     return UnitSettings(id=address, name=name, group=machine.group, draw_percent=band, labels=labels)
 
 
-def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
+def _section(address: int, units: int, seed: int, traits: Traits, unrest: bool) -> Section:
     machine = _machine(address)
     draw = machine.draw + 0.001 * ((address - 1) // len(_MACHINES)) / max(units / 64, 1)
     changed: dict[int, int] = {
@@ -86,4 +94,4 @@ def _section(address: int, units: int, seed: int, traits: Traits) -> Section:
     }
     unit = Unit(Memory(changed), traits)
     unit.random.seed(seed * 1000 + address)
-    return Section(unit, seed=seed * 1000 + address)
+    return Section(unit, seed=seed * 1000 + address, unrest=unrest)

@@ -40,6 +40,8 @@ class Section:
 
     unit: Unit
     seed: int = 0
+    unrest: bool = True
+    """Whether speed and tension move a little, as those of a real machine do."""
     speed: float = 0.0
     reference: float = 0.0
     _unrest: float = 0.0
@@ -101,6 +103,8 @@ class Section:
         self.speed += (goal - self.speed) * -math.expm1(-dt / lag)
         if goal == 0.0 and abs(self.speed) < STANDSTILL:
             self.speed = 0.0
+        if not self.unrest:
+            return
         fade = math.exp(-dt / UNREST_LAG_S)
         self._unrest = self._unrest * fade + UNREST * math.sqrt(1 - fade * fade) * self._random.gauss(0, 1)
 
@@ -116,7 +120,8 @@ class Section:
         full = unit.memory[numbers.MAX_DISPLAY]
         unrest = self._unrest if self.speed else 0.0
         measured.actual = min(round(abs(self.speed + unrest) * full), LARGEST_VALUE)
-        measured.analog = min(max(round(self._tension + self._random.gauss(0, 0.6)), 0), 255)
+        rattle = self._random.gauss(0, 0.6) if self.unrest else 0.0
+        measured.analog = min(max(round(self._tension + rattle), 0), 255)
         if not unit.follows:
             return
         following = self._following(master_rpm)

@@ -141,22 +141,27 @@ export function rebind() {
 /** @param {string} group @param {Fields} changed */
 function write(group, changed) {
   const fields = bound.get(group);
+  let wrote = false;
   for (const field in changed) {
     const writes = fields?.get(field);
-    if (writes) for (const each of writes) each(/** @type {string} */ (changed[field]));
+    if (!writes) continue;
+    wrote = true;
+    for (const each of writes) each(/** @type {string} */ (changed[field]));
   }
+  return wrote;
 }
 
-/** Write pending values to visible nodes; return whether there was anything to write. */
+/** Write pending values to visible nodes; return whether there was anything to write. Half of what comes is the time of
+    a reading with the same values, which no node shows. */
 export function draw() {
-  const all = waiting.size;
+  let wrote = false;
   for (const [group, changed] of waiting) {
     if (mayWait(group)) continue;
     waiting.delete(group);
-    write(group, changed);
+    wrote = write(group, changed) || wrote;
   }
   if (waiting.size && !timer) timer = setTimeout(drawLate, LATE_MS);
-  return waiting.size < all;
+  return wrote;
 }
 
 function drawLate() {

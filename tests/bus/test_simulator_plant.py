@@ -72,6 +72,18 @@ def test_a_long_line_is_at_speed_from_the_first_moment_followers_and_all() -> No
     assert all(unit.at_speed for unit in line.plant.units)
 
 
+@pytest.mark.parametrize("unrest", [True, False])
+def test_a_line_without_unrest_measures_the_same_as_long_as_nothing_is_changed(unrest: bool) -> None:
+    line = demo_line(4, script=False, unrest=unrest)
+    for _ in range(100):  # until the web is taut
+        line.plant.step()
+    measured = set()
+    for _ in range(100):
+        line.plant.step()
+        measured.add(tuple((unit.measured.actual, unit.measured.analog) for unit in line.plant.units))
+    assert (len(measured) == 1) is not unrest
+
+
 def test_the_demo_line_is_mostly_well_and_not_always() -> None:
     """Of the moments of twenty minutes nearly all are without a stopped section, yet each habit is seen."""
     line = demo_line()

@@ -45,7 +45,7 @@ from tests.simulator_remote import Remote
 LINESIDE = Path(sys.executable).with_name("lineside")
 ROLES = ("viewer", "operator", "engineer", "admin")
 PASSWORD = "collect house bakery stable"
-AT_REST = ("--no-script", "--turnaround-ms", "20")
+AT_REST = ("--no-script", "--no-unrest", "--turnaround-ms", "20")
 """Units to which nothing happens but what the test does. They respond as late as drives do, so that the
 processes of a line do half as much for as long as it is there."""
 

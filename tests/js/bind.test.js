@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { openPage } from "./page.js";
 
 openPage();
-const { fieldsOf, listen, replace, show, value } = await import("../../static/js/bind.js");
+const { draw, fieldsOf, listen, rebind, replace, show, value } = await import("../../static/js/bind.js");
 
 test("a change adds to what is known, a snapshot replaces it", () => {
   replace({ "line/1": { actual: "1", link: "online" } });
@@ -26,4 +26,20 @@ test("a listener is given what is known at once and each change, until it leaves
     [{ count: "1" }, { count: "1" }],
     [{ count: "1", here: "anna" }, { here: "anna" }],
   ]);
+});
+
+test("only what an element shows is drawn: the time of a reading alone costs no frame", () => {
+  const shown = { dataset: { live: "line/1.actual" }, textContent: "", replaceChildren() {} };
+  document.querySelectorAll = (selector) => (selector === "[data-live]" ? [shown] : []);
+  document.createTextNode = (data) => ({ data });
+  globalThis.requestAnimationFrame = () => {};
+  rebind();
+  replace({ "line/1": { actual: "1", at: "0.1" } });
+  const frames = [];
+  globalThis.requestAnimationFrame = (act) => frames.push(act);
+  show({ "line/1": { at: "0.2" } });
+  assert.equal(frames.length, 0);
+  show({ "line/1": { actual: "2", at: "0.3" } });
+  assert.equal(frames.length, 1);
+  assert.equal(draw(), false);
 });
