@@ -4,16 +4,21 @@ complete sites come first: the many small ones fill the time in which the last o
 
 from __future__ import annotations
 
+import fcntl
 import gc
+import marshal
 import os
 import sqlite3
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache, partial, wraps
+from hashlib import sha256
 from pathlib import Path
 from types import CodeType
 from typing import Any
 
+import jinja2
 import pytest
 import structlog
 from argon2 import PasswordHasher
@@ -59,8 +64,11 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def templates_compiled_once() -> Iterator[None]:
-    """Hundreds of tests make an app; compiling its templates is most of the cost of each."""
+def templates_compiled_once(pytestconfig: pytest.Config) -> Iterator[None]:
+    """Hundreds of tests make an app; compiling its templates is most of the cost of each. All processes share
+    what they compile, in a folder that outlives them."""
+    folder = pytestconfig.rootpath / ".pytest_cache" / "templates"
+    folder.mkdir(parents=True, exist_ok=True)
     compile_template = Environment.compile
     compiled: dict[tuple[str, str | None, str | None], CodeType] = {}
 
@@ -69,12 +77,30 @@ def templates_compiled_once() -> Iterator[None]:
     ) -> CodeType:
         key = source, name, filename
         if key not in compiled:
-            compiled[key] = compile_template(environment, source, name, filename)
+            made_of = repr((*key, jinja2.__version__, sys.implementation.cache_tag))
+            place = folder / sha256(made_of.encode()).hexdigest()
+            compiled[key] = kept_in(place, partial(compile_template, environment, *key))
         return compiled[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Environment, "compile", compile_once)
         yield
+
+
+def kept_in(place: Path, compiling: Callable[[], CodeType]) -> CodeType:
+    """What a file has, or else what is compiled, which it has then. What another process compiles at this
+    moment is worth waiting for."""
+    with place.open("a+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.seek(0)
+        # A process that was killed may have left a part.
+        with suppress(EOFError, ValueError, TypeError):
+            code: CodeType = marshal.loads(file.read())
+            return code
+        code = compiling()
+        file.truncate(0)
+        file.write(marshal.dumps(code))
+    return code
 
 
 @pytest.fixture(scope="session", autouse=True)
