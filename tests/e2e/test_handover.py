@@ -91,9 +91,13 @@ def test_a_shift_is_handed_over(browser_page: OpensPages, flaws: Callable[..., l
     assert len(paper) <= MAX_PAPER, "of a quiet shift"
 
     # The open sheet with its pictures, the signed one, and the list with the signatures.
-    for locale, language in ((ENGLISH, "en"), (GERMAN, "de")):
+    open_sheet, every = "/shifts/present", "/shifts"
+    for locale, language, paths in (
+        (ENGLISH, "en", (open_sheet, every)),
+        (GERMAN, "de", (open_sheet, signed)),
+    ):
         page.request.post("/account/language", form={"language": language}, headers=own(page))
-        for path in ("/shifts/present", signed, "/shifts"):
+        for path in paths:
             page.set_viewport_size(PHONE)
             page.goto(path)
             expect(page.locator(f"html[lang^={language}] body[data-link=live]")).to_be_attached()
