@@ -1,4 +1,4 @@
-"""What people do with the limits and the block of a unit, and with control of a bus."""
+"""What people do with the limits and the block of a unit, with commands to a bus and with its control."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from app.web.access import Role
 SET_LIMITS = Act("set_speed_limits", Role.ENGINEER, "limits", "event_limits_changed")
 BLOCK = Act("block_commands", Role.OPERATOR, "block", "event_unit_blocked")
 UNBLOCK = Act("unblock_commands", Role.OPERATOR, "block", "event_block_lifted")
+SET_READ_ONLY = Act("set_read_only", Role.ADMIN, "block", "event_read_only_set")
+END_READ_ONLY = Act("end_read_only", Role.ADMIN, "block", "event_read_only_ended")
 TAKE_CONTROL = Act("take_control", Role.OPERATOR, "control", "event_control_taken", locally=True)
 HAND_OVER_CONTROL = Act("hand_over_control", Role.OPERATOR, "control", "event_control_handed_over")
 FORCE_CONTROL = Act("force_control", Role.ADMIN, "control", "event_control_handed_over")
@@ -21,6 +23,7 @@ END_CONTROL_REQUEST = Act(
 )
 """Declining a request, by the holder, or withdrawing it."""
 ACTS = (
-    *(SET_LIMITS, BLOCK, UNBLOCK, TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL),
+    *(SET_LIMITS, BLOCK, UNBLOCK, SET_READ_ONLY, END_READ_ONLY),
+    *(TAKE_CONTROL, HAND_OVER_CONTROL, FORCE_CONTROL, RELEASE_CONTROL),
     *(REQUEST_CONTROL, GRANT_CONTROL, END_CONTROL_REQUEST),
 )

@@ -44,6 +44,7 @@ def make(services: Services) -> None:
     for name, of_bus in services.buses.items():
         guards = Safeguards(
             name,
+            of_bus[BusLive].units,
             database,
             events,
             control_required=services.settings.site.control,

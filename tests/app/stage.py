@@ -249,6 +249,7 @@ class Stage:
         self.rights = PlayedRights()
         self.guards = Safeguards(
             settings.name,
+            bus.units,
             self.database,
             self.events,
             control_required=control,

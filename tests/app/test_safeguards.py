@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
@@ -14,10 +15,12 @@ from app.audit.store import Filter
 from app.commands.safeguards import service
 from app.commands.safeguards.control import LAPSES_AFTER_S
 from app.commands.safeguards.limits import NO_LIMITS, BlockStore, CommandBlock, Limits, LimitsStore
+from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.commands.service import command_service
 from app.errors import Problem
 from app.web.access import Person, Role
 from bus.contract import Command, Update
+from bus.instants import Monotonic, UnixTime
 from tests.app.stage import PlayedWorker, Stage, reading, responding, result_of, staged
 from tests.stores import both_engines, open_store
 
@@ -164,6 +167,83 @@ async def test_a_block_needs_a_reason(stage: Stage) -> None:
 async def test_lifting_nothing_is_no_event(stage: Stage) -> None:
     assert (await stage.request("DELETE", "/units/1/block")).status_code == 200
     assert (await stage.http().get("/api/v1/events?kind=block")).json()["events"] == []
+
+
+async def test_a_read_only_bus_takes_no_command(stage: Stage) -> None:
+    worker = await obeying(stage)
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
+    body = {"on": True, "reason": "cable is open", "minutes": 30}
+    for role in ("viewer", "operator", "engineer"):
+        assert (await stage.request("POST", "/read-only", body, role=role)).status_code == 403
+    shown = (await stage.request("POST", "/read-only", body, role="admin")).json()
+    assert (shown["on"], shown["reason"], shown["until"] > shown["since"]) == (True, "cable is open", True)
+    assert sorted(notified) == sorted(stage.live.buses["dry-end"].units)
+    assert await speed(stage, 5) == (423, "blocked")
+    assert await speed(stage, 0) == (423, "blocked")
+    execute = await stage.request("POST", "/execute", {}, role="admin")
+    assert (execute.status_code, execute.json()["code"]) == (423, "blocked")
+    assert "cable is open" in execute.json()["detail"]
+    assert worker.commands == []
+    assert (await stage.request("POST", "/read-only", {"on": False})).json()["on"] is False
+    assert (await stage.request("POST", "/read-only", {"on": False})).json()["on"] is False
+    assert await speed(stage, 5) == (200, "verified")
+    events = (await stage.http().get("/api/v1/events?kind=block")).json()["events"]
+    assert [(event["what"], event["old"], event["new"]) for event in events] == [
+        ("read-only mode ended", "cable is open", None),
+        ("bus set to read-only", None, "cable is open (for 30 min)"),
+    ]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"on": True},
+        {"on": True, "reason": " "},
+        {"on": True, "reason": "x" * 201},
+        {"on": True, "reason": "x", "minutes": 0},
+        {"on": True, "reason": "x", "minutes": 10081},
+        {"on": True, "reason": "x", "minutes": 1.5},
+    ],
+)
+async def test_a_bad_request_of_read_only_changes_nothing(stage: Stage, body: dict[str, Any]) -> None:
+    assert (await stage.request("POST", "/read-only", body)).status_code == 422
+    assert (await stage.request("GET", "/read-only", role="viewer")).json()["on"] is False
+
+
+async def test_read_only_ends_after_its_minutes_whatever_the_wall_clock_does(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await obeying(stage)
+    await stage.request("POST", "/read-only", {"on": True, "reason": "x", "minutes": 1})
+    notified: list[int] = []
+    stage.guards.on_block(notified.append)
+    real = time.monotonic
+    monkeypatch.setattr(service, "unix_now", lambda: UnixTime(time.time() + 3600))
+    assert await speed(stage, 5) == (423, "blocked")
+    monkeypatch.setattr(service, "monotonic_now", lambda: Monotonic(real() + 61))
+    assert await speed(stage, 5) == (200, "verified")
+
+
+@both_engines
+async def test_read_only_survives_a_restart_and_not_its_end(tmp_path: Path) -> None:
+    database = open_store(tmp_path / "lineside.db")
+    now, monotonic = UnixTime(1000.0), Monotonic(10.0)
+    mode = ReadOnly("why", "anna", now, UnixTime(1060.0))
+    await ReadOnlyStore(database, "b").put(mode, monotonic)
+    stored, other = ReadOnlyStore(database, "b"), ReadOnlyStore(database, "c")
+    await stored.load(UnixTime(1020.0), Monotonic(0.0))
+    await other.load(now, monotonic)
+    assert stored.of(Monotonic(39.0)) == mode
+    assert stored.of(Monotonic(40.0)) is None
+    assert other.of(monotonic) is None
+    await stored.put(ReadOnly("why", "anna", now), monotonic)
+    assert stored.left_s(monotonic) == math.inf
+    await stored.end()
+    await stored.load(now, monotonic)
+    assert stored.of(monotonic) is None
+    database.close()
 
 
 @both_engines

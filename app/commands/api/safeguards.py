@@ -18,6 +18,7 @@ from app.commands.acts import (
     RELEASE_CONTROL,
     REQUEST_CONTROL,
     SET_LIMITS,
+    SET_READ_ONLY,
     TAKE_CONTROL,
     UNBLOCK,
 )
@@ -26,6 +27,7 @@ from app.commands.api.responses import Moment
 from app.commands.rules.setpoint_range import Basis, SetpointKind, setpoint_range
 from app.commands.safeguards.control import LAPSES_AFTER_S, REQUEST_LAPSES_AFTER_S
 from app.commands.safeguards.limits import HIGHEST_SETPOINT, Limits
+from app.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
 from app.commands.safeguards.service import Safeguards
 from app.live.api.schemas import DisplayedValue
 from app.live.api.view import setpoint_text
@@ -68,6 +70,25 @@ class CommandBlockRequest(StrictBody):
     reason: Annotated[OneLine, Field(min_length=1, max_length=200)]
 
 
+class ReadOnlyRequest(StrictBody):
+    """Whether any command is sent to a bus."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+    on: bool
+    reason: Annotated[OneLine | None, Field(max_length=200, description="Required to set it.")] = None
+    minutes: Annotated[
+        int | None,
+        Field(ge=1, le=MAX_READ_ONLY_MINUTES, description="Duration, minutes; null: until it is ended."),
+    ] = None
+
+    @model_validator(mode="after")
+    def _give_a_reason(self) -> ReadOnlyRequest:
+        if self.on and not self.reason:
+            raise ValueError(Message("read_only_needs_reason"))
+        return self
+
+
 class HandOverRequest(StrictBody):
     """Who shall hold control."""
 
@@ -83,6 +104,16 @@ class CommandBlockShown(TypedDict):
     reason: str | None
     by: Annotated[str | None, Field(description="Who blocked it; null: it is not blocked.")]
     since: Moment
+
+
+class ReadOnlyShown(TypedDict):
+    """Whether a bus is read-only: commands to its units are refused."""
+
+    on: bool
+    reason: str | None
+    by: Annotated[str | None, Field(description="Who set it; null: it is not read-only.")]
+    since: Moment
+    until: Annotated[Moment, Field(description="End of its duration; null: until it is ended.")]
 
 
 class ControlRequestShown(TypedDict):
@@ -153,6 +184,24 @@ async def unblock_commands(
     return _block_json(guards, unit.settings.id)
 
 
+@router.get("/read-only")
+async def get_read_only(_: Viewer, guards: Guards) -> ReadOnlyShown:
+    """Whether commands to the units of this bus are refused, the reason and the user."""
+    return _read_only_json(guards)
+
+
+@router.post("/read-only")
+async def set_read_only(
+    person: Annotated[Person, SET_READ_ONLY.permitted], guards: Guards, body: ReadOnlyRequest
+) -> ReadOnlyShown:
+    """Refuse every write to this bus, on every interface, or let commands through again."""
+    if body.on:
+        await guards.set_read_only(person, body.reason or "", body.minutes)
+    else:
+        await guards.end_read_only(person)
+    return _read_only_json(guards)
+
+
 @router.get("/control")
 async def get_control(_: Viewer, guards: Guards) -> ControlShown:
     """The user who has control of this line, if the site requires control."""
@@ -216,6 +265,14 @@ def _block_json(guards: Safeguards, unit: int) -> CommandBlockShown:
     if block is None:
         return {"blocked": False, "reason": None, "by": None, "since": None}
     return {"blocked": True, "reason": block.reason, "by": block.set_by, "since": iso(block.set_at)}
+
+
+def _read_only_json(guards: Safeguards) -> ReadOnlyShown:
+    mode = guards.read_only_now()
+    if mode is None:
+        return {"on": False, "reason": None, "by": None, "since": None, "until": None}
+    until = iso(mode.until) if mode.until is not None else None
+    return {"on": True, "reason": mode.reason, "by": mode.set_by, "since": iso(mode.set_at), "until": until}
 
 
 def _control_json(guards: Safeguards) -> ControlShown:

@@ -7,21 +7,25 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Form
 from starlette.responses import RedirectResponse, Response
 
+from app.commands.acts import END_READ_ONLY, SET_READ_ONLY
 from app.commands.catalogue import CHANGE_BAUD, SCAN_BUS
 from app.commands.forms.outcome import outcome_text
 from app.commands.forms.page_context import BusPage, OfBus, Page, new_id
 from app.commands.pages.control import others
+from app.commands.safeguards.read_only import MAX_READ_ONLY_MINUTES
 from app.commands.service.writer import permitted
 from app.errors import Problem
-from app.web.access import Viewer
+from app.web.access import Person, Viewer
 from app.web.arrival import Deadline
 from bus.contract import ChangeBaud, ScanBus
 from bus.errors import unit_error
 from bus.messages import Message
 from bus.settings import BAUDS
+from bus.text import OneLine
 
 router = APIRouter(prefix="/bus", include_in_schema=False)
 SEE_OTHER = 303
+DEFAULT_MINUTES = 60
 
 
 @router.get("")
@@ -44,9 +48,31 @@ async def bus_page(_: Viewer, page: OfBus) -> Response:
         bus=page.bus,
         control=page.guards.bus_control(),
         others=others(page),
+        read_only=page.guards.read_only_now(),
         fault="",
         **_units(page),
     )
+
+
+@router.post("/{bus}/read-only")
+async def set_read_only(
+    person: Annotated[Person, SET_READ_ONLY.permitted],
+    page: OfBus,
+    reason: Annotated[OneLine, Form(max_length=200)] = "",
+    minutes: Annotated[int, Form(ge=1, le=MAX_READ_ONLY_MINUTES)] = DEFAULT_MINUTES,
+) -> Response:
+    """Refuse every write to this bus for a time, with the reason shown on every page."""
+    if not reason.strip():
+        raise Problem(422, "invalid", Message("read_only_needs_reason"))
+    await page.guards.set_read_only(person, reason.strip(), minutes)
+    return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
+
+
+@router.post("/{bus}/read-only/end")
+async def end_read_only(person: Annotated[Person, END_READ_ONLY.permitted], page: OfBus) -> Response:
+    """Let commands through again; the event records the user."""
+    await page.guards.end_read_only(person)
+    return RedirectResponse(f"/bus/{page.name}#read-only", SEE_OTHER)
 
 
 @router.get("/{bus}/units")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import InitVar, dataclass, field
 
 from app.audit.act import Act
@@ -13,17 +14,20 @@ from app.auth.signin import SignIn
 from app.commands.acts import (
     BLOCK,
     END_CONTROL_REQUEST,
+    END_READ_ONLY,
     FORCE_CONTROL,
     GRANT_CONTROL,
     HAND_OVER_CONTROL,
     RELEASE_CONTROL,
     REQUEST_CONTROL,
     SET_LIMITS,
+    SET_READ_ONLY,
     TAKE_CONTROL,
     UNBLOCK,
 )
 from app.commands.safeguards.control import Control, Holding, RequestedControl, controlled
 from app.commands.safeguards.limits import BlockStore, CommandBlock, Limits, LimitsStore
+from app.commands.safeguards.read_only import ReadOnly, ReadOnlyStore
 from app.database import Database
 from app.errors import Problem
 from app.live.screen.sources import UnitSubscriber
@@ -45,6 +49,7 @@ class Safeguards:
     """The safeguards of one bus. Call :meth:`load` once before the first command."""
 
     _bus: str
+    _units: Iterable[int]
     database: InitVar[Database]
     _events: EventLog
     control_required: InitVar[bool]
@@ -53,11 +58,13 @@ class Safeguards:
     sessions: InitVar[SignIn]
     _block_subscribers: list[UnitSubscriber] = field(default_factory=list)
     _control_subscribers: list[Callable[[], None]] = field(default_factory=list)
+    _read_only_ends: asyncio.TimerHandle | None = None
     _requests: Bucket = field(default_factory=lambda: Bucket(1 / REQUEST_EVERY_S, MAX_REQUESTS))
 
     def __post_init__(self, database: Database, control_required: bool, sessions: SignIn) -> None:
         self.limits = LimitsStore(database, self._bus)
         self.blocks = BlockStore(database, self._bus)
+        self.read_only = ReadOnlyStore(database, self._bus)
         self.control = Control(required=control_required)
         self.rights.on_withdrawn(self.revoke_control)
         sessions.on_signed_out(self.revoke_control)
@@ -67,6 +74,8 @@ class Safeguards:
         self.control = Control(required=self.control.required)
         await self.limits.load()
         await self.blocks.load()
+        await self.read_only.load(unix_now(), monotonic_now())
+        self._publish_read_only()
 
     def on_block(self, subscriber: UnitSubscriber) -> None:
         """Call ``subscriber`` when a unit was blocked or freed."""
@@ -76,9 +85,13 @@ class Safeguards:
         """Call ``subscriber`` when control has another holder, or was requested."""
         self._control_subscribers.append(subscriber)
 
+    def read_only_now(self) -> ReadOnly | None:
+        """Why no command is sent to the bus, and by whom that was set; None where commands are sent."""
+        return self.read_only.of(monotonic_now())
+
     def block_reason(self, unit: int) -> Message | None:
-        """Why a unit is blocked and by whom; None when it is not."""
-        block = self.blocks.of(unit)
+        """Why a unit or its bus takes no command, and by whom; None where it does."""
+        block = self.read_only_now() or self.blocks.of(unit)
         return None if block is None else Message.of("block_by", reason=block.reason, who=block.set_by)
 
     async def set_limits(self, person: Person, unit: int, limits: Limits) -> None:
@@ -106,6 +119,26 @@ class Safeguards:
         await self.blocks.lift(unit)
         self._publish_block(unit)
         await self._record(UNBLOCK, person, before.reason, None, unit)
+
+    async def set_read_only(self, person: Person, reason: str, minutes: int | None) -> None:
+        """Refuse every write to every unit for so many minutes, or until it is ended. Raises Problem 403."""
+        SET_READ_ONLY.check(person)
+        before, now = self.read_only_now(), unix_now()
+        until = None if minutes is None else now + 60 * minutes
+        await self.read_only.put(ReadOnly(reason, person.name, now, until), monotonic_now())
+        self._publish_read_only()
+        new = Message.of("read_only_for", reason=reason, n=minutes) if minutes is not None else reason
+        await self._record(SET_READ_ONLY, person, before.reason if before is not None else None, new)
+
+    async def end_read_only(self, person: Person) -> None:
+        """Let commands through again. Nothing happens where they are not kept. Raises Problem 403."""
+        END_READ_ONLY.check(person)
+        before = self.read_only_now()
+        if before is None:
+            return
+        await self.read_only.end()
+        self._publish_read_only()
+        await self._record(END_READ_ONLY, person, before.reason, None)
 
     def holding(self) -> Holding | None:
         """The holder of control; None where it is free."""
@@ -240,6 +273,17 @@ class Safeguards:
     def _publish_block(self, unit: int) -> None:
         for subscriber in self._block_subscribers:
             subscriber(unit)
+
+    def _publish_read_only(self) -> None:
+        """Show every unit as it is now, and again when the duration of the mode is over."""
+        if self._read_only_ends is not None:
+            self._read_only_ends.cancel()
+        left_s = self.read_only.left_s(monotonic_now())
+        if 0 < left_s < math.inf:
+            loop = asyncio.get_running_loop()
+            self._read_only_ends = loop.call_later(left_s, self._publish_read_only)
+        for unit in self._units:
+            self._publish_block(unit)
 
     def _publish_control(self) -> None:
         for subscriber in self._control_subscribers:

@@ -12,7 +12,7 @@ import msgspec
 
 from app.auth.rights import Rights
 from app.commands.catalogue import check, kind_of_command
-from app.commands.rules.objection import RuleContext
+from app.commands.rules.objection import RuleContext, objection
 from app.commands.rules.setpoint import Moves, commanded_setpoint
 from app.commands.rules.setpoint_range import kind_of
 from app.commands.safeguards.control import controlled
@@ -189,6 +189,10 @@ class CommandService:
 
     def _apply_rules(self, action: Action, confirm: bool) -> None:
         self._record.refuse_unlogged(action, self._live)
+        # A broadcast reaches units of which nothing is known to be staged, too.
+        mode = self._guards.read_only_now() if action.writes else None
+        if mode is not None:
+            raise objection("blocked", mode.refusal())
         context = RuleContext(
             bus=self._live,
             limits=self._guards.limits.of,
@@ -273,6 +277,8 @@ class CommandService:
             return None
         if not request.action.writes:
             return None
+        if (mode := self._guards.read_only_now()) is not None:
+            return mode.refusal()
         for unit in kind_of_command(request.action).units_written(request.action, self._live):
             block = self._guards.blocks.of(unit)
             if block is not None:
