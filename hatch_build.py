@@ -32,6 +32,8 @@ VENDORED = {
 
 ASSETS = {"templates": "app/_assets/templates", "static": "app/_assets/static"}
 """Where the folders at the top of the repository stand in a wheel."""
+CHAPTERS = ("*.md", "guide/*.md", "pictures/*.png")
+"""What the help of the dashboard shows of docs/."""
 
 
 class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
@@ -43,7 +45,12 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
             sys.exit("A text and its translation have different names in braces:\n" + "\n".join(wrong))
         fill_vendor(root)
         if self.target_name == "wheel" and version == "standard":
-            build_data["force_include"].update({str(root / here): there for here, there in ASSETS.items()})
+            docs = root / "docs"
+            chapters = [path for pattern in CHAPTERS for path in docs.glob(pattern)]
+            build_data["force_include"].update(
+                {str(root / here): there for here, there in ASSETS.items()}
+                | {str(path): f"app/_assets/docs/{path.relative_to(docs).as_posix()}" for path in chapters}
+            )
 
 
 def different_names(folder: Path) -> list[str]:

@@ -23,6 +23,7 @@ from app.feature import Services
 from app.feed import feature as feed
 from app.find import feature as find
 from app.handover import feature as handover
+from app.help import feature as handbook
 from app.history import feature as history
 from app.home import feature as home
 from app.home.keeping import feature as keeping
@@ -59,6 +60,7 @@ FEATURES = (
     database.FEATURE,
     web.FEATURE,
     find.FEATURE,
+    handbook.FEATURE,
     home.FEATURE,
     history.FEATURE,
     audit.FEATURE,

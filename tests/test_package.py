@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from app.help.chapters import CHAPTERS, Chapter
 from tests.test_architecture import ROOT, tracked
 
 
@@ -26,10 +27,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-def test_it_holds_every_template_and_static_file(wheel: Path) -> None:
+def test_it_holds_every_template_static_file_and_chapter(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     wanted = {f"app/_assets/{path.relative_to(ROOT)}" for path in tracked("templates", "static")}
-    assert wanted - held == set()
+    chapters = {f"app/_assets/docs/{name}" for chapter in CHAPTERS for name in files_of(chapter)}
+    assert (wanted | chapters) - held == set()
+
+
+def files_of(chapter: Chapter) -> set[str]:
+    return {chapter.file_in(language) for language in ("en", *chapter.languages)}
 
 
 def test_it_holds_third_party_files_with_their_licences(wheel: Path) -> None:

@@ -46,6 +46,10 @@ def static_dir() -> Path:
     return _folder("static")
 
 
+def docs_dir() -> Path:
+    return _folder("docs")
+
+
 def _beside(name: str, path: str) -> str:
     """The name of a file that another one names by its own place."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(name), path))

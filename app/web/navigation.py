@@ -38,6 +38,23 @@ PAGES = (
 )
 
 
+HELP = {
+    "line": "operator#the-line",
+    "unit": "operator#a-unit",
+    "setpoints": "operator#several-units-at-once",
+    "alarms": "operator#alarms",
+    "shifts": "operator#the-shift",
+    "trends": "operator#trends",
+    "events": "operator#events",
+    "recipes": "operator#recipes",
+    "sets": "replace-a-drive",
+    "bus": "hardware",
+    "users": "users",
+    "lines": "scale",
+}
+"""The chapter of the help that is about a page, by its ``key``; of all others the list of chapters."""
+
+
 def pages_for(has_lines: bool, may: Callable[[str], bool]) -> list[PageLink]:
     """The pages of a person; ``may``: whether this person is permitted an act."""
     every = (LINES, *PAGES) if has_lines else PAGES

@@ -22,7 +22,7 @@ from app.web.assets import Assets
 from app.web.formats import Formats
 from app.web.head_control import HeadControl
 from app.web.head_tray import HeadTray
-from app.web.navigation import ON_PHONE, pages_for
+from app.web.navigation import HELP, ON_PHONE, pages_for
 from app.web.services import service_of
 
 
@@ -71,10 +71,11 @@ class Compiled(FileSystemBytecodeCache):
 
 class Templates:
     """Renders templates. In every template: ``t()``, ``tn()``, ``asset()``, ``imports()``, ``formats``,
-    ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``; in a page or
-    fragment of a request also ``person``, ``request``, ``path``, ``head_alarms()``, ``head_away()``,
-    ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``, ``elsewhere()``, ``home_server()`` and
-    ``may()``, whether the person may send a command or perform an act, by its name. ``kept_in``: where they
+    ``language``, ``languages``, ``site``, ``Role``, ``demo``, ``navigation()``, ``on_phone``,
+    ``help_of``; in a page or fragment of a request also ``person``, ``request``, ``path``,
+    ``head_alarms()``, ``head_away()``, ``controls()``, ``trays()``, ``head_others()``, ``has_lines()``,
+    ``elsewhere()``, ``home_server()`` and ``may()``, whether the person may send a command or perform an
+    act, by its name. ``kept_in``: where they
     stay compiled between two starts."""
 
     def __init__(
@@ -118,6 +119,7 @@ class Templates:
             "Role": Role,
             "navigation": pages_for,
             "on_phone": ON_PHONE,
+            "help_of": HELP,
         }
         return environment
 

@@ -26,6 +26,9 @@ PAGES = [
     "/alarms/own?place=line/1&value=actual&above=1&days=1",
     "/notifications",
     "/alarms/line.1.estop_active.0",
+    "/help",
+    "/docs",
+    "/help/hardware",
 ]
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}

@@ -1,0 +1,1 @@
+"""The handbook of Lineside, and the reference of its API, as pages of the dashboard."""

@@ -1,0 +1,99 @@
+"""The calls of the API as a list for people, from the OpenAPI document. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+ALTERNATIVES = ("anyOf", "oneOf")
+PRIMARY = "200"
+
+
+@dataclass(frozen=True, slots=True)
+class CallMember:
+    """A parameter of a call, or a member of its body. ``kind``: its type as OpenAPI names it."""
+
+    name: str
+    kind: str
+    is_required: bool
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call; ``responses``: by status, what they mean. ``can_open``: a browser opens it as it stands."""
+
+    id: str
+    tag: str
+    method: str
+    path: str
+    summary: str
+    words: str
+    parameters: tuple[CallMember, ...]
+    body: tuple[CallMember, ...]
+    responses: tuple[tuple[str, str], ...]
+
+    @property
+    def can_open(self) -> bool:
+        required = any(parameter.is_required for parameter in self.parameters)
+        return self.method == "GET" and not required and not self.path.endswith("/stream")
+
+
+def calls_of(document: Mapping[str, Any]) -> list[tuple[str, list[Call]]]:
+    """Each tag with its calls, in alphabetical order of the tags and in the order of the document."""
+    calls = sorted(_calls(document), key=lambda call: call.tag)
+    return [(tag, list(group)) for tag, group in groupby(calls, key=lambda call: call.tag)]
+
+
+def _calls(document: Mapping[str, Any]) -> Iterator[Call]:
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            members = [
+                _member(each["name"], each["schema"], each, required=each.get("required", False))
+                for each in operation.get("parameters", ())
+            ]
+            yield Call(
+                operation["operationId"],
+                operation.get("tags", [""])[0],
+                method.upper(),
+                path,
+                operation.get("summary", ""),
+                operation.get("description", ""),
+                tuple(members),
+                tuple(_body(document, operation)),
+                tuple((status, each["description"]) for status, each in operation["responses"].items()),
+            )
+
+
+def _body(document: Mapping[str, Any], operation: Mapping[str, Any]) -> Iterator[CallMember]:
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        schema = content.get("schema", {})
+        if "$ref" in schema:
+            schema = document["components"]["schemas"][_named(schema["$ref"])]
+        for name, each in schema.get("properties", {}).items():
+            yield _member(name, each, each, required=name in schema.get("required", ()))
+
+
+def _member(name: str, schema: Mapping[str, Any], words: Mapping[str, Any], *, required: bool) -> CallMember:
+    return CallMember(name, _kind(schema), required, words.get("description", ""))
+
+
+def _kind(schema: Mapping[str, Any]) -> str:
+    """The type of a value in a few words: ``integer``, ``array of Alarm``, ``string or null``."""
+    if "$ref" in schema:
+        return _named(schema["$ref"])
+    for word in ALTERNATIVES:
+        if word in schema:
+            return " or ".join(dict.fromkeys(_kind(each) for each in schema[word]))
+    if "enum" in schema:
+        return ", ".join(str(each) for each in schema["enum"])
+    if "const" in schema:
+        return str(schema["const"])
+    kind = schema.get("type", "any")
+    return f"array of {_kind(schema['items'])}" if kind == "array" and "items" in schema else str(kind)
+
+
+def _named(reference: str) -> str:
+    return reference.rpartition("/")[2]
