@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scan": ("scan", "Find the addresses that respond, their baud rate and device."),
     "decode": ("decode", "Decode the frames in some bytes."),
     "check": ("check", "Check the configuration and list its faults."),
+    "install-service": ("install_service", "Install the dashboard as a service of systemd."),
     "status": ("status", "Show whether the dashboard of a configuration runs."),
     "user": ("accounts", "Manage users: add, list, password, remove."),
     "token": ("accounts", "Manage tokens of programs: create, list, revoke."),

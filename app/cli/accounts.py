@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar
 import click
 
 from app.auth.accounts import Accounts
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.options import Argument, CommandGroup, Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.site_log import console, site_log
 from app.settings import load
 from app.web.access import PEOPLE_ROLES, Role, role_named

@@ -12,9 +12,10 @@ from app.audit.keyring import KeyRing
 from app.audit.keys import find_key_file, owners_of, read_key_file
 from app.audit.store import heads_of, prove
 from app.audit.walk import AuditVerification, ChainVerification
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import CommandGroup, Option
-from app.cli.serve import LINESIDE_TOML, Config, check_store
+from app.cli.serve import check_store
 from app.cli.site_log import record, site_log
 from app.database.opening import examining_main, main_presence
 from app.errors import StoreError

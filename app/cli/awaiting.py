@@ -16,6 +16,7 @@ from app.errors import StoreUnavailableError
 from app.messages import Languages
 from app.server.refusal import Refusal, last_response
 from app.server.server_certificate import ServerCertificate
+from app.server.service_manager import ServiceManager
 from app.settings import Settings
 from bus.messages import Message
 
@@ -38,7 +39,7 @@ _PAGE = """<!doctype html>
 """
 
 
-def await_database(settings: Settings, listening: socket.socket) -> None:
+def await_database(settings: Settings, listening: socket.socket, manager: ServiceManager) -> None:
     """Wait until a database of another machine responds: after a failure of power both start together. Each
     reason is reported once. Raises StoreError where waiting does not help."""
     reason: Message | None = None
@@ -52,7 +53,9 @@ def await_database(settings: Settings, listening: socket.socket) -> None:
                     opened.enter_context(_responding(settings, listening))
                 if error.message != reason:
                     report(Message.of("store_awaited", reason=error.message), err=True)
+                    manager.ready(f"waiting for the database: {error.message}")
                 reason = error.message
+            manager.alive()
             time.sleep(RETRY_S)
     if reason is not None:
         report(Message("store_responds"))

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Annotated
 
 from app.cli.backup_archive import MANIFEST, STORES
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument
-from app.cli.serve import LINESIDE_TOML, Config
 from app.database.connection import open_for_reading
 from app.database.opening import require_files
 from app.database.private import make_file, write_file

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated
 
 from app.cli.authority import AUTHORITY_DAYS, DAYS, CertificateAuthority
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report, wrong_option
 from app.cli.options import CommandGroup, Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import HostName, ServerSettings, Settings, host_name, load
 from bus.messages import Message
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.findings import findings
 from app.cli.notification_findings import notification_findings
-from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.store_findings import store_findings
 from app.settings import load
 from bus.messages import Message

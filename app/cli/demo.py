@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from app.cli.listening import listen
 from app.cli.options import Option
 from app.errors import StoreError
+from app.server.service_manager import ServiceManager
 from app.settings import load
 from bus.messages import Message
 from bus.settings import UnitSettings
@@ -43,7 +44,7 @@ def demo(
             settings = load(config)
             write_past(settings, line)
             begun()
-            host(settings, config, listening, demo=True)
+            host(settings, config, listening, ServiceManager(), demo=True)
 
 
 @contextmanager

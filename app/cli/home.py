@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import click
 
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, CommandGroup, Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.database import Database
 from app.database.opening import open_database
 from app.home.lease import HomeRow

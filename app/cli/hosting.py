@@ -27,6 +27,7 @@ from app.database.private import make_folder
 from app.errors import system_error
 from app.messages.languages import catalogs
 from app.messages.locales import locale_of
+from app.server.service_manager import ServiceManager
 from app.settings import Settings
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -61,7 +62,14 @@ def only_one(data: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bool = False) -> None:
+def host(
+    settings: Settings,
+    config: Path,
+    listening: socket.socket,
+    manager: ServiceManager,
+    *,
+    demo: bool = False,
+) -> None:
     """Serve at ``listening`` until SIGTERM or SIGINT. Raises HostingError and StoreError in words."""
     configure_log()
     sys.setswitchinterval(SWITCH_S)
@@ -69,11 +77,17 @@ def host(settings: Settings, config: Path, listening: socket.socket, *, demo: bo
     is_encrypted = settings.server.tls is not None
     own = listen("127.0.0.1", 0, Message("choose_port")) if is_encrypted else nullcontext(None)
     with only_one(settings.server.data), own as feed:
-        uvloop.run(_host(settings, config, listening, feed, demo=demo))
+        uvloop.run(_host(settings, config, listening, feed, manager, demo=demo))
 
 
 async def _host(
-    settings: Settings, config: Path, listening: socket.socket, feed: socket.socket | None, *, demo: bool
+    settings: Settings,
+    config: Path,
+    listening: socket.socket,
+    feed: socket.socket | None,
+    manager: ServiceManager,
+    *,
+    demo: bool,
 ) -> None:
     """The workers begin while the dashboard is still being read, and end before it does; where servers share
     the store, each with the home of its bus. ``feed``: where they find it; None: where browsers do."""
@@ -95,15 +109,17 @@ async def _host(
                 with_port(settings, port) if leased else settings,
                 demo,
                 tokens,
-                partial(_report_serving, url),
+                partial(_report_serving, url, manager),
                 feed,
                 workers if leased else None,
             )
         workers.watch(server.worker_responds)
+        server.each_second(module.Liveness(manager, server.services[module.Database], workers.are_kept).tick)
         serving = asyncio.create_task(server.serve([listening]))
         await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
     finally:
         stopping.cancel()
+        manager.stopping()
         await workers.stop_all()
     server.end()
     await serving
@@ -111,8 +127,9 @@ async def _host(
         raise HostingError(Message("dashboard_not_started"))
 
 
-def _report_serving(url: str, code: str) -> None:
+def _report_serving(url: str, manager: ServiceManager, code: str) -> None:
     """``code``: for the first admin; empty where there is a user."""
+    manager.ready(f"serving at {url}")
     report(Message.of("dashboard_at", url=url))
     if code:
         report(Message.of("first_admin_code", url=url, code=code))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from app.cli.config_option import NEW_CONFIG, Config
 from app.cli.ending import report
-from app.cli.serve import LINESIDE_TOML, Config
 from app.errors import system_error
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -15,7 +15,7 @@ BY_ID = Path("/dev/serial/by-id")
 STARTER = Path(__file__).with_name("starter.toml")
 
 
-def init(config: Config = LINESIDE_TOML) -> None:
+def init(config: Config = NEW_CONFIG) -> None:
     """Write a commented lineside.toml to start from. An existing file is never overwritten."""
     try:
         with config.open("x", encoding="utf-8") as file:

@@ -12,12 +12,12 @@ from pydantic import ValidationError
 
 from app.audit.keys import find_key_file
 from app.cli.audit import proof_of
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.copy_report import MB, CopyReport, JsonReport, TextReport
 from app.cli.ending import wrong_option
 from app.cli.findings import existing_part
 from app.cli.hosting import DATA_IN_USE, HostingError, only_one
 from app.cli.options import Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.database.copying.places import Folder, PostgresqlPlace, StorePart, StorePlace
 from app.database.copying.site import RUNNING, SiteCopy, require_own_version, state_of
 from app.database.engine import size_of

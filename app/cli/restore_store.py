@@ -21,9 +21,9 @@ from app.audit.store import heads_of
 from app.auth.withheld import Present, Withheld, read_present, withhold
 from app.cli.backup_archive import STORES, open_archive
 from app.cli.backup_store import fault_of
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.cli.site_log import open_log, record
 from app.commands.safeguards.limits import Protection, keep_in_force, read_protection
 from app.database import SqliteDatabase, StoreConnection

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated
 
+import click
+
 from app.audit.keys import find_key_file
+from app.cli.config_option import LINESIDE_TOML, Config
+from app.cli.ending import complain
 from app.cli.listening import listen
 from app.cli.options import Option
+from app.cli.service_unit import WRONG_CONFIGURATION
 from app.database.opening import main_presence
 from app.database.presence import refusal_to_start
 from app.errors import StoreError
+from app.server.service_manager import ServiceManager
 from app.settings import Settings, load
+from bus.configuration import ConfigurationError
 from bus.messages import Message
-
-Config = Annotated[Path, Option(help="The configuration, lineside.toml.")]
-LINESIDE_TOML = Path("lineside.toml")
 
 
 def serve(
@@ -25,13 +30,15 @@ def serve(
     ] = False,
 ) -> None:
     """Serve the dashboard and every bus, until Ctrl-C or SIGTERM."""
-    settings = load(config)
+    manager = ServiceManager()
+    with configuration_refused(manager):
+        settings = load(config)
     choose = Message.of("choose_port_configured", file=str(config))
     with listen(settings.server.host, settings.server.port, choose) as port:
         if settings.store.url:
             from app.cli.awaiting import await_database
 
-            await_database(settings, port)
+            await_database(settings, port, manager)
         check_store(settings, new=new)
         from app.cli.hosting import host
 
@@ -39,7 +46,19 @@ def serve(
             from app.cli.new_site import begin_new_site
 
             begin_new_site(settings)
-        host(settings, config.resolve(), port)
+        host(settings, config.resolve(), port, manager)
+
+
+@contextmanager
+def configuration_refused(manager: ServiceManager) -> Iterator[None]:
+    """A service whose configuration is wrong ends with an exit code that systemd does not start again."""
+    try:
+        yield
+    except ConfigurationError as error:
+        if not manager.is_there:
+            raise
+        complain(error.message)
+        raise click.exceptions.Exit(WRONG_CONFIGURATION) from error
 
 
 def check_store(settings: Settings, *, new: bool = False) -> None:

@@ -14,6 +14,8 @@ from starlette.types import ASGIApp
 from uvicorn.config import Config
 
 from app.auth.first_admin import FirstAdmin
+from app.cli.liveness import Liveness as Liveness
+from app.database import Database as Database
 from app.feature import Services
 from app.feed.workers import Workers
 from app.home.keeping.life import NO_PORTS, Ports
@@ -76,8 +78,13 @@ class Server(uvicorn.server.Server):
         errors.install()
         self._sum_up = (refusals.sum_up, errors.sum_up)
         self._serving = serving
+        self._each_second: Callable[[], None] = lambda: None
         self._ended = asyncio.Event()
         self._accepting: list[asyncio.Task[None]] = []
+
+    def each_second(self, act: Callable[[], None]) -> None:
+        """Call ``act`` once a second while it serves."""
+        self._each_second = act
 
     def end(self) -> None:
         """Close all connections, then return from serving."""
@@ -117,6 +124,7 @@ class Server(uvicorn.server.Server):
                 connection.check(now)  # type: ignore[union-attr]
             for sum_up in self._sum_up:
                 sum_up()
+            self._each_second()
             with suppress(TimeoutError):
                 async with asyncio.timeout(TICK_S):
                     await self._ended.wait()

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import click
 import httpx
 
+from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import report
 from app.cli.listening import url_of
 from app.cli.options import Option
-from app.cli.serve import LINESIDE_TOML, Config
 from app.settings import Settings, load
 from bus.errors import LinesideError
 from bus.messages import Message

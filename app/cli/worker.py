@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import click
 
+from app.cli.config_option import LINESIDE_TOML
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.options import Option
 from bus.configuration import load_bus
@@ -30,7 +31,7 @@ def worker(
     ],
     token: TokenOption = "",
     token_file: TokenFile = None,
-    config: Annotated[Path, Option(help="The configuration that has the bus.")] = Path("lineside.toml"),
+    config: Annotated[Path, Option(help="The configuration that has the bus.")] = LINESIDE_TOML,
     ca: Annotated[
         Path | None, Option(help="Certificate of the dashboard's authority, by default this machine's.")
     ] = None,

@@ -14,13 +14,14 @@ from pathlib import Path
 import structlog
 
 from app.cli.watchdog import LOOK_S, Watchdog
-from bus.instants import monotonic_now
+from bus.instants import Monotonic, monotonic_now
 from bus.reconnect_delay import ReconnectDelay
 from bus.worker.parent import tied_environment
 
 log = structlog.get_logger()
 
 LONGEST_PAUSE_S = 5.0
+MAX_UNWATCHED_S = 2 * LONGEST_PAUSE_S
 GRACE_S = 2.3
 """A worker finishes or withdraws the change in flight and leaves within 2 s of SIGTERM."""
 
@@ -41,6 +42,7 @@ class WorkerProcesses:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._is_ended = False
         self._responds: Callable[[str], bool] | None = None
+        self._looked_at: dict[str, Monotonic] = {}
 
     def start_all(self) -> None:
         """Start them all, and keep them."""
@@ -58,6 +60,11 @@ class WorkerProcesses:
         """Kill each worker that does not respond from now on; another is started. ``responds``: whether the
         worker of a bus did since the last call."""
         self._responds = responds
+
+    def are_kept(self) -> bool:
+        """Whether every worker was looked at lately, or is about to be started again."""
+        now = monotonic_now()
+        return all(now - self._looked_at.get(bus, now) < MAX_UNWATCHED_S for bus in self._tasks)
 
     async def stop_all(self) -> None:
         """End them all: by SIGTERM, and by SIGKILL after the grace."""
@@ -78,7 +85,7 @@ class WorkerProcesses:
     async def _keep(self, bus: str) -> None:
         delay = ReconnectDelay(random.random)
         while True:
-            started = monotonic_now()
+            self._looked_at[bus] = started = monotonic_now()
             code = await self._run(bus)
             pause = min(delay.ended(monotonic_now() - started), LONGEST_PAUSE_S)
             log.warning("bus worker ended, starts again", bus=bus, code=code, after_s=round(pause, 1))
@@ -100,6 +107,7 @@ class WorkerProcesses:
         process.stdin.close()
         watchdog = Watchdog()
         while True:
+            self._looked_at[bus] = monotonic_now()
             with suppress(TimeoutError):
                 async with asyncio.timeout(LOOK_S):
                     return await process.wait()

@@ -16,6 +16,7 @@ from app.cli import awaiting
 from app.cli.listening import listen
 from app.database.settings import StoreSettings
 from app.errors import StoreError, StoreUnavailableError
+from app.server.service_manager import ServiceManager
 from app.settings import Settings, load
 from bus.messages import Message
 from bus.tls import TlsFileError
@@ -27,6 +28,7 @@ from tests.free_port import free_port
 from tests.own_postgresql import own_postgresql
 from tests.postgresql import needs_postgresql
 
+NO_MANAGER = ServiceManager({})
 GERMAN = {"Accept": "text/html,*/*", "Accept-Language": "de-AT,de;q=0.9"}
 REASONS = [Message("store_no_response"), Message("store_no_response"), Message("store_is_standby")]
 
@@ -64,7 +66,9 @@ def settings_of(folder: Path, server: str = "") -> Settings:
 def waiting(settings: Settings, away: Away) -> Iterator[int]:
     """The port of a start that waits; afterwards it has gone on."""
     with listen("127.0.0.1", 0, Message("choose_port")) as port:
-        start = threading.Thread(target=awaiting.await_database, args=(settings, port), daemon=True)
+        start = threading.Thread(
+            target=awaiting.await_database, args=(settings, port, NO_MANAGER), daemon=True
+        )
         start.start()
         try:
             eventually(lambda: away.looks > len(REASONS), "it looks again and again")
@@ -117,7 +121,7 @@ def test_over_tls_as_the_server_will(tmp_path: Path, away: Away) -> None:
     (folder / "server.pem").write_text((folder / "server.pem").read_text()[:300])
     away.is_back.clear()
     with listen("127.0.0.1", 0, Message("choose_port")) as taken, pytest.raises(TlsFileError):
-        awaiting.await_database(settings_of(tmp_path, tls), taken)
+        awaiting.await_database(settings_of(tmp_path, tls), taken, NO_MANAGER)
 
 
 def test_what_waiting_does_not_change_ends_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +130,7 @@ def test_what_waiting_does_not_change_ends_the_start(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(awaiting, "look_at", refused)
     with listen("127.0.0.1", 0, Message("choose_port")) as port, pytest.raises(StoreError):
-        awaiting.await_database(settings_of(tmp_path), port)
+        awaiting.await_database(settings_of(tmp_path), port, NO_MANAGER)
 
 
 @needs_postgresql

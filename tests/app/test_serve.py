@@ -27,6 +27,7 @@ from app.cli import hosting
 from app.cli.hosting import HostingError, only_one
 from app.cli.listening import ListenError, listen
 from app.database import SqliteDatabase
+from app.server.service_manager import ServiceManager
 from app.settings import load
 from tests import fork_server
 from tests.fork_server import ForkedProcess
@@ -156,7 +157,7 @@ def test_a_stop_while_the_dashboard_is_still_read_ends_its_workers_at_once(
     monkeypatch.setattr(hosting, "import_module", import_module)
     monkeypatch.setattr(hosting, "configure_log", lambda: None)
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        hosting.host(load(config), config, listening)
+        hosting.host(load(config), config, listening, ServiceManager({}))
     assert happened == ["workers ended", "dashboard read"]
 
 

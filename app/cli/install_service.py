@@ -1,0 +1,147 @@
+"""``lineside install-service``: the server as a service of systemd, with its user and its folders."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import click
+
+from app.cli.ending import report, wrong_option
+from app.cli.init import likely_port, starter
+from app.cli.options import Option
+from app.cli.service_unit import CONFIGURATION, DATA, UNIT_FILE, USER, ServiceUnit
+from app.errors import system_error
+from bus.errors import LinesideError
+from bus.messages import Message
+
+BOOTED = Path("/run/systemd/system")
+"""There where systemd runs (sd_booted(3))."""
+Runner = Callable[[Sequence[str]], None]
+
+
+def install_service(
+    config: Annotated[Path, Option(help="The configuration; created where there is none.")] = CONFIGURATION,
+    user: Annotated[str, Option(help="The user that runs it; created where there is none.")] = USER,
+    dry_run: Annotated[bool, Option(help="Print the unit file and the steps, and change nothing.")] = False,
+    remove: Annotated[bool, Option(help="Stop and remove the service; configuration and data stay.")] = False,
+    json_output: Annotated[bool, Option("--json", help="Print the unit file and the steps as JSON.")] = False,
+) -> None:
+    """Install Lineside as a service of systemd, and start it; again, to bring it up to date."""
+    if not re.fullmatch(r"[a-z_][a-z0-9_-]{0,30}", user):
+        raise wrong_option("--user", "user_not_of_unix", value=user)
+    unit = ServiceUnit(Path(sys.argv[0]).absolute(), config.absolute(), user)
+    commands = list(removal(UNIT_FILE) if remove else installation(unit, user_exists(user)))
+    if dry_run or json_output:
+        _print(unit, commands, as_json=json_output)
+    if dry_run:
+        return
+    refuse_without_systemd()
+    if not remove:
+        refuse_elsewhere(unit.command)
+    carry_out(unit, commands, run, unit_file=None if remove else UNIT_FILE)
+    if not json_output:
+        report(Message.of("service_removed" if remove else "service_installed", file=str(config)))
+
+
+def installation(unit: ServiceUnit, user_is_there: bool) -> Iterator[list[str]]:
+    """The commands that install a service, in order. Its configuration and unit file are written after those
+    that make the folders."""
+    if not user_is_there:
+        shell = ("--shell", "/usr/sbin/nologin")
+        yield ["useradd", "--system", "--home-dir", str(DATA), *shell, unit.user]
+    owned = ("-o", unit.user, "-g", unit.user)
+    yield ["install", "-d", *owned, "-m", "0750", str(unit.configuration.parent)]
+    yield ["install", "-d", *owned, "-m", "0700", str(DATA)]
+    yield ["systemctl", "daemon-reload"]
+    yield ["systemctl", "enable", UNIT_FILE.name]
+    yield ["systemctl", "restart", UNIT_FILE.name]
+
+
+def removal(unit_file: Path) -> Iterator[list[str]]:
+    """The commands that remove a service."""
+    yield ["systemctl", "disable", "--now", unit_file.name]
+    yield ["rm", "-f", str(unit_file)]
+    yield ["systemctl", "daemon-reload"]
+
+
+def carry_out(
+    unit: ServiceUnit, commands: Sequence[Sequence[str]], run: Runner, *, unit_file: Path | None
+) -> None:
+    """Run the commands; before systemd reads it, write the unit file, if there is one to write."""
+    for command in commands:
+        if unit_file is not None and command[:2] == ["systemctl", "daemon-reload"]:
+            write_configuration(unit)
+            unit_file.write_text(unit.text, encoding="utf-8")
+            unit_file.chmod(0o644)
+        run(command)
+
+
+def write_configuration(unit: ServiceUnit) -> None:
+    """A first configuration with the folder of the data; one that is there stays as it is."""
+    text = starter(unit.configuration, likely_port())
+    text = re.sub(r'^data = ".*"', f"data = {json.dumps(str(DATA))}", text, flags=re.M)
+    try:
+        with unit.configuration.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        return
+    unit.configuration.chmod(0o640)
+    shutil.chown(unit.configuration, unit.user, unit.user)
+
+
+def user_exists(name: str) -> bool:
+    # Not imported with the commands that need no user.
+    import pwd
+
+    try:
+        pwd.getpwnam(name)
+    except KeyError:
+        return False
+    return True
+
+
+def refuse_without_systemd() -> None:
+    """Raises LinesideError where there is no systemd, or who calls may not change it."""
+    if not BOOTED.is_dir():
+        raise LinesideError(Message("service_without_systemd"))
+    if os.geteuid() != 0:
+        raise LinesideError(Message.of("service_needs_root", command=shlex.join(sys.argv)))
+
+
+def refuse_elsewhere(command: Path) -> None:
+    """Raises LinesideError for a program in a home folder, which the service cannot read (ProtectHome)."""
+    if command.is_relative_to("/home") or command.is_relative_to("/root"):
+        raise LinesideError(Message.of("service_in_home", path=str(command)))
+
+
+def run(command: Sequence[str]) -> None:
+    """Raises LinesideError with what the command printed."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise _failed(command, system_error(error)) from error
+    if done.returncode:
+        raise _failed(command, done.stderr.strip() or f"exit code {done.returncode}")
+
+
+def _failed(command: Sequence[str], reason: Message | str) -> LinesideError:
+    return LinesideError(Message.of("service_step_failed", command=shlex.join(command), reason=reason))
+
+
+def _print(unit: ServiceUnit, commands: Sequence[Sequence[str]], *, as_json: bool) -> None:
+    if as_json:
+        steps = [shlex.join(command) for command in commands]
+        click.echo(json.dumps({"unit_file": str(UNIT_FILE), "unit": unit.text, "steps": steps}, indent=2))
+        return
+    click.echo(f"# {UNIT_FILE}\n{unit.text}")
+    for command in commands:
+        click.echo(f"# {shlex.join(command)}")

@@ -1,0 +1,106 @@
+"""The service of systemd: its unit, the steps in their order, what is refused, and what is left alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from app.cli import install_service
+from app.cli.install_service import carry_out, installation, removal, run, write_configuration
+from app.cli.service_unit import ServiceUnit
+from bus.errors import LinesideError
+from tests import fork_server
+from tests.test_service_unit import UNITS
+
+
+def test_the_documented_unit_is_the_installed_one() -> None:
+    assert UNITS["lineside.service"] == ServiceUnit().text
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_it_exposes_little(tmp_path: Path) -> None:
+    unit = tmp_path / "lineside.service"
+    unit.write_text(ServiceUnit().text)
+    words = ["systemd-analyze", "security", "--offline=true", "--threshold=20", "--no-pager", unit]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-500:]
+
+
+@pytest.fixture
+def unit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ServiceUnit:
+    """The service with its configuration in a folder of the test, whose user is the one who runs it."""
+    monkeypatch.setattr(shutil, "chown", lambda *_: None)
+    return ServiceUnit(Path("/opt/lineside/bin/lineside"), tmp_path / "etc/lineside.toml", "plant")
+
+
+def test_it_is_installed_in_order_and_again_without_a_change(tmp_path: Path, unit: ServiceUnit) -> None:
+    done: list[str] = []
+
+    def record(command: Sequence[str]) -> None:
+        unit.configuration.parent.mkdir(exist_ok=True)
+        done.append(" ".join(command[:2]))
+
+    unit_file = tmp_path / "lineside.service"
+    carry_out(unit, list(installation(unit, False)), record, unit_file=unit_file)
+    assert done == [
+        *("useradd --system", "install -d", "install -d"),
+        *("systemctl daemon-reload", "systemctl enable", "systemctl restart"),
+    ]
+    assert unit_file.read_text() == unit.text
+    assert f"--config {unit.configuration}\n" in unit.text
+    written = tomllib.loads(unit.configuration.read_text())
+    assert written["server"]["data"] == "/var/lib/lineside"
+    unit.configuration.write_text("# mine\n")
+    carry_out(unit, list(installation(unit, True)), record, unit_file=unit_file)
+    assert unit.configuration.read_text() == "# mine\n"
+    assert "useradd --system" not in done[6:]
+
+
+def test_it_is_removed_and_leaves_configuration_and_data(tmp_path: Path, unit: ServiceUnit) -> None:
+    unit.configuration.parent.mkdir()
+    write_configuration(unit)
+    commands = list(removal(tmp_path / "lineside.service"))
+    carry_out(unit, commands, lambda _: None, unit_file=None)
+    assert unit.configuration.exists()
+    assert not any("rmdir" in word or str(unit.configuration) in word for each in commands for word in each)
+
+
+def test_a_step_that_fails_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LinesideError, match=r"ls .*missing: .*No such file"):
+        run(["ls", str(tmp_path / "missing")])
+    with pytest.raises(LinesideError, match="no-such-program-here"):
+        run(["no-such-program-here"])
+
+
+def test_a_dry_run_prints_the_unit_and_the_steps_and_changes_nothing(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    done = fork_server.run("install-service", "--dry-run", "--json", "--config", config)
+    printed = json.loads(done.stdout)
+    assert f"--config {config}" in printed["unit"]
+    assert printed["steps"][-1] == "systemctl restart lineside.service"
+    assert not config.exists()
+    removed = fork_server.run("install-service", "--dry-run", "--remove").stdout
+    assert "# systemctl disable --now lineside.service" in removed
+
+
+def test_without_systemd_or_with_a_bad_user_it_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(install_service, "BOOTED", tmp_path / "none")
+    with pytest.raises(LinesideError, match="does not run systemd"):
+        install_service.refuse_without_systemd()
+    monkeypatch.setattr(install_service, "BOOTED", tmp_path)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    with pytest.raises(LinesideError, match="only root"):
+        install_service.refuse_without_systemd()
+    with pytest.raises(LinesideError, match="home folder"):
+        install_service.refuse_elsewhere(Path("/home/anna/venv/bin/lineside"))
+    done = fork_server.run("install-service", "--user", "a b; rm")
+    assert (done.returncode, "no name of a user" in done.stderr) == (2, True)
