@@ -15,6 +15,7 @@ from pydantic import BaseModel
 from app.cli import cli
 from app.main import create_app
 from app.settings import Settings
+from docs import generated
 from tests.test_architecture import ROOT, text_of
 
 COMMAND: Any = cli
@@ -53,6 +54,12 @@ def test_every_command_is_in_the_readme() -> None:
     assert [name for name in commands if f"lineside {name}" not in readme] == []
 
 
+@pytest.mark.parametrize("path", generated.CHAPTERS, ids=lambda path: path.name)
+def test_a_chapter_from_the_code_is_as_the_code(path: Path) -> None:
+    """After a change: ``python -m docs.generated``."""
+    assert generated.CHAPTERS[path]() == text_of(path)
+
+
 def test_every_link_to_a_file_leads_to_one() -> None:
     pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
     links = [(page, link) for page in pages for link in re.findall(r"\]\(([^)#\s:]+)[)#]", text_of(page))]
@@ -79,7 +86,8 @@ def test_ten_changes_have_their_place_in_the_table() -> None:
 
 def documented_calls() -> Iterator[tuple[str, list[str]]]:
     """Each ``lineside`` command line of the documentation: the file, and its words."""
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    folder = ROOT / "docs"
+    for path in (ROOT / "README.md", *sorted(folder.glob("*.md")), *sorted(folder.glob("guide/*.md"))):
         text = text_of(path)
         blocks = re.findall(r"```sh\n(.*?)```", text, re.S)
         lines = [line.partition("#")[0] for block in blocks for line in block.splitlines()]
