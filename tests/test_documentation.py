@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,6 +34,24 @@ def keys(model: type[BaseModel]) -> Iterator[str]:
 @pytest.mark.parametrize("key", sorted(set(keys(Settings))))
 def test_every_key_of_the_configuration_is_documented(key: str) -> None:
     assert re.search(rf"[`\[.]{key}[`\].]", text_of(ROOT / "docs" / "configuration.md"))
+
+
+def examples() -> Iterator[tuple[str, str]]:
+    """Each example of ``lineside.toml``: its place, and the TOML."""
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        for number, example in enumerate(re.findall(r"```toml\n(.*?)```", text_of(path), re.S)):
+            yield f"{path.name}-{number}", example
+
+
+@pytest.mark.parametrize("example", [pytest.param(text, id=place) for place, text in examples()])
+def test_every_example_of_the_configuration_is_valid(example: str) -> None:
+    """With what an example leaves out: a bus with its port, and the units that it names."""
+    written = tomllib.loads(example)
+    bus = written.get("bus", [{"name": "dry-end"}])[0]
+    units = {number: {"id": number, "name": f"Unit {number}"} for number in range(1, 5)}
+    units |= {unit["id"]: unit for unit in bus.get("unit", ())}
+    complete = {"port": "/dev/ttyUSB0", **bus, "unit": list(units.values())}
+    Settings.model_validate({**written, "bus": [complete, *written.get("bus", ())[1:]]})
 
 
 def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
