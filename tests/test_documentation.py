@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import BaseModel
 from app.cli import cli
 from app.main import create_app
 from app.settings import Settings
+from docs import generated
 from tests.test_architecture import ROOT, text_of
 
 COMMAND: Any = cli
@@ -34,6 +36,24 @@ def test_every_key_of_the_configuration_is_documented(key: str) -> None:
     assert re.search(rf"[`\[.]{key}[`\].]", text_of(ROOT / "docs" / "configuration.md"))
 
 
+def examples() -> Iterator[tuple[str, str]]:
+    """Each example of ``lineside.toml``: its place, and the TOML."""
+    for path in sorted((ROOT / "docs").rglob("*.md")):
+        for number, example in enumerate(re.findall(r"```toml\n(.*?)```", text_of(path), re.S)):
+            yield f"{path.name}-{number}", example
+
+
+@pytest.mark.parametrize("example", [pytest.param(text, id=place) for place, text in examples()])
+def test_every_example_of_the_configuration_is_valid(example: str) -> None:
+    """With what an example leaves out: a bus with its port, and the units that it names."""
+    written = tomllib.loads(example)
+    bus = written.get("bus", [{"name": "dry-end"}])[0]
+    units = {number: {"id": number, "name": f"Unit {number}"} for number in range(1, 5)}
+    units |= {unit["id"]: unit for unit in bus.get("unit", ())}
+    complete = {"port": "/dev/ttyUSB0", **bus, "unit": list(units.values())}
+    Settings.model_validate({**written, "bus": [complete, *written.get("bus", ())[1:]]})
+
+
 def test_every_call_of_the_api_is_documented(tmp_path: Path) -> None:
     app = create_app(Settings.model_validate({"server": {"data": tmp_path}}))
     documented = set(re.findall(r"^\| `([A-Z]+) (/[^`?]*)", text_of(ROOT / "docs" / "api.md"), re.M))
@@ -51,6 +71,12 @@ def test_every_command_is_in_the_readme() -> None:
     commands = COMMAND.list_commands(None)
     assert len(commands) > 10
     assert [name for name in commands if f"lineside {name}" not in readme] == []
+
+
+@pytest.mark.parametrize("path", generated.CHAPTERS, ids=lambda path: path.name)
+def test_a_chapter_from_the_code_is_as_the_code(path: Path) -> None:
+    """After a change: ``python -m docs.generated``."""
+    assert generated.CHAPTERS[path]() == text_of(path)
 
 
 def test_every_link_to_a_file_leads_to_one() -> None:
@@ -79,7 +105,8 @@ def test_ten_changes_have_their_place_in_the_table() -> None:
 
 def documented_calls() -> Iterator[tuple[str, list[str]]]:
     """Each ``lineside`` command line of the documentation: the file, and its words."""
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    folder = ROOT / "docs"
+    for path in (ROOT / "README.md", *sorted(folder.glob("*.md")), *sorted(folder.glob("guide/*.md"))):
         text = text_of(path)
         blocks = re.findall(r"```sh\n(.*?)```", text, re.S)
         lines = [line.partition("#")[0] for block in blocks for line in block.splitlines()]

@@ -23,12 +23,14 @@ ENGLISH = "en"
 AROUND = 80
 """Characters of a section that are shown before and after what was found."""
 _PICTURES = "pictures/"
-SCROLLED = (
+FITTED = (
     ("<pre>", '<pre tabindex="0">'),
     ("<table", '<div class="table-wrap" tabindex="0"><table'),
     ("</table>", "</table></div>"),
+    ("<th></th>", "<td></td>"),
 )
-"""What may be wider than a phone scrolls, and the keyboard reaches it."""
+"""What may be wider than a phone scrolls, and the keyboard reaches it. A column without a heading has none to
+read out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,7 @@ def render(chapter: Chapter, text: str, folder: str, anchors: Sequence[str] = ()
         elif token.type == "table_open":
             token.attrSet("class", "table")
     html = parser.renderer.render(tokens, parser.options, {})
-    for before, after in SCROLLED:
+    for before, after in FITTED:
         html = html.replace(before, after)
     return Rendered(sections[0].title, Markup(html), sections)
 

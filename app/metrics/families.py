@@ -39,7 +39,7 @@ _ALARM_FACTS: dict[str, tuple[str, Callable[[Alarm], bool]]] = {
 }
 
 
-class _LineCollector(Collector):
+class LineCollector(Collector):
     """Collects every family at one moment."""
 
     def __init__(self, measured: MetricSources) -> None:
@@ -140,7 +140,7 @@ def _of_units(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 
 def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
     is_open = GaugeMetricFamily("lineside_bus_open", "1 while the port of a bus is open", labels=["bus"])
-    scan = GaugeMetricFamily("lineside_scan_hz", "Rounds over all units a second", labels=["bus"])
+    scan = GaugeMetricFamily("lineside_scan_hz", "Scans of all units a second", labels=["bus"])
     use = GaugeMetricFamily("lineside_wire_utilisation", "Share of the wire in use, 0 to 1", labels=["bus"])
     for name, bus in buses:
         is_open.add_metric([name], 1 if bus.link.link == "open" else 0)
@@ -153,6 +153,6 @@ def _of_buses(buses: Iterable[tuple[str, BusLive]]) -> Iterator[Metric]:
 def text(measured: MetricSources) -> bytes:
     """All of it, as Prometheus reads it."""
     registry = CollectorRegistry()
-    registry.register(_LineCollector(measured))
+    registry.register(LineCollector(measured))
     ProcessCollector(registry=registry)
     return generate_latest(registry)

@@ -83,10 +83,11 @@ def test_markup_in_a_chapter_is_text() -> None:
 
 def test_links_pictures_and_tables() -> None:
     linked = "[b](../hardware.md#x) [c](../LICENSE) [d](#e)\n\n![p](../pictures/line.png)"
-    html = render(PLAIN, f"# A & B\n\n{linked}\n\n|a|\n|-|\n|b|\n", "guide").html
+    html = render(PLAIN, f"# A & B\n\n{linked}\n\n|a||\n|-|-|\n|b|c|\n", "guide").html
     assert hrefs(html) == ["/help/hardware#x", "#e"]
     assert 'src="/help/pictures/line.png"' in html
     assert '<div class="table-wrap" tabindex="0"><table class="table">' in html
+    assert "<th></th>" not in html
     assert slug("A & B") == "a--b"
 
 

@@ -1,0 +1,96 @@
+"""``python -m docs.generated``: write the chapters on the command line and the metrics, from the code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import click
+
+from app.audit.anchoring import AnchorStatus
+from app.cli import cli
+from app.metrics.families import LineCollector
+from app.metrics.sources import OUTCOMES, MetricSources
+
+GUIDE = Path(__file__).parent / "guide"
+SUFFIX = {"counter": "_total", "info": "_info"}
+"""What Prometheus adds to the name of a metric of a type."""
+COMMAND_LINE = """# The command line
+
+`lineside --version` prints the release. Each command explains itself with `--help`.
+"""
+METRICS = """# Metrics
+
+`GET /metrics` is for Prometheus, with the token of a viewer. A counter begins with 0 when the server, or for
+the wire its bus worker, starts. A unit that is not online has no speed and no draw, so that a graph shows a
+gap. `process_…` is the server itself.
+
+| metric | type | labels | is |
+|---|---|---|---|
+"""
+
+
+def command_line() -> str:
+    """The chapter on the command line: each command with its options."""
+    context = click.Context(cast(click.Command, cli), info_name="lineside")
+    return COMMAND_LINE + "".join(_commands(context, cast(click.Group, cli)))
+
+
+def _commands(above: click.Context, group: click.Group) -> Iterator[str]:
+    for name in group.list_commands(above):
+        command = group.get_command(above, name)
+        assert command is not None
+        context = click.Context(command, parent=above, info_name=name)
+        yield f"\n## {context.command_path}\n\n{_words(command.help)}\n"
+        rows = [row for each in command.params for row in _parameter(context, each)]
+        if rows:
+            yield "\n| option | is |\n|---|---|\n" + "".join(rows)
+        if isinstance(command, click.Group):
+            yield from _commands(context, command)
+
+
+def _parameter(context: click.Context, parameter: click.Parameter) -> Iterator[str]:
+    if isinstance(parameter, click.Argument):
+        yield f"| `{parameter.make_metavar(context)}` | {_words(getattr(parameter, 'help', ''))} |\n"
+    elif shown := parameter.get_help_record(context):
+        yield f"| `{_words(shown[0])}` | {_words(shown[1])} |\n"
+
+
+def _words(text: str | None) -> str:
+    return " ".join((text or "").split()).replace("|", "\\|")
+
+
+def metrics() -> str:
+    """The chapter on the metrics: each with its type and labels."""
+    return METRICS + "".join(
+        f"| `{family.name}{SUFFIX.get(family.type, '')}` | {family.type} | {_labels(family)} "
+        f"| {family.documentation} |\n"
+        for family in LineCollector(_nothing()).collect()
+    )
+
+
+def _labels(family: Any) -> str:
+    names = family._labelnames or (family.samples[0].labels if family.samples else ())
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _nothing() -> MetricSources:
+    """The sources of a server without buses, which has every family of metrics."""
+    sources = {
+        "live": SimpleNamespace(here={}),
+        "commands": SimpleNamespace(by_outcome=dict.fromkeys(OUTCOMES, 0)),
+        "alarms": SimpleNamespace(present=list, places_here=list),
+        "pages": lambda: 0,
+        "anchor": AnchorStatus,
+        "data": GUIDE,
+    }
+    return MetricSources(**cast(dict[str, Any], sources))
+
+
+CHAPTERS = {GUIDE / "command-line.md": command_line, GUIDE / "metrics.md": metrics}
+
+if __name__ == "__main__":
+    for path, written in CHAPTERS.items():
+        path.write_text(written(), encoding="utf-8")
