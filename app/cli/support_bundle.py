@@ -1,0 +1,142 @@
+"""``lineside support-bundle``: what helps to find a fault from afar, and no secret.
+
+The configuration is as in its record in the audit log, of which each setting leaves out what is secret. Of
+events there is neither who nor a value; of files there are names and sizes.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import platform
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from importlib.metadata import distributions, version
+from pathlib import Path
+from typing import Annotated, Any
+
+from app.cli.config_option import LINESIDE_TOML, Config
+from app.cli.ending import report
+from app.cli.findings import findings
+from app.cli.options import Option
+from app.cli.service_unit import UNIT_FILE
+from app.cli.store_findings import store_findings
+from app.database.connection import open_for_reading
+from app.database.private import fresh_file
+from app.database.reserve import free_bytes
+from app.database.words import in_words
+from app.errors import StoreError
+from app.settings import Settings, load
+from bus.configuration import ConfigurationError
+from bus.errors import LinesideError
+from bus.messages import Message
+
+MAX_EVENTS, MAX_LOG_LINES = 500, 2000
+JOURNAL = (
+    "journalctl",
+    "--unit",
+    UNIT_FILE.name,
+    "--lines",
+    str(MAX_LOG_LINES),
+    "--no-pager",
+    "--output",
+    "short-iso",
+)
+WITHIN_S = 10.0
+_EVENTS = "SELECT id, time, kind, bus, unit, what, outcome FROM events ORDER BY id DESC LIMIT ?"
+
+
+def support_bundle(
+    out: Annotated[Path, Option(help="The file to write, such as support.tar.gz; it must not exist yet.")],
+    config: Config = LINESIDE_TOML,
+) -> None:
+    """Write what helps to find a fault into one file: versions, configuration, findings, events, log. It has
+    no password, token, key or value. Nothing else is changed."""
+    if out.exists():
+        raise StoreError(Message.of("backup_exists", file=str(out)))
+    packed = bundle(parts(config))
+    with in_words(out), fresh_file(out, packed) as fresh:
+        fresh.rename(out)
+    report(Message.of("support_bundle_written", file=str(out)))
+
+
+def parts(config: Path) -> Iterator[tuple[str, bytes]]:
+    """Each file of the bundle, by its name. A part that cannot be had has the reason instead."""
+    yield "about.json", _json(_about())
+    try:
+        settings = load(config)
+    except ConfigurationError as error:
+        yield "configuration.txt", f"{error}\n".encode()
+    else:
+        yield "configuration.json", _json(settings.model_dump(mode="json"))
+        yield "findings.txt", "".join(f"{line}\n" for line in _found(settings)).encode()
+        yield "files.json", _json(_files(settings))
+        yield "events.json", _json(_events(settings))
+    yield "log.txt", _log()
+
+
+def bundle(files: Iterator[tuple[str, bytes]]) -> bytes:
+    """The files as a packed archive."""
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for name, content in files:
+            entry = tarfile.TarInfo(f"lineside-support/{name}")
+            entry.size, entry.mode, entry.mtime = len(content), 0o600, int(time.time())
+            archive.addfile(entry, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def _about() -> dict[str, Any]:
+    return {
+        "lineside": version("lineside"),
+        "python": sys.version,
+        "system": platform.platform(),
+        "time": time.time(),
+        "packages": {each.name: each.version for each in sorted(distributions(), key=lambda each: each.name)},
+    }
+
+
+def _found(settings: Settings) -> Iterator[Message]:
+    try:
+        for finding in (*findings(settings), *store_findings(settings)):
+            yield finding.message
+    except (LinesideError, OSError) as error:
+        yield Message.of("system_error", error=str(error))
+
+
+def _files(settings: Settings) -> dict[str, Any]:
+    """Sizes in bytes below the folder of the data."""
+    data = settings.server.data
+    if not data.is_dir():
+        return {"folder": str(data), "files": None}
+    sizes = {str(path.relative_to(data)): path.stat().st_size for path in data.rglob("*") if path.is_file()}
+    return {"folder": str(data), "free": free_bytes(data), "files": sizes}
+
+
+def _events(settings: Settings) -> list[dict[str, Any]] | str:
+    store = settings.server.store
+    if settings.store.url or not store.exists():
+        return "no store in files"
+    try:
+        with in_words(store), closing(open_for_reading(store)) as connection:
+            rows = connection.execute(_EVENTS, (MAX_EVENTS,)).fetchall()
+    except StoreError as error:
+        return str(error)
+    names = ("id", "time", "kind", "bus", "unit", "what", "outcome")
+    return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def _log() -> bytes:
+    try:
+        done = subprocess.run(JOURNAL, capture_output=True, timeout=WITHIN_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"{error}\n".encode()
+    return done.stdout or done.stderr
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, indent=1, ensure_ascii=False).encode()

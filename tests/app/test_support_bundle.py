@@ -1,0 +1,99 @@
+"""The bundle has what helps, and none of the secrets that a site has in any of its places."""
+
+from __future__ import annotations
+
+import io
+import json
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from app.cli.support_bundle import bundle, parts
+from tests import fork_server
+from tests.e2e.site import PASSWORD, add_people
+
+SECRETS = ("mail-secret-1", "hook-path-2", "hook-secret-3")
+CONFIGURATION = """\
+[site]
+name = "Paper machine 2"
+[server]
+data = "./data"
+[notify.smtp]
+host = "mail.example"
+sender = "lineside@plant.example"
+to = ["duty@plant.example"]
+user = "lineside"
+password_file = "mail.password"
+security = "starttls"
+[[notify.webhook]]
+url = "https://hooks.example/hook-path-2"
+secret_file = "hook.key"
+[[bus]]
+name = "dry-end"
+port = "/dev/ttyUSB0"
+[[bus.unit]]
+id = 1
+name = "Unwind"
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    (tmp_path / "mail.password").write_text("mail-secret-1\n")
+    (tmp_path / "hook.key").write_text("hook-secret-3\n")
+    config = tmp_path / "lineside.toml"
+    config.write_text(CONFIGURATION)
+    return config
+
+
+def contents(packed: bytes) -> dict[str, str]:
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        return {
+            entry.name.removeprefix("lineside-support/"): archive.extractfile(entry).read().decode()  # type: ignore[union-attr]
+            for entry in archive
+        }
+
+
+def test_it_has_no_secret_of_any_place(config: Path) -> None:
+    tokens = add_people(config)
+    key = (config.parent / "lineside.audit.key").read_text().split()[-1]
+    found = contents(bundle(parts(config)))
+    assert list(found) == [
+        *("about.json", "configuration.json", "findings.txt", "files.json", "events.json", "log.txt")
+    ]
+    complete = "\n".join(found.values())
+    assert "Paper machine 2" in complete
+    assert [secret for secret in (*SECRETS, PASSWORD, key, *tokens.values()) if secret in complete] == []
+    assert "$argon2" not in complete
+    events = json.loads(found["events.json"])
+    assert {event["kind"] for event in events} >= {"user"}
+    assert all(set(event) == {"id", "time", "kind", "bus", "unit", "what", "outcome"} for event in events)
+    assert json.loads(found["files.json"])["files"]["lineside.db"] > 0
+    assert json.loads(found["about.json"])["packages"]["fastapi"]
+
+
+def test_a_database_url_has_no_password(config: Path) -> None:
+    text = '[store]\nurl = "postgresql://lineside:db-secret-4@db/lineside"\n'
+    config.write_text(config.read_text() + text)
+    found = contents(bundle(parts(config)))
+    assert "db-secret-4" not in "\n".join(found.values())
+    assert json.loads(found["events.json"]) == "no store in files"
+
+
+def test_a_wrong_configuration_is_its_fault_and_nothing_of_its_text(config: Path) -> None:
+    config.write_text("[server]\npasword = 'mail-secret-1'\n")
+    found = contents(bundle(parts(config)))
+    assert "pasword" in found["configuration.txt"]
+    assert "mail-secret-1" not in "\n".join(found.values())
+
+
+def test_the_command_writes_a_private_file_and_no_other_and_overwrites_none(config: Path) -> None:
+    out = config.parent / "support.tar.gz"
+    done = fork_server.run("support-bundle", "--config", config, "--out", out)
+    assert (done.returncode, str(out) in done.stdout) == (0, True), done.stderr
+    assert out.stat().st_mode & 0o077 == 0
+    assert not (config.parent / "data").exists(), "reading makes nothing"
+    before = out.read_bytes()
+    again = fork_server.run("support-bundle", "--config", config, "--out", out)
+    assert (again.returncode, out.read_bytes()) == (1, before)
