@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from app.commands.forms.undo_shown import undo_shown
 from app.commands.undo.overlap import WritesUnderWay
 from app.web.access import Person, Role
 from bus.contract import (
@@ -129,3 +130,24 @@ def test_only_writes_to_one_unit_at_once_are_shared() -> None:
     second = writes.begin([2])
     assert (writes.end(other), writes.end(first), writes.end(second)) == (True, False, False)
     assert writes.end(writes.begin([2]))
+
+
+async def test_on_a_page_of_several_units_undo_names_its_unit(stage: Stage, obeying: PlayedWorker) -> None:
+    del obeying
+    bus = stage.live.buses["dry-end"]
+    for number, action in enumerate(
+        (
+            SetSpeed(unit=1, raw=1100, execute=True),
+            WriteOutput(unit=1, number=1, on=True),
+            WriteParameter(unit=1, number=6, raw=60),
+        )
+    ):
+        await stage.commands.send(ANNA, action, confirm=True, id=f"c{number}", origin="page")
+        offer = stage.commands.undo.offer(ANNA, f"c{number}")
+        if offer is None:
+            continue
+        named = undo_shown(offer, bus, names_unit=True)
+        assert named is not None
+        assert bus.units[1].settings.name in str(named.text)
+        assert str(named.text) != str(undo_shown(offer, bus).text)  # type: ignore[union-attr]
+    assert undo_shown(None, bus) is None

@@ -12,6 +12,14 @@ from bus.contract import Action, SetSpeed, WriteAnalogOutput, WriteOutput, Write
 from bus.instants import UnixTime
 from bus.messages import Message, term
 
+OF_UNIT = {
+    "undo_setpoint": "undo_setpoint_of",
+    "undo_output": "undo_output_of",
+    "undo_analog": "undo_analog_of",
+    "undo_parameter": "undo_parameter_of",
+}
+"""The text that names the unit."""
+
 
 @dataclass(frozen=True, slots=True)
 class UndoShown:
@@ -22,11 +30,15 @@ class UndoShown:
     until: UnixTime
 
 
-def undo_shown(offer: UndoOffer | None, bus: BusLive) -> UndoShown | None:
-    """None for None."""
+def undo_shown(offer: UndoOffer | None, bus: BusLive, *, names_unit: bool = False) -> UndoShown | None:
+    """None for None. ``names_unit``: for a page of several units."""
     if offer is None:
         return None
-    return UndoShown(f"/bus/{offer.bus}/undo/{offer.id}", _text(offer.action, bus), offer.until)
+    text = _text(offer.action, bus)
+    if names_unit and len(offer.action.units) == 1:
+        name = bus.units[offer.action.units[0]].settings.name
+        text = Message(OF_UNIT[text.code], {**text.params, "unit": name})
+    return UndoShown(f"/bus/{offer.bus}/undo/{offer.id}", text, offer.until)
 
 
 def _text(action: Action, bus: BusLive) -> Message:

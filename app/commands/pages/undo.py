@@ -25,7 +25,7 @@ async def newest(person: Viewer, page: OfBus, unit: int | None = None) -> Respon
     """The undo of the newest command to ``unit`` or, without one, to the bus; empty where there is none."""
     units = page.bus.units.keys() if unit is None else {unit}
     offer = page.commands.undo.newest(person, units)
-    return page.render("components/_undo.html", undo=undo_shown(offer, page.bus))
+    return page.render("components/_undo.html", undo=undo_shown(offer, page.bus, names_unit=unit is None))
 
 
 @router.get("/{id}")
