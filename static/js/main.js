@@ -23,9 +23,13 @@ import * as strip from "./strip.js";
 import * as announce from "./announce.js";
 import * as trace from "./trace.js";
 
-// On a phone the tabs are longer than the window: scroll to the current page.
-for (const current of document.querySelectorAll(".tabs__tab[aria-current]"))
-  current.scrollIntoView({ block: "nearest", inline: "center" });
+// On a phone the tabs are longer than the window: scroll them to the current page, and not the page to them.
+for (const current of document.querySelectorAll(".tabs__tab[aria-current]")) {
+  const { left, width } = current.getBoundingClientRect();
+  const tabs = /** @type {HTMLElement} */ (current.closest(".tabs"));
+  const shown = tabs.getBoundingClientRect();
+  tabs.scrollBy({ left: left + width / 2 - shown.left - shown.width / 2, behavior: "instant" });
+}
 rebind();
 visibility.start(draw, drawAll);
 blink.start();

@@ -40,6 +40,25 @@ def test_what_an_operator_needs_is_in_the_window(shared_page: OpensPages, size: 
     assert {part: why for part, why in parts.items() if why} == {}
 
 
+SMALL, LOW = {"width": 360, "height": 640}, {"width": 640, "height": 400}
+"""LOW is the panel at 200 %."""
+
+
+@pytest.mark.parametrize("size", [SMALL, LOW], ids=["small", "low"])
+def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
+    shared_page: OpensPages, size: Any
+) -> None:
+    page = opened(shared_page(viewport=size), "/units/line/3")
+    assert page.evaluate("scrollY") == 0
+    top, end = page.evaluate(
+        """[document.querySelector(".top").getBoundingClientRect().bottom,
+            Math.min(...[...document.querySelectorAll(".rail, .plate__dock")]
+              .filter(bar => bar.matches(".rail") || getComputedStyle(bar).position === "sticky")
+              .map(bar => bar.getBoundingClientRect().top))]"""
+    )
+    assert end - top >= size["height"] / 2
+
+
 def test_a_stopped_unit_names_its_broken_rung_and_an_alarm_one_press_from_its_response(
     site: Site, shared_page: OpensPages
 ) -> None:
