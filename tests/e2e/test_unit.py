@@ -44,15 +44,17 @@ SMALL, LOW = {"width": 360, "height": 640}, {"width": 640, "height": 400}
 """LOW is the panel at 200 %."""
 
 
-@pytest.mark.parametrize("size", [SMALL, LOW], ids=["small", "low"])
+@pytest.mark.parametrize(
+    ("path", "size"), [("/units/line/3", SMALL), ("/units/line/3", LOW), ("/setpoints", LOW)]
+)
 def test_a_small_window_opens_at_the_head_of_the_page_and_leaves_it_half(
-    shared_page: OpensPages, size: Any
+    shared_page: OpensPages, path: str, size: Any
 ) -> None:
-    page = opened(shared_page(viewport=size), "/units/line/3")
+    page = opened(shared_page(viewport=size), path)
     assert page.evaluate("scrollY") == 0
     top, end = page.evaluate(
         """[document.querySelector(".top").getBoundingClientRect().bottom,
-            Math.min(...[...document.querySelectorAll(".rail, .plate__dock")]
+            Math.min(...[...document.querySelectorAll(".rail, .plate__dock, .setpoints__act")]
               .filter(bar => bar.matches(".rail") || getComputedStyle(bar).position === "sticky")
               .map(bar => bar.getBoundingClientRect().top))]"""
     )
