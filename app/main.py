@@ -17,6 +17,7 @@ from app.auth import feature as auth
 from app.auth.access import Identify, RecordRefusals
 from app.auth.identity import Identity
 from app.auth.lasting import Rechecks
+from app.backup import feature as backup
 from app.commands import feature as commands
 from app.database import feature as database
 from app.feature import Services
@@ -66,6 +67,7 @@ FEATURES = (
     audit.FEATURE,
     server.FEATURE,
     auth.FEATURE,
+    backup.FEATURE,
     routing.FEATURE,
     live.FEATURE,
     feed.FEATURE,

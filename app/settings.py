@@ -23,6 +23,7 @@ from pydantic_core import PydanticCustomError
 from app.alarms.settings import AlarmSettings, BuiltInAlarmSettings, refuse_built_in, refuse_misplaced
 from app.audit.settings import Audit
 from app.auth.settings import Sessions
+from app.backup.settings import BackupSettings
 from app.database.settings import StoreSettings
 from app.handover.settings import ShiftSettings
 from app.history.settings import HistorySettings
@@ -193,6 +194,7 @@ class Settings(StrictModel):
     built_in_alarm: tuple[BuiltInAlarmSettings, ...] = ()
     notify: NotifySettings = NotifySettings()
     shift: ShiftSettings = ShiftSettings()
+    backup: BackupSettings = BackupSettings()
     _file: Path | None = PrivateAttr(None)
     """The configuration file, where it was read from one."""
 
@@ -243,6 +245,9 @@ class Settings(StrictModel):
         refuse_built_in(self.built_in_alarm, self.bus)
         refuse_unknown_names(self.notify, self.bus)
         _refuse_unknown_homes(self.server, self.bus)
+        if self.backup.folder is not None and self.store.url:
+            message = Message("setting_backup_of_database")
+            raise PydanticCustomError("backup", "of files", {"message": message, "at": ("backup", "folder")})
         return self
 
 
@@ -262,6 +267,7 @@ def load(path: Path) -> Settings:
         "store": settings.store.in_folder(folder),
         "audit": Audit(key_file=key_file, anchor=_absolute(folder, audit.anchor)),
         "notify": settings.notify.in_folder(folder),
+        "backup": settings.backup.model_copy(update={"folder": _absolute(folder, settings.backup.folder)}),
     }
     loaded = settings.model_copy(update=absolute)
     loaded._file = path.resolve()

@@ -21,6 +21,7 @@ from app.audit.local_log.notice import away_notice
 from app.audit.log import EventLog
 from app.auth.accounts import Accounts
 from app.auth.break_glass import BreakGlass
+from app.backup.service import Backups
 from app.commands.safeguards.service import Safeguards
 from app.database import Database
 from app.database.availability import Availability
@@ -92,6 +93,7 @@ def _alarms_of_site(services: Services, store: AlarmStore) -> SiteAlarms:
         expiry,
         lambda: services[Availability].is_away,
         (lambda: services[BreakGlass].signed_in) if services[Database].availability else tuple,
+        lambda: services[Backups].newest,
     )
     return SiteAlarms(conditions, store, tuned=settings.built_in_alarm)
 

@@ -34,6 +34,7 @@ def site_conditions(
     expiry: ExpiryWatch,
     store_is_away: Callable[[], bool] = lambda: False,
     break_glass: Callable[[], Sequence[str]] = tuple,
+    newest_backup: Callable[[], UnixTime | None] = lambda: None,
 ) -> dict[str, SiteCondition]:
     """The condition of each alarm of the site but that of its clock."""
     return {
@@ -47,6 +48,7 @@ def site_conditions(
         "break_glass_used": lambda: _listed(break_glass()),
         "certificate_expiring": lambda: expiry.certificate,
         "token_expiring": lambda: expiry.token,
+        "backup_overdue": lambda: of_server.BACKUP_OVERDUE.holds(newest_backup(), unix_now()),
     }
 
 

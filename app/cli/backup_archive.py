@@ -92,14 +92,25 @@ class BackupArchive:
             raise StoreError(Message.of("backup_needs_space", file=str(self.path), needed=needed, free=free))
         return [self._unpack_one(name, folder / name) for name in sorted(self.stores)]
 
+    def verify(self) -> None:
+        """Read every store as it is in the file. Raises StoreError where it is not what was backed up."""
+        for name, extent in self.stores.items():
+            digest = hashlib.sha256()
+            for chunk in _chunks(self.file, extent):
+                digest.update(chunk)
+            self._compare(name, digest.hexdigest())
+
+    def _compare(self, name: str, digest: str) -> None:
+        if digest != self.manifest.stores[name]:
+            raise StoreError(Message.of("backup_damaged", file=str(self.path), store=name))
+
     def _unpack_one(self, name: str, place: Path) -> Path:
         digest, flags = hashlib.sha256(), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         with os.fdopen(os.open(place, flags, FILE_MODE), "wb") as target:
             for chunk in _chunks(self.file, self.stores[name]):
                 digest.update(chunk)
                 target.write(chunk)
-        if digest.hexdigest() != self.manifest.stores[name]:
-            raise StoreError(Message.of("backup_damaged", file=str(self.path), store=name))
+        self._compare(name, digest.hexdigest())
         return place
 
 

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
-from app.cli.backup_archive import MANIFEST, STORES
+from app.cli.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument
@@ -57,6 +57,8 @@ def write_backup(data: Path, file: Path) -> list[str]:
         with tarfile.open(tar_file, "w") as archive:
             for part in (manifest, *copies):
                 archive.add(part, part.name)
+        with open_archive(tar_file) as written:
+            written.verify()
         tar_file.rename(file)
     return [store.name for store in present]
 

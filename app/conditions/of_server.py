@@ -13,6 +13,8 @@ CERTIFICATE_S = 30 * DAY_S
 TOKEN_S = 14 * DAY_S
 TOKEN_SHARE = 0.1
 """Share of its life: a token for a day is no alarm from the start."""
+BACKUP_S = 26 * 3600.0
+"""A day, and time for one that is large."""
 IN_USE_S = 30 * DAY_S
 """A token that no program has used for so long is not missed."""
 
@@ -29,6 +31,11 @@ def token_expires(
     if expires_at is None or used_at is None or now - used_at > IN_USE_S:
         return False
     return expires_at - now < min(TOKEN_S, TOKEN_SHARE * (expires_at - created_at))
+
+
+def backup_is_overdue(newest: UnixTime | None, now: UnixTime) -> bool:
+    """Whether the backup of a night is missing; ``newest``: None where there are to be no backups."""
+    return newest is not None and now - newest > BACKUP_S
 
 
 HISTORY_DEGRADED: Condition[StatePredicate] = Condition(
@@ -92,6 +99,12 @@ TOKEN_EXPIRING: Condition[Callable[[UnixTime, UnixTime | None, UnixTime | None, 
     means="a token that was used in the last 30 days ends within 14 days, or within the last tenth of its"
     " life",
 )
+BACKUP_OVERDUE: Condition[Callable[[UnixTime | None, UnixTime], bool]] = Condition(
+    "backup_overdue",
+    ("major", "shift"),
+    holds=backup_is_overdue,
+    means="the newest backup of `[backup]` is older than 26 hours",
+)
 
 OF_SERVER = (
     HISTORY_DEGRADED,
@@ -103,4 +116,5 @@ OF_SERVER = (
     CLOCK_STEPPED,
     CERTIFICATE_EXPIRING,
     TOKEN_EXPIRING,
+    BACKUP_OVERDUE,
 )

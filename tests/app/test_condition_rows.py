@@ -29,6 +29,7 @@ from bus.messages import TEXTS
 from tests.app.screens import AT_SPEED, HEALTHY, REMOTE, RUN, line, reading
 
 DAY = 86_400.0
+HOUR = 3600.0
 NOW = UnixTime(1000 * DAY)
 
 
@@ -163,6 +164,11 @@ EXAMPLES: dict[str, tuple[list[tuple[Any, ...]], list[tuple[Any, ...]], list[tup
     "break_glass_used": ([(["spare"],)], [([],)], NEVER),
     "clock_stepped": ([(-1.0,)], [(0.0,)], NEVER),
     "certificate_expiring": ([(NOW + 29 * DAY, NOW), (NOW - DAY, NOW)], [(NOW + 31 * DAY, NOW)], NEVER),
+    "backup_overdue": (
+        [(NOW - 27 * HOUR, NOW)],
+        [(NOW - 25 * HOUR, NOW), (None, NOW), (NOW + HOUR, NOW)],
+        NEVER,
+    ),
     "token_expiring": (
         [(NOW - 300 * DAY, NOW + DAY, NOW, NOW)],
         [

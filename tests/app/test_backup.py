@@ -1,0 +1,207 @@
+"""Nightly backups: when one is due, what is kept, and what becomes of one that fails."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tomllib
+from collections.abc import Awaitable, Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any, cast
+from zoneinfo import ZoneInfo
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from app.audit.log import EventLog
+from app.backup import service
+from app.backup.schedule import name_of, next_after, too_many
+from app.backup.service import Backups
+from app.backup.settings import BackupSettings
+from app.cli.backup_store import write_backup
+from app.errors import StoreError
+from app.settings import Settings, load
+from bus.instants import UnixTime
+from bus.messages import Message
+from tests.e2e.site import add_people
+
+BERLIN = ZoneInfo("Europe/Berlin")
+
+
+def moment(text: str) -> UnixTime:
+    return UnixTime(datetime.fromisoformat(text).replace(tzinfo=BERLIN).timestamp())
+
+
+@pytest.mark.parametrize(
+    ("now", "at", "due"),
+    [
+        ("2026-11-26T02:29:59", "02:30", "2026-11-26T02:30"),
+        ("2026-11-26T02:30", "02:30", "2026-11-27T02:30"),
+        ("2026-12-31T23:59", "00:00", "2027-01-01T00:00"),
+        ("2026-03-28T12:00", "02:30", "2026-03-29T02:30"),  # an hour that this day does not have
+        ("2026-10-24T12:00", "02:30", "2026-10-25T02:30"),  # an hour that it has twice
+    ],
+)
+def test_a_backup_is_due_when_the_clock_of_the_site_shows_it(now: str, at: str, due: str) -> None:
+    assert next_after(moment(now), at, BERLIN) == moment(due)
+
+
+@given(st.floats(0, 4e9), st.times().map(lambda time: f"{time:%H:%M}"))
+def test_the_next_one_is_within_a_day_and_an_hour(now: float, at: str) -> None:
+    due = next_after(UnixTime(now), at, BERLIN)
+    assert now < float(due) <= now + 25 * 3600
+
+
+def test_the_oldest_files_are_too_many_and_no_other_file_is() -> None:
+    names = [name_of(moment(f"2026-11-{day:02}T02:30"), BERLIN) for day in (9, 10, 11, 12)]
+    assert names == sorted(names)
+    assert too_many(["notes.tar", *reversed(names), "lineside.tar"], 2) == names[:2]
+    assert too_many(names, 4) == []
+    assert too_many([], 1) == []
+
+
+class Recorded:
+    """An event log that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.codes: list[str] = []
+        self.reasons: list[str] = []
+
+    async def record(self, *, what: Message, message: Message | str, **_: Any) -> None:
+        self.codes.append(what.code)
+        self.reasons.append(str(message))
+
+
+class Night:
+    """Backups whose clock and whose way of writing are the test's."""
+
+    def __init__(self, folder: Path, write: Callable[[Path], Awaitable[None]], keep: int = 2) -> None:
+        self.now, self.events = moment("2026-11-26T02:29"), Recorded()
+        self.config = folder / "lineside.toml"
+        self.config.write_text("[site]\n")
+        self.folder = folder / "backups"
+        settings = BackupSettings(folder=self.folder, keep=keep)
+        events = cast(EventLog, self.events)
+        self.backups = Backups(settings, self.config, BERLIN, events, write, lambda: self.now)
+
+    def files(self) -> list[str]:
+        return sorted(path.name for path in self.folder.iterdir())
+
+
+async def write_one(file: Path) -> None:
+    await asyncio.to_thread(file.write_text, "a backup")
+
+
+async def test_a_backup_has_its_configuration_and_the_oldest_gives_way(tmp_path: Path) -> None:
+    night = Night(tmp_path, write_one)
+    for day in (26, 27, 28):
+        night.now = moment(f"2026-11-{day}T02:30")
+        await night.backups.back_up()
+        assert night.backups.newest == night.now
+    assert night.files() == [
+        f"lineside-2026-11-{day}-023000.{kind}" for day in (27, 28) for kind in ("tar", "toml")
+    ]
+    assert night.events.codes == ["event_backup_written"] * 3
+    assert (night.folder / "lineside-2026-11-28-023000.toml").stat().st_mode & 0o077 == 0
+
+
+async def test_one_that_fails_deletes_nothing_and_is_an_event_with_its_reason(tmp_path: Path) -> None:
+    async def fail(_file: Path) -> None:
+        raise StoreError(Message.of("system_error", error="disk is full"))
+
+    night = Night(tmp_path, write_one, keep=1)
+    await night.backups.back_up()
+    newest, night.now = night.backups.newest, moment("2026-11-27T02:30")
+    night.backups._write = fail
+    await night.backups.back_up()
+    assert (len(night.files()), night.backups.newest) == (2, newest)
+    assert night.events.codes[-1] == "event_backup_failed"
+    assert "disk is full" in night.events.reasons[-1]
+
+
+async def test_a_folder_that_cannot_be_made_is_a_failed_backup(tmp_path: Path) -> None:
+    night = Night(tmp_path, write_one)
+    night.folder.write_text("a file")
+    await night.backups.back_up()
+    assert night.events.codes == ["event_backup_failed"]
+
+
+@pytest.mark.parametrize(
+    ("former", "after", "written"),
+    [
+        (None, "2026-11-26T02:29:40", 0),
+        (None, "2026-11-26T02:31", 1),
+        ("2026-11-25T02:30", "2026-11-26T02:29:40", 0),
+        ("2026-11-24T02:30", "2026-11-26T02:29:40", 1),
+    ],
+)
+async def test_it_is_written_at_its_time_and_a_missed_one_is_made_up_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, former: str | None, after: str, written: int
+) -> None:
+    looked = asyncio.Event()
+    looks = 0
+
+    async def sleep(_seconds: float) -> None:
+        nonlocal looks
+        looks += 1
+        night.now = moment(after)
+        if looks == 3:
+            looked.set()
+            await asyncio.Event().wait()
+
+    night = Night(tmp_path, write_one)
+    if former is not None:
+        night.folder.mkdir()
+        file = night.folder / name_of(moment(former), BERLIN)
+        file.touch()
+        os.utime(file, (float(moment(former)), float(moment(former))))
+    monkeypatch.setattr(service.asyncio, "sleep", sleep)
+    following = asyncio.create_task(night.backups.follow())
+    await looked.wait()
+    following.cancel()
+    assert night.events.codes == ["event_backup_written"] * written
+
+
+async def test_the_command_writes_what_restore_store_takes(tmp_path: Path) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text('[server]\ndata = "./data"\n[backup]\nfolder = "copies"\n')
+    await asyncio.to_thread(add_people, config)
+    settings, events = load(config), Recorded()
+    backups = Backups(settings.backup, config, BERLIN, cast(EventLog, events))
+    await backups.back_up()
+    assert events.codes == ["event_backup_written"], events.reasons
+    [archive] = (tmp_path / "copies").glob("*.tar")
+    assert archive.stat().st_mode & 0o077 == 0
+    broken = tmp_path / "none"
+    failing = Backups(BackupSettings(folder=broken), tmp_path / "no.toml", BERLIN, cast(EventLog, events))
+    await failing.back_up()
+    assert events.codes[-1] == "event_backup_failed"
+    assert "no.toml" in events.reasons[-1]
+
+
+def test_what_was_written_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / "lineside.toml"
+    config.write_text('[server]\ndata = "./data"\n')
+    add_people(config)
+    monkeypatch.setattr("app.cli.backup_store._digest", lambda store: (store.name, "0" * 64))
+    with pytest.raises(StoreError):
+        write_backup(tmp_path / "data", tmp_path / "one.tar")
+    assert not (tmp_path / "one.tar").exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['at = "24:00"', 'at = "2:30"', "keep = 0", "keep = 1.5", 'key_file = "backup.key"', 'fodler = "x"'],
+)
+def test_a_bad_setting_is_refused(text: str) -> None:
+    with pytest.raises(ValidationError):
+        BackupSettings.model_validate(tomllib.loads(text))
+
+
+def test_a_database_is_not_backed_up_here() -> None:
+    store = {"url": "postgresql://lineside@db/lineside"}
+    with pytest.raises(ValidationError, match="of files"):
+        Settings.model_validate({"store": store, "backup": {"folder": "x"}})
