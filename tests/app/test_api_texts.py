@@ -67,7 +67,7 @@ TYPED_BY_PEOPLE = {
     *("Alarm.hidden_by", "Alarm.reason", "AlarmTransition.reason", "LineOfSite.home", "elsewhere"),
     *(f"OwnAlarm.{name}" for name in ("cause", "consequence", "response")),
     *("ShiftNote.text", "Maintenance.reason", "NotificationEndpoint.address", "on_duty"),
-    *("RecurringMaintenance.buses", "RecurringMaintenance.reason"),
+    *("ReadOnly.reason", "RecurringMaintenance.buses", "RecurringMaintenance.reason"),
 }
 IN_THE_READERS_LANGUAGE = {
     *(f"HistoryMarkText.{name}" for name in ("what", "old", "new")),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from app.cli.config_option import NEW_CONFIG, default_config
-from tests import fork_server
 
 
 def test_the_environment_comes_first_then_this_folder_then_the_service(
@@ -25,6 +26,8 @@ def test_the_environment_comes_first_then_this_folder_then_the_service(
 
 
 def test_a_command_finds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Started and not forked, because the variable is read with the module."""
     monkeypatch.setenv("LINESIDE_CONFIG", str(tmp_path / "missing.toml"))
-    done = fork_server.run("check")
+    program = Path(sys.executable).with_name("lineside")
+    done = subprocess.run([program, "check"], capture_output=True, text=True, check=False)
     assert (done.returncode, str(tmp_path / "missing.toml") in done.stderr) == (1, True)

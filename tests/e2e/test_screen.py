@@ -165,7 +165,10 @@ COUNT_SHIFTS = """async () => {
   new PerformanceObserver((list) => {
     for (const entry of list.getEntries())
       for (const { node, previousRect, currentRect } of entry.sources)
-        if (moved(previousRect, currentRect)) window.shifted.push(node?.outerHTML ?? node?.textContent);
+        if (moved(previousRect, currentRect)) {
+          const what = node?.outerHTML ?? node?.textContent ?? "of a removed node";
+          window.shifted.push([what, previousRect.toJSON(), currentRect.toJSON()]);
+        }
   }).observe({ type: "layout-shift" });
 }"""
 """Counts from the next painted frame on, which shows the page as parsed."""
