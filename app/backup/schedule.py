@@ -28,9 +28,9 @@ def next_after(now: UnixTime, at: str, zone: ZoneInfo) -> UnixTime:
 def next_due(
     now: UnixTime, newest: UnixTime | None, failed: UnixTime | None, at: str, zone: ZoneInfo
 ) -> UnixTime:
-    """When the next backup is due; not after ``now`` where it is to begin. ``newest``: when the newest was begun, None where there
-    is none; ``failed``: when the last attempt was begun, None where it succeeded. A time in the future is of
-    a clock that was wrong, and counts for nothing."""
+    """When the next backup is due; not after ``now`` where it is to begin. ``newest``: when the newest was
+    begun, None where there is none; ``failed``: when the last attempt was begun, None where it succeeded. A
+    time in the future is of a clock that was wrong, and counts for nothing."""
     due = now if newest is None or newest > now else next_after(newest, at, zone)
     return due if failed is None or failed > now else max(due, failed + RETRY_S)
 

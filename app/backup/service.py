@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -55,7 +54,7 @@ class Backups:
 
     @property
     def newest(self) -> UnixTime | None:
-        """When the newest backup was begun; while there is none, when the configuration that asks for it was
+        """When the newest backup was begun; while there is none, when the configuration that requests it was
         last changed. None: there are to be none."""
         return (self._written or self._since) if self._is_wanted else None
 
@@ -80,7 +79,7 @@ class Backups:
         try:
             await asyncio.to_thread(self._prepare)
             await self._write(file)
-            await asyncio.to_thread(self._complete, file)
+            await asyncio.to_thread(self._remove_older, file)
         except (LinesideError, OSError) as error:
             reason = error.message if isinstance(error, LinesideError) else system_error(error)
             log.error("backup failed", file=str(file), reason=str(reason))
@@ -98,16 +97,9 @@ class Backups:
         if not self._folder.is_dir():
             raise BackupError(Message.of("backup_folder_missing", folder=str(self._folder)))
 
-    def _complete(self, file: Path) -> None:
-        """Beside the stores their configuration; then the oldest file gives way."""
-        if self._config is not None:
-            beside = file.with_suffix(".toml")
-            shutil.copyfile(self._config, beside)
-            beside.chmod(0o600)
+    def _remove_older(self, file: Path) -> None:
         for name in too_many((path.name for path in self._folder.iterdir()), self._keep, file.name):
-            for old in (self._folder / name, (self._folder / name).with_suffix(".toml")):
-                with suppress(FileNotFoundError):
-                    old.unlink()
+            (self._folder / name).unlink(missing_ok=True)
 
     async def _by_command(self, file: Path) -> None:
         """By ``lineside backup-store``. Raises BackupError with what it complained of."""

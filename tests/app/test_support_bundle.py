@@ -99,9 +99,7 @@ def test_a_wrong_configuration_is_its_fault_and_nothing_of_its_text(config: Path
         ('[server]\nport = "mail-secret-1"\n', ":2: server.port = …"),
     ],
 )
-def test_what_is_written_at_a_fault_of_the_configuration_is_left_out(
-    config: Path, text: str, place: str
-) -> None:
+def test_the_text_at_a_fault_of_the_configuration_is_left_out(config: Path, text: str, place: str) -> None:
     config.write_text(text)
     found = contents(bundle(parts(config)))
     assert place in found["configuration.txt"]
