@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from app.cli.backup_findings import backup_findings
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import complain, report
 from app.cli.findings import findings
@@ -18,7 +19,12 @@ def check(config: Config = LINESIDE_TOML) -> None:
     settings = load(config)
     report(Message.of("check_configuration", file=str(config), site=settings.site.name))
     faults = 0
-    found = (*findings(settings), *store_findings(settings), *notification_findings(settings.notify))
+    found = (
+        *findings(settings),
+        *store_findings(settings),
+        *backup_findings(settings.backup),
+        *notification_findings(settings.notify),
+    )
     for finding in found:
         faults += finding.is_fault
         if finding.is_fault:

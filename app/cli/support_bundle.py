@@ -21,6 +21,7 @@ from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Annotated, Any
 
+from app.cli.backup_findings import backup_findings
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.findings import findings
@@ -119,7 +120,7 @@ def _about() -> dict[str, Any]:
 
 def _found(settings: Settings) -> Iterator[Message]:
     try:
-        for finding in (*findings(settings), *store_findings(settings)):
+        for finding in (*findings(settings), *store_findings(settings), *backup_findings(settings.backup)):
             yield finding.message
     except (LinesideError, OSError) as error:
         yield Message.of("system_error", error=str(error))

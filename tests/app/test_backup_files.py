@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from app.cli import cli
 from app.cli.backup_cipher import decrypt, encrypt
 from app.cli.backup_files import ENCRYPTED, IN_CLEAR, SiteFile, files_of, place_files
+from app.cli.backup_findings import backup_findings
 from app.cli.backup_store import WORKING, write_backup
 from app.errors import StoreError
 from app.settings import load
@@ -167,3 +168,22 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
     with pytest.raises(StoreError, match="exists"):
         write_backup(site / "data", archive)
     assert archive.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("written", "text", "is_fault"),
+    [
+        ('folder = "copies"', "backups: each night at 02:30 in ", False),
+        ('folder = "none"', "none is not there; mount its disk", True),
+        ('folder = "lineside.toml"', "is not there", True),
+        ('folder = "copies"\nkey_file = "mail.password"', "has fewer than 32 characters", True),
+        ('folder = "/proc"', "cannot write in /proc", True),
+    ],
+)
+def test_the_check_names_what_keeps_a_backup_from_being_written(
+    site: Path, written: str, text: str, is_fault: bool
+) -> None:
+    (site / "copies").mkdir()
+    (site / "lineside.toml").write_text(f"{CONFIGURATION}[backup]\n{written}\n")
+    found = [*backup_findings(load(site / "lineside.toml").backup)]
+    assert [finding.is_fault for finding in found if text in str(finding.message)] == [is_fault]
