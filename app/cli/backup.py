@@ -13,7 +13,7 @@ import click
 from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import Dashboard, DashboardError, dashboard
 from app.cli.ending import report
-from app.cli.options import Option
+from app.cli.options import AsJson, Option
 from app.database.private import write_file
 from app.sets.document import write_document
 from app.sets.model import ParameterSet, UnitRows
@@ -27,7 +27,6 @@ MAX_AT_ONCE = 4
 
 Url = Annotated[str, Option(help="Address of the dashboard.", envvar="LINESIDE_URL")]
 Bus = Annotated[str, Option(help="Name of the bus.")]
-AsJson = Annotated[bool, Option("--json", help="Machine-readable result on standard output.")]
 
 
 def backup(

@@ -19,11 +19,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
+import click
+
 from app.cli.backup_archive import MANIFEST, STORES, open_archive
 from app.cli.backup_files import SiteFiles, files_of
 from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
-from app.cli.options import Argument
+from app.cli.options import Argument, AsJson
 from app.database.connection import open_for_reading
 from app.database.opening import require_files
 from app.database.private import make_file, sync_folder, write_file
@@ -40,6 +42,7 @@ WORKING = ".lineside-backup-"
 def backup_store(
     file: Annotated[Path, Argument(help="The file to write; it must not exist yet.")],
     config: Config = LINESIDE_TOML,
+    as_json: AsJson = False,
 ) -> None:
     """Copy every store (events, users, sets, history, pictures) of this configuration into one file while the
     dashboard runs, with the configuration; with [backup] key_file also, encrypted, the key of the audit log,
@@ -48,6 +51,9 @@ def backup_store(
     require_files(settings.store, "pg_dump")
     files = files_of(settings)
     names = write_backup(settings.server.data, file, files)
+    if as_json:
+        click.echo(json.dumps({"file": str(file), "stores": names, "left_out": files.left_out}))
+        return
     report(Message.of("stores_backed_up", file=str(file), names=[*names]))
     if files.left_out:
         report(Message.of("backup_leaves_out", files=[*files.left_out]))

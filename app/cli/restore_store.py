@@ -32,6 +32,7 @@ from app.database.connection import open_for_reading
 from app.database.copies import COMPANIONS
 from app.database.migrating import is_store
 from app.database.opening import require_files
+from app.database.presence import examining
 from app.database.private import make_private, refuse_link
 from app.database.words import in_words
 from app.errors import StoreError
@@ -127,7 +128,7 @@ def _anchors_put_aside(key_files: Sequence[Path], anchor: Path | None) -> tuple[
 
 def _prove(store: Path, file: Path) -> None:
     """A store of a backup is sound, and one that Lineside made."""
-    with in_words(store), closing(open_for_reading(store)) as connection:
+    with examining(store) as connection:
         fault: str | Message = fault_of(connection)
         if not fault and not is_store(connection):
             fault = Message("store_is_foreign")

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import click
 
 from app.cli.ending import complain, ending, report, wrong_option
-from app.cli.options import Option
+from app.cli.options import AsJson, Option
 from app.web.shape import message_shown
 from bus.line.scan.found import Found, conclude, settings_seen
 from bus.line.scan.passes import PASSES, no_response_s
@@ -41,7 +41,7 @@ def scan(
     every_baud: Annotated[
         bool, Option("--every-baud", help="Scan at all six baud rates, even after a response.")
     ] = False,
-    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Poll every address, twice without a response; nothing is written to any unit.
 

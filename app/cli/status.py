@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import ssl
-from typing import Annotated, Any
+from typing import Any
 
 import click
 import httpx
@@ -14,7 +14,7 @@ from app.cli.credentials import TokenFile, TokenOption, bearer_token
 from app.cli.dashboard import dashboard
 from app.cli.ending import report
 from app.cli.listening import url_of
-from app.cli.options import Option
+from app.cli.options import AsJson
 from app.settings import Settings, load
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -28,7 +28,7 @@ def status(
     config: Config = LINESIDE_TOML,
     token: TokenOption = "",
     token_file: TokenFile = None,
-    as_json: Annotated[bool, Option("--json", help="The result as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show whether the dashboard serves and, with a token of any role but worker, the state of each bus and
     what is degraded of the server: history, audit log, disk, notification, clock, certificates.

@@ -16,7 +16,6 @@ import sys
 import tarfile
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import closing
 from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,7 +27,7 @@ from app.cli.findings import findings
 from app.cli.options import Option
 from app.cli.service_unit import UNIT_FILE
 from app.cli.store_findings import store_findings
-from app.database.connection import open_for_reading
+from app.database.presence import examining
 from app.database.private import fresh_file
 from app.database.reserve import free_bytes
 from app.database.words import in_words
@@ -140,7 +139,7 @@ def _events(settings: Settings) -> list[dict[str, Any]] | str:
     if settings.store.url or not store.exists():
         return "no store in files"
     try:
-        with in_words(store), closing(open_for_reading(store)) as connection:
+        with examining(store) as connection:
             rows = connection.execute(_EVENTS, (MAX_EVENTS,)).fetchall()
     except StoreError as error:
         return str(error)
