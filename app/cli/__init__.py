@@ -24,6 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "Check the configuration and list its faults."),
     "install-service": ("install_service", "Install the dashboard as a service of systemd."),
     "status": ("status", "Show whether the dashboard of a configuration runs."),
+    "report": ("report", "Show the hand-over report of a shift."),
     "support-bundle": ("support_bundle", "Write what helps to find a fault into one file, without secrets."),
     "user": ("accounts", "Manage users: add, list, password, remove."),
     "token": ("accounts", "Manage tokens of programs: create, list, revoke."),

@@ -18,7 +18,7 @@ from app.cli.site_facts import (
     disk_facts,
 )
 from app.handover.rules.shift_times import site_time
-from app.history.forecast import MAX_DAYS
+from app.history.query.forecast import MAX_DAYS
 from app.settings import Settings
 from app.web.shape import iso
 from bus.instants import UnixTime

@@ -71,8 +71,9 @@ def require_finished_database(store: StoreSettings) -> None:
 
 
 @contextmanager
-def examining_main(store: StoreSettings, file: Path) -> Iterator[StoreConnection]:
-    """Read the main store as it is; nothing is brought up to date. Raises StoreError in words."""
+def examining_main(store: StoreSettings, file: Path, schema: str = MAIN) -> Iterator[StoreConnection]:
+    """Read the main store, or that of another ``schema``, as it is; nothing is brought up to date. Raises
+    StoreError in words."""
     if not store.url:
         with examining(file) as connection:
             yield connection
@@ -80,7 +81,7 @@ def examining_main(store: StoreSettings, file: Path) -> Iterator[StoreConnection
     require_driver()
     from app.database.postgresql import examination
 
-    with examination.examining(store, MAIN) as examined:
+    with examination.examining(store, schema) as examined:
         yield examined
 
 
