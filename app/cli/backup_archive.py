@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import stat
 import tarfile
 from collections.abc import Iterator, Mapping
@@ -24,6 +23,7 @@ import msgspec
 
 from app.cli.backup_files import ENCRYPTED, IN_CLEAR, MAX_BYTES
 from app.database.private import FILE_MODE
+from app.database.reserve import free_bytes
 from app.errors import StoreError
 from app.handover.pictures import FILE as PICTURES
 from app.history.service import FILE as HISTORY
@@ -143,11 +143,6 @@ def open_archive(path: Path) -> Iterator[BackupArchive]:
             yield _read(file, path)
         except ArchiveError as error:
             raise StoreError(Message.of("backup_malformed", file=str(path), error=error.message)) from error
-
-
-def free_bytes(folder: Path) -> int:
-    """What the disk of a folder can still take."""
-    return shutil.disk_usage(folder).free
 
 
 def _read(file: BufferedReader, path: Path) -> BackupArchive:

@@ -13,7 +13,7 @@ import shutil
 import sqlite3
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -27,8 +27,10 @@ from app.cli.config_option import LINESIDE_TOML, Config
 from app.cli.ending import report
 from app.cli.options import Argument, AsJson
 from app.database.connection import open_for_reading
+from app.database.copies import COMPANIONS
 from app.database.opening import require_files
 from app.database.private import make_file, sync_folder, write_file
+from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
@@ -67,6 +69,8 @@ def write_backup(data: Path, file: Path, files: SiteFiles | None = None) -> list
         raise StoreError(Message.of("stores_missing", folder=str(data)))
     if file.exists():
         raise StoreError(Message.of("backup_exists", file=str(file)))
+    with in_words(file):
+        _refuse_small_disk(present, file)
     with in_words(file), _working_folder(file.absolute().parent) as folder:
         copies = [_copy(store, folder) for store in present]
         beside = [] if files is None else [folder / files.member]
@@ -115,6 +119,18 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def space_needed(stores: Iterable[Path]) -> int:
+    """The bytes that a backup of these stores takes while it is made: its copies, and the archive of them."""
+    files = (store.with_name(store.name + suffix) for store in stores for suffix in ("", *COMPANIONS))
+    return 2 * sum(file.stat().st_size for file in files if file.exists())
+
+
+def _refuse_small_disk(stores: Sequence[Path], file: Path) -> None:
+    needed, free = space_needed(stores), free_bytes(file.absolute().parent)
+    if needed > free:
+        raise StoreError(Message.of("backup_disk_full", file=str(file), needed=needed, free=free))
 
 
 def _copy(store: Path, folder: Path) -> Path:

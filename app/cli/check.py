@@ -24,7 +24,7 @@ def check(config: Config = LINESIDE_TOML, as_json: AsJson = False) -> None:
     found = [
         *findings(settings),
         *store_findings(settings),
-        *backup_findings(settings.backup),
+        *backup_findings(settings.backup, settings.server.data),
         *notification_findings(settings.notify),
     ]
     if as_json:

@@ -119,7 +119,11 @@ def _about() -> dict[str, Any]:
 
 def _found(settings: Settings) -> Iterator[Message]:
     try:
-        for finding in (*findings(settings), *store_findings(settings), *backup_findings(settings.backup)):
+        for finding in (
+            *findings(settings),
+            *store_findings(settings),
+            *backup_findings(settings.backup, settings.server.data),
+        ):
             yield finding.message
     except (LinesideError, OSError) as error:
         yield Message.of("system_error", error=str(error))

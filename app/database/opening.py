@@ -10,7 +10,7 @@ from pathlib import Path
 from app.database.availability import Availability
 from app.database.connection import SqliteDatabase, Synchronous
 from app.database.database import Database
-from app.database.migration import MIGRATIONS, missing_in
+from app.database.migration import MIGRATIONS, Migration, missing_in
 from app.database.presence import Presence, examining, presence_of
 from app.database.reserve import Reserve
 from app.database.settings import StoreSettings
@@ -87,9 +87,14 @@ def examining_main(store: StoreSettings, file: Path, schema: str = MAIN) -> Iter
 
 def require_version(connection: StoreConnection, store: str) -> None:
     """Raises StoreError for a main store of an earlier or a newer version. ``store`` names it."""
-    applied = dict(map(tuple, connection.execute("SELECT number, name FROM migrations")))
-    if missing_in(applied, MIGRATIONS, store):
+    if refuse_newer(connection, store):
         raise StoreError(Message.of("store_of_earlier_version", path=store))
+
+
+def refuse_newer(connection: StoreConnection, store: str) -> list[Migration]:
+    """The steps that a main store has not taken. Raises StoreError for one of a newer version."""
+    applied = dict(map(tuple, connection.execute("SELECT number, name FROM migrations")))
+    return missing_in(applied, MIGRATIONS, store)
 
 
 def require_driver() -> None:

@@ -20,6 +20,7 @@ from app.cli.backup_store import WORKING, write_backup
 from app.errors import StoreError
 from app.settings import load
 from tests.e2e.site import add_people
+from tests.mounted import mounted
 
 KEY = "0123456789abcdef" * 4
 SECRETS = ("mail-secret-1", "hook-secret-2")
@@ -177,7 +178,7 @@ def test_no_file_is_written_over_that_came_meanwhile(site: Path, monkeypatch: py
         ('folder = "none"', "none is not there; mount its disk", True),
         ('folder = "lineside.toml"', "is not there", True),
         ('folder = "copies"\nkey_file = "mail.password"', "has fewer than 32 characters", True),
-        ('folder = "/proc"', "cannot write in /proc", True),
+        ('folder = "/proc/self"', "the disk of /proc/self has 0 MB free", True),
     ],
 )
 def test_the_check_names_what_keeps_a_backup_from_being_written(
@@ -185,5 +186,14 @@ def test_the_check_names_what_keeps_a_backup_from_being_written(
 ) -> None:
     (site / "copies").mkdir()
     (site / "lineside.toml").write_text(f"{CONFIGURATION}[backup]\n{written}\n")
-    found = [*backup_findings(load(site / "lineside.toml").backup)]
+    found = [*backup_findings(load(site / "lineside.toml").backup, site / "data")]
     assert [finding.is_fault for finding in found if text in str(finding.message)] == [is_fault]
+
+
+def test_a_disk_that_is_too_small_is_named_before_anything_is_written(site: Path) -> None:
+    disk = site / "disk"
+    disk.mkdir()
+    with mounted("-t", "tmpfs", "-o", "size=300k", "tmpfs", at=disk):
+        with pytest.raises(StoreError, match=r"two\.tar needs \d+ bytes while it is made"):
+            write_backup(site / "data", disk / "two.tar")
+        assert [*disk.iterdir()] == []

@@ -114,6 +114,7 @@ def test_a_store_of_another_version_is_named_as_such(site: Path, change: str, te
         connection.execute(change)
     done = run(("user", "list"), site)
     assert (done.exit_code, text in done.stderr) == (1, True)
+    assert (text in run(("check",), site).stderr) is ("newer" in text)
 
 
 def test_lists_are_json_too(site: Path) -> None:
