@@ -58,10 +58,9 @@ class Backups:
         last changed. None: there are to be none."""
         return (self._written or self._since) if self._is_wanted else None
 
-    @property
-    def next_due(self) -> UnixTime:
-        """When the next backup is due; past, where it begins at the next look at the clock."""
-        return next_due(self._clock(), self._written, self._failed, self._at, self._zone)
+    def next_due(self, now: UnixTime) -> UnixTime:
+        """When the next backup is due; not after ``now`` where it is to begin."""
+        return next_due(now, self._written, self._failed, self._at, self._zone)
 
     async def follow(self) -> None:
         """Write a backup whenever one is due, without end: at once where there is none, or that of last night
@@ -69,7 +68,8 @@ class Backups:
         self._written = await asyncio.to_thread(newest_in, self._folder, self._clock())
         while True:
             await asyncio.sleep(LOOK_S)
-            if self._clock() >= self.next_due:
+            now = self._clock()
+            if now >= self.next_due(now):
                 await self.back_up()
 
     async def back_up(self) -> None:
