@@ -19,8 +19,9 @@ SUFFIX = {"counter": "_total", "info": "_info"}
 """What Prometheus adds to the name of a metric of a type."""
 COMMAND_LINE = """# The command line
 
-`lineside --version` prints the release. Each command explains itself with `-h` or `--help`; each that prints facts prints
-them with `--json` for programs. The shell completes commands and options after one line in its start file:
+`lineside --version` prints the release. Each command explains itself with `-h` or `--help`; each that prints
+facts prints them with `--json` for programs. The shell completes commands and options after one line in its
+start file:
 
 | shell | file | line |
 |---|---|---|
