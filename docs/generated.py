@@ -23,11 +23,9 @@ COMMAND_LINE = """# The command line
 facts prints them with `--json` for programs. The shell completes commands and options after one line in its
 start file:
 
-| shell | file | line |
-|---|---|---|
-| bash | `~/.bashrc` | `eval "$(_LINESIDE_COMPLETE=bash_source lineside)"` |
-| zsh | `~/.zshrc` | `eval "$(_LINESIDE_COMPLETE=zsh_source lineside)"` |
-| fish | `~/.config/fish/config.fish` | `_LINESIDE_COMPLETE=fish_source lineside | source` |
+- bash, `~/.bashrc`: `eval "$(_LINESIDE_COMPLETE=bash_source lineside)"`
+- zsh, `~/.zshrc`: `eval "$(_LINESIDE_COMPLETE=zsh_source lineside)"`
+- fish, `~/.config/fish/config.fish`: `_LINESIDE_COMPLETE=fish_source lineside | source`
 """
 METRICS = """# Metrics
 
