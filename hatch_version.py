@@ -1,8 +1,8 @@
 """The version, for hatchling: that of the git tag, so that it moves with every release and every commit.
 
-At the tag v1.4.0 it is ``1.4.0``; seven commits later ``1.4.1.dev7+g845bc4487``, which comes after 1.4.0 and before
-1.4.1 (PEP 440). Where a clone has no tags, the newest release of CHANGELOG.md stands for them, and where there is no
-git, as in a source archive, PKG-INFO has the version.
+At the tag v1.4.0 it is ``1.4.0``; seven commits later ``1.4.1.dev7+g845bc4487``, which is after 1.4.0 and
+before 1.4.1 (PEP 440). Where a clone has no tags, the newest release of CHANGELOG.md stands for them; where
+there is no git, as in a source archive, PKG-INFO has the version.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _numbers(release: str) -> tuple[int, ...]:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    """What git prints; empty where there is none, or ``root`` is no repository but in that of something else."""
+    """What git prints; empty where there is none, or ``root`` is a folder of another repository."""
     if not (root / ".git").exists():
         return ""
     try:

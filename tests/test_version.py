@@ -57,7 +57,7 @@ def test_a_source_archive_knows_its_version_also_in_the_repository_of_something_
     (unpacked / "CHANGELOG.md").write_text(CHANGES)
     git(checkout, "tag", "v7.0.0")
     assert hatch_version.version(unpacked) == "0.10.1.dev0"
-    (unpacked / "PKG-INFO").write_text("Metadata-Version: 2.4\nName: lineside\nVersion: 1.2.3\n\nVersion: 9\n")
+    (unpacked / "PKG-INFO").write_text("Name: lineside\nVersion: 1.2.3\n\nVersion: 9\n")
     assert hatch_version.version(unpacked) == "1.2.3"
 
 
