@@ -1,4 +1,4 @@
-"""The version comes from git tags, and moves with every commit; it is what the program says of itself."""
+"""The version comes from git tags, and moves with every commit; the program reports it."""
 
 from __future__ import annotations
 
@@ -67,5 +67,5 @@ def test_another_tag_is_refused(described: str) -> None:
         hatch_version.of_tag(described)
 
 
-def test_the_program_is_what_is_installed() -> None:
+def test_the_program_reports_the_installed_one() -> None:
     assert installed("lineside") == VERSION
