@@ -1,4 +1,4 @@
-# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | docs | screenshots | lock | clean
+# make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | docs | release | screenshots | lock | clean
 PYTHON ?= python3
 PORT ?= 8000
 N ?= 20
@@ -16,7 +16,7 @@ COVERAGE := COVERAGE_RCFILE=tests/coverage.toml $(BIN)/coverage
 LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --generate-hashes \
 	--custom-compile-command "make lock" --extra rfc2217
 
-.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check docs screenshots lock clean development
+.PHONY: demo free-port test browser-tests other-tests soak flaky coverage setup bench check docs release screenshots lock clean development
 .DEFAULT_GOAL := demo
 # Without its cache of compiled modules, each of hundreds of processes in the tests compiles the whole program.
 unexport PYTHONDONTWRITEBYTECODE
@@ -67,6 +67,11 @@ bench: development
 # The handbook as files for a web server or a stick: build/docs/index.html.
 docs: setup
 	$(BIN)/python -m docs.site build/docs
+
+# What people install, in build/release: source archive, wheel, Debian package, bundle for machines without a network,
+# list of parts, checksums.
+release: development
+	$(BIN)/python -m release build/release
 
 screenshots: development
 	$(BIN)/python -m docs.screenshots

@@ -11,7 +11,6 @@ import sqlite3
 import tarfile
 import tempfile
 from contextlib import closing
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +24,7 @@ from app.database.private import make_file, write_file
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import load
+from app.version import VERSION
 from bus.instants import unix_now
 from bus.messages import Message
 
@@ -50,7 +50,7 @@ def write_backup(data: Path, file: Path) -> list[str]:
         raise StoreError(Message.of("backup_exists", file=str(file)))
     with in_words(file), tempfile.TemporaryDirectory(dir=file.absolute().parent) as folder:
         copies = [_copy(store, Path(folder)) for store in present]
-        about = {"lineside": version("lineside"), "time": unix_now(), "stores": dict(map(_digest, copies))}
+        about = {"lineside": VERSION, "time": unix_now(), "stores": dict(map(_digest, copies))}
         manifest, tar_file = Path(folder) / MANIFEST, Path(folder) / "complete.tar"
         write_file(manifest, json.dumps(about, indent=1).encode())
         make_file(tar_file)

@@ -12,6 +12,7 @@ from bus.errors import LinesideError
 from bus.messages import Message
 
 BY_ID = Path("/dev/serial/by-id")
+USUAL_PORT = "/dev/ttyUSB0"
 STARTER = Path(__file__).with_name("starter.toml")
 
 
@@ -32,7 +33,7 @@ def init(config: Config = NEW_CONFIG) -> None:
 def likely_port(folder: Path = BY_ID) -> str:
     """The first serial adapter of this machine by its lasting path; else a usual name."""
     adapters = sorted(str(entry) for entry in folder.iterdir()) if folder.is_dir() else []
-    return adapters[0] if adapters else "/dev/ttyUSB0"
+    return adapters[0] if adapters else USUAL_PORT
 
 
 def starter(config: Path, port: str) -> str:

@@ -15,7 +15,7 @@ import tarfile
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from importlib.metadata import distributions, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +31,7 @@ from app.database.reserve import free_bytes
 from app.database.words import in_words
 from app.errors import StoreError
 from app.settings import Settings, load
+from app.version import VERSION
 from bus.configuration import ConfigurationError
 from bus.errors import LinesideError
 from bus.messages import Message
@@ -92,7 +93,7 @@ def bundle(files: Iterator[tuple[str, bytes]]) -> bytes:
 
 def _about() -> dict[str, Any]:
     return {
-        "lineside": version("lineside"),
+        "lineside": VERSION,
         "python": sys.version,
         "system": platform.platform(),
         "time": time.time(),
