@@ -15,6 +15,7 @@ from tests.e2e.conftest import OpensPages, focus, rest
 from tests.e2e.limits import CALL_S, PROCEDURE_S
 from tests.e2e.site import AT_REST, Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import sizes
 
 PANEL = {"width": 1280, "height": 800}
 LIVE = "body[data-link=live]"
@@ -342,8 +343,9 @@ UNREACHABLE = """() => [...document.querySelectorAll(
     .map(element => element.outerHTML.slice(0, 120))"""
 
 
+@pytest.mark.parametrize("every", sizes(5, 1))
 def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by_keyboard(
-    site: Site, shared_page: OpensPages, pages: list[str]
+    site: Site, shared_page: OpensPages, pages: list[str], every: int
 ) -> None:
     page = opened(shared_page("admin", viewport=PANEL), "/units/line/1")
     with site.api("admin") as client:
@@ -354,7 +356,7 @@ def test_on_every_page_a_block_is_shown_and_zero_is_one_press_and_one_confirm_by
     expect(page.locator(".plate__set")).to_contain_text("belt off since 14:20")
     before = received_writes(site)
     unsaid = []
-    for path in pages:
+    for path in pages[::every]:
         opened(page, path)
         expect(page.locator(".verdict").first).to_contain_text("Commands blocked")
         if path != "/account" and "belt off since 14:20" not in page.locator("body").inner_text():
@@ -386,15 +388,17 @@ MAX_AT_ONCE = 7
 """All of them together leave a small machine no time."""
 
 
+@pytest.mark.parametrize("every", sizes(4, 1))
 @pytest.mark.provokes("WebSocket", "fetch")
 def test_every_page_is_covered_without_its_server_and_sends_nothing(
-    site: Site, browser_page: OpensPages, pages: list[str]
+    site: Site, browser_page: OpensPages, pages: list[str], every: int
 ) -> None:
     context = browser_page("admin", viewport=PANEL).context
     before = received_writes(site), newest_event(site)
-    opened_tabs = [context.new_page() for _ in range(MAX_AT_ONCE)]
-    for first in range(0, len(pages), MAX_AT_ONCE):
-        paths = pages[first : first + MAX_AT_ONCE]
+    walked = pages[::every]
+    opened_tabs = [context.new_page() for _ in walked[:MAX_AT_ONCE]]
+    for first in range(0, len(walked), MAX_AT_ONCE):
+        paths = walked[first : first + MAX_AT_ONCE]
         tabs = {path: opened(tab, path) for path, tab in zip(paths, opened_tabs, strict=False)}
         covered_while_the_server_stands(site, tabs)
         for path, tab in tabs.items():

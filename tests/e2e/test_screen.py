@@ -11,6 +11,7 @@ from playwright.sync_api import Page, WebSocketRoute, expect
 from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages
 from tests.e2e.limits import UNIT_MS
 from tests.e2e.site import Site, eventually
+from tests.sizes import in_turn
 
 PAGES = [
     "/",
@@ -46,8 +47,7 @@ def too_wide(page: Page) -> int:
     return found
 
 
-@pytest.mark.parametrize("path", PAGES)
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
+@pytest.mark.parametrize(("path", "locale"), in_turn(PAGES, (ENGLISH, GERMAN)))
 def test_a_page_is_accessible_and_fits_its_window(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str
 ) -> None:

@@ -15,6 +15,7 @@ from tests.e2e.conftest import ENGLISH, GERMAN, OpensPages, rest
 from tests.e2e.limits import PROCEDURE_MS, PROCEDURE_S
 from tests.e2e.site import Site, eventually
 from tests.e2e.site import site as one_site
+from tests.sizes import in_turn
 
 OFFICE = {"width": 1280, "height": 900}
 PHONE = {"width": 360, "height": 740}
@@ -330,18 +331,20 @@ def test_what_a_unit_is_already_is_not_written_again(site: Site, shared_page: Op
     assert len(writes(site, 0x86)) == before + 1
 
 
-@pytest.mark.parametrize("locale", [ENGLISH, GERMAN])
 @pytest.mark.parametrize(
-    "path",
-    [
-        "/sets",
-        "/recipes",
-        "/batch/line",
-        "/units/line/1/restore",
-        "/swap/line/1",
-        "/sets/compare",
-        "/sets/compare?left=live:line:1&right=live:line:2",
-    ],
+    ("path", "locale"),
+    in_turn(
+        [
+            "/sets",
+            "/recipes",
+            "/batch/line",
+            "/units/line/1/restore",
+            "/swap/line/1",
+            "/sets/compare",
+            "/sets/compare?left=live:line:1&right=live:line:2",
+        ],
+        (ENGLISH, GERMAN),
+    ),
 )
 def test_accessible_and_as_wide_as_the_screen(
     shared_page: OpensPages, flaws: Callable[..., list[str]], path: str, locale: str

@@ -11,6 +11,7 @@ from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import OpensPages, rest
 from tests.e2e.site import AT_REST, Site, eventually
+from tests.sizes import sizes
 
 PHONE = {"width": 360, "height": 740}
 PANEL = {"width": 1280, "height": 800}
@@ -159,7 +160,7 @@ FITTED = "() => new Promise(done => requestAnimationFrame(() => requestAnimation
 """The first frame after a window has changed fits the cells to it (js/line-fit.js)."""
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, locale: str) -> None:
     page = browser_page(viewport=PANEL, locale=locale)
     for path in ("/?view=tiles", "/?view=rows"):
@@ -170,7 +171,7 @@ def test_no_cause_and_no_mark_of_the_line_is_cut_off(browser_page: OpensPages, l
             assert page.evaluate(CUT_OFF) == [], f"{path}, {width}"
 
 
-@pytest.mark.parametrize("locale", ["en-GB", "de-DE"])
+@pytest.mark.parametrize("locale", sizes("de-DE", "en-GB"))
 def test_a_small_panel_has_room_for_the_verdict_and_scrolls_nothing_sideways(
     shared_page: OpensPages, locale: str
 ) -> None:
