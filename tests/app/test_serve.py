@@ -275,7 +275,7 @@ def test_a_demo_without_a_port_takes_the_next_that_is_free() -> None:
 
 
 @pytest.mark.parametrize("port", ["abc", "80x"])
-def test_make_names_what_is_no_port(port: str) -> None:
+def test_make_refuses_a_word_as_a_port(port: str) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
     made = subprocess.run(
         ["make", "free-port", f"PORT={port}"], capture_output=True, text=True, cwd=ROOT, env=environment
