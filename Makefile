@@ -1,6 +1,5 @@
 # make demo [PORT=8100] | test | soak | flaky [N=20] | coverage | setup | bench | check | docs | release | screenshots | lock | clean
 PYTHON ?= python3
-PORT ?= 8000
 N ?= 20
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,12 +21,14 @@ LOCK := $(BIN)/uv pip compile -q --upgrade --universal --python-version 3.11 --g
 unexport PYTHONDONTWRITEBYTECODE
 
 demo: free-port setup
-	$(BIN)/lineside demo --port $(PORT)
+	$(BIN)/lineside demo $(if $(PORT),--port $(PORT))
 
-# Before everything that a first set-up takes.
+# Before everything that a first set-up takes: whether a port that was chosen has another program. What else may be
+# wrong of it, `lineside demo` states. Without a choice it takes 8000, or the next that is free.
 free-port:
-	@$(PYTHON) -c 'import socket; socket.create_server(("127.0.0.1", $(PORT)))' 2>/dev/null || \
-		{ echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
+	@case "$(PORT)" in *[!0-9]*) echo "PORT=$(PORT) is no number. Example: make demo PORT=8100" >&2; exit 1;; esac
+	@test -z "$(PORT)" || $(PYTHON) -c 'import socket, sys; sys.exit(3 * (socket.socket().connect_ex(("127.0.0.1", $(PORT))) == 0))' 2>/dev/null || \
+		test $$? -ne 3 || { echo "Port $(PORT) is in use. End the program that has it, or choose another: make demo PORT=8100" >&2; exit 1; }
 
 setup: $(VENV)/.lineside
 
