@@ -1,4 +1,4 @@
-"""``lineside init``: a configuration to start from, after some questions at a terminal."""
+"""``lineside init``: a configuration to start from, which a terminal prompts for."""
 
 from __future__ import annotations
 
