@@ -156,6 +156,7 @@ HIDDEN_TO_THE_SIDE = """() => [...document.querySelectorAll("main .table-wrap")]
   .filter((each) => each.scrollWidth > each.clientWidth + 1).map((each) => each.ariaLabel)"""
 
 
+@pytest.mark.soak
 def test_the_pages_around_the_line_fit_a_phone_in_a_glove(browser_page: OpensPages) -> None:
     page = browser_page("admin", viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True)
     for path in FOR_A_PHONE:

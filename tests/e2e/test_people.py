@@ -143,6 +143,7 @@ def test_who_does_not_hold_control_sets_nothing(site: Site, shared_page: OpensPa
     assert received_writes(site) == before
 
 
+@pytest.mark.soak
 def test_control_is_taken_where_the_line_is_set_to_zero(shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport={"width": 360, "height": 740}), "/trends")
     page.get_by_role("button", name="Set line to zero").click()
@@ -299,6 +300,7 @@ def test_a_large_step_wants_a_review_on_every_path(
     assert setpoint(site, 1) == 650
 
 
+@pytest.mark.soak
 def test_a_block_holds_on_every_path(site: Site, holder: httpx.Client, staged_and_saved: int) -> None:
     api = "/api/v1/buses/line"
     assert holder.post(f"{api}/units/1/speed", json={"raw": 640, "execute": False}).status_code == 200
@@ -478,6 +480,7 @@ def test_a_screen_reader_gets_the_verdict_and_no_figures(
     assert not any(re.search(r"\d\.\d|ramping", text) for text in spoken), spoken
 
 
+@pytest.mark.soak
 def test_focus_stays_while_a_unit_does_not_respond(site: Site, shared_page: OpensPages) -> None:
     page = opened(shared_page("operator", viewport=PANEL), "/units/line/2")
     field = page.locator("#setpoint")
@@ -509,6 +512,7 @@ def test_focus_stays_in_the_row_that_was_written(shared_page: OpensPages, holder
     holder.post("/api/v1/buses/line/control/hand-over", json={"to": "admin-program"})
 
 
+@pytest.mark.soak
 def test_nothing_moves_with_reduced_motion(browser_page: OpensPages) -> None:
     page = opened(browser_page("viewer", viewport=PANEL, reduced_motion="reduce"), "/units/line/1")
     moving = "document.getAnimations().map(one => one.effect.target.className)"

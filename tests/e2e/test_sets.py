@@ -122,6 +122,7 @@ def test_drift_names_who_did_it_on_the_line_on_the_unit_and_in_the_api_after_a_r
     expect(status).not_to_contain_text("Coater")
 
 
+@pytest.mark.soak
 def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     site: Site, browser_page: OpensPages
 ) -> None:
@@ -148,6 +149,7 @@ def test_the_list_of_drift_is_redrawn_automatically_and_keeps_the_focus(
     expect(restore).to_be_focused()
 
 
+@pytest.mark.soak
 def test_a_change_of_baud_is_typed_and_every_unit_verified(site: Site, shared_page: OpensPages) -> None:
     page = shared_page("engineer", viewport=OFFICE)
     page.goto("/bus/line")
@@ -216,6 +218,7 @@ def test_a_restore_is_reviewed_first_and_verified_afterwards(site: Site, shared_
     assert len(writes(site, 0x86)) == before + 2
 
 
+@pytest.mark.soak
 def test_a_file_that_is_no_set_is_refused_in_words(
     site: Site, browser_page: OpensPages, tmp_path: Path
 ) -> None:

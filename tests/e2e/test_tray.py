@@ -177,6 +177,7 @@ def test_twelve_units_take_six_presses_and_the_number(site: Site, page: Page) ->
     assert {site.unit(unit)["commanded"] for unit in range(1, UNITS + 1)} == {"80.0"}
 
 
+@pytest.mark.soak
 def test_a_change_of_several_leaves_a_unit_out_by_name(
     site: Site, page: Page, local: Callable[[int], None]
 ) -> None:
@@ -194,6 +195,7 @@ def test_a_change_of_several_leaves_a_unit_out_by_name(
     assert [site.unit(unit)["commanded"] for unit in (1, 2)] == ["70.0", was]
 
 
+@pytest.mark.soak
 def test_a_value_that_moves_during_the_review_ends_it(site: Site, page: Page) -> None:
     site.set_speed(6, value="60.0")
     add_setpoint(page, 6, "61.0")
@@ -252,6 +254,7 @@ def test_control_that_passes_on_keeps_the_tray_and_sends_nothing(
     expect(strip(page)).to_contain_text("1 change")
 
 
+@pytest.mark.soak
 def test_another_window_follows_when_it_is_looked_at(page: Page, browser_page: OpensPages) -> None:
     add_setpoint(page, 8, "81.0")
     other = browser_page("engineer", viewport=PANEL)
